@@ -52,8 +52,7 @@ def is_refusal(error: BaseException) -> bool:
 def platform_fault(failure: Exception) -> str | None:
     """Find out after a failure whether JAX was told to compute on what is not here; else None.
 
-    Of several platforms one may be here and another not: JAX then fails the first time and goes on
-    with what it has found when asked again.
+    Of several platforms one may be here and another not: JAX then fails the first time only.
     """
     jax, named = sys.modules.get("jax"), os.environ.get(_PLATFORMS)
     if jax is None or not named:

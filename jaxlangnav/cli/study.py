@@ -98,11 +98,7 @@ TEXT = SENTENCES["behind"]
 def _figure(
     title: str, name: str, num_panels: int, draw: Callable[..., Any], paper: str, ours: str
 ) -> Study:
-    """Build the study of a figure of one episode.
-
-    ``name`` is of its world and of the files; ``paper`` says what the printed figure shows, by its
-    caption, and ``ours`` what to see in ours.
-    """
+    """Build the study of a figure of one episode; ``name`` is of its world and of the files."""
 
     def run(settings: Settings, output: Output) -> Found:
         with CompileClock() as clock, waiting(f"an episode in {name}", output):

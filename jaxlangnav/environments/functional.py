@@ -94,18 +94,10 @@ _SLICE = 64
 
 @functools.partial(jax.jit, static_argnames="num_worlds")
 def draw_pool(key: Array, law: ScenarioLaw, *, num_worlds: int = NUM_WORLDS) -> Scenario:
-    """Draw the worlds of a pool.
+    """Draw the worlds of a pool, a leading axis N on every leaf; another N recompiles.
 
     Limits: one world makes every episode the same place; a world that does not meet the law is
     replaced by one of the pool that does (if there is one).
-
-    Args:
-        key: random key.
-        law: of the worlds; traced.
-        num_worlds: N; a change recompiles.
-
-    Returns:
-        The worlds, a leading axis N on every leaf.
 
     Raises:
         ValueError: fewer than one world.
@@ -198,15 +190,9 @@ def default_params(
 def reset(
     key: Array, params: EnvironmentParams, pool: Scenario | None = None
 ) -> tuple[Array, EnvironmentState]:
-    """Draw a world and put the robot at its start.
+    """Draw a world and put the robot at its start: the first observation, f32[52], and the state.
 
-    Args:
-        key: random key, consumed.
-        params: the environment.
-        pool: worlds to begin in, of ``draw_pool``; without it a fresh one is drawn.
-
-    Returns:
-        The first observation, f32[52], and the state.
+    ``pool``: worlds to begin in, of ``draw_pool``; without it a fresh one is drawn.
     """
     world_key, sense_key = jax.random.split(key)
     state = _begin(_draw(world_key, params, pool))
@@ -247,15 +233,8 @@ def step_and_reset(
 ) -> tuple[Array, EnvironmentState, Array, Array, EnvironmentInfo]:
     """Carry out one action and begin the next episode at once where one ends, as gymnax does.
 
-    Args:
-        key: random key, consumed.
-        state: the episode.
-        action: f32[3], as of ``step``.
-        params: the environment.
-        pool: as of ``reset``; without it a world is drawn in every step.
-
-    Returns:
-        As ``step``; observation and state are those of a new episode where one is over.
+    As ``step``; observation and state are those of a new episode where one is over. ``pool`` is as
+    of ``reset``; without it a world is drawn in every step.
     """
     move_key, world_key, sense_key = jax.random.split(key, 3)
     after, reward, info = _advance(move_key, state, action, params)
@@ -272,18 +251,10 @@ def step_or_reset(
     pool: Scenario | None,
     is_over: Array,
 ) -> tuple[Array, EnvironmentState, Array, EnvironmentInfo]:
-    """Carry out one action, or begin a new episode where the last one is over.
+    """Carry out one action, or begin a new episode where the last one ``is_over``, bool[].
 
-    Args:
-        key: random key, consumed.
-        state: the episode.
-        action: f32[3], as of ``step``; without effect where a new episode begins.
-        params: the environment.
-        pool: as of ``step_and_reset``.
-        is_over: bool[], the last step ended the episode.
-
-    Returns:
-        Observation, state, reward and info, the last two zero where a new episode begins.
+    As ``step_and_reset``, but where a new episode begins the action has no effect, and reward and
+    info are zero. Observation, state, reward and info.
     """
     move_key, world_key, sense_key = jax.random.split(key, 3)
     after, reward, info = _advance(move_key, state, action, params)

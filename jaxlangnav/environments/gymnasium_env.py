@@ -161,25 +161,15 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Draw a world and put the robot at its start.
 
-        Args:
-            seed: of this episode and those after it.
-            options: none are known.
-
-        Returns:
-            The first observation, and the command as text.
+        Returns the first observation, and the command as text. ``seed`` is of this episode and
+        those after it; no ``options`` are known.
         """
         super().reset(seed=seed)
         begun = _reset(_key(self.np_random), self._worlds.params)
         return self._worlds.see(*begun), {"instruction": self.instruction}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Carry out one action.
-
-        Args:
-            action: of the action space.
-
-        Returns:
-            Observation, reward, terminated (it has stopped), truncated (out of time), info.
+        """Carry out one action: observation, reward, terminated (it has stopped), truncated, info.
 
         Raises:
             ValueError: before the first ``reset``.
@@ -194,10 +184,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         return worlds.see(observation, state), float(reward), ended, late, told
 
     def render(self) -> np.ndarray | None:
-        """Draw the true world, the way gone and what is in view.
-
-        Returns:
-            u8[480, W, 3]; None without a render mode.
+        """Draw the true world, the way gone and what is in view: u8[480, W, 3], or None.
 
         Raises:
             ValueError: before the first ``reset``.
@@ -221,18 +208,17 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         render_mode: RenderMode | None = None,
         **law: Any,
     ) -> None:
-        """Set up the environments.
+        """Set up the environments; what is not said here is as of ``FollowEnv``, a picture a lane.
 
         Args:
             num_envs: lanes.
             num_worlds: worlds drawn ahead, out of which every episode takes one by lot; 0 draws
                 fresh ones in every step of every lane, at hundreds of times the cost.
             actions: as of ``FollowEnv``.
-            render_mode: as of ``FollowEnv``; one picture a lane.
+            render_mode: as of ``FollowEnv``.
             law: as of ``FollowEnv``.
 
         Raises:
-            MissingExtraError: pictures are asked for without the extra ``viz``.
             ValueError: as ``FollowEnv``, fewer than one lane, or worlds below 0.
         """
         refuse_below(1, num_envs=num_envs)
@@ -254,15 +240,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Draw the worlds, and begin an episode in every lane.
-
-        Args:
-            seed: of all lanes.
-            options: none are known.
-
-        Returns:
-            Observations f32[num_envs, 52], and no info.
-        """
+        """Draw the worlds and begin an episode in every lane: f32[num_envs, 52], and no info."""
         super().reset(seed=seed)
         if self._num_worlds:
             key = _key(self.np_random)
@@ -274,16 +252,9 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Carry out one action in every lane.
+        """Carry out one action in every lane, but for those that begin anew; as ``FollowEnv.step``.
 
-        Args:
-            actions: of the action space; ignored in lanes that begin anew.
-
-        Returns:
-            Observations, rewards, terminated, truncated, and info as arrays over lanes.
-
-        Raises:
-            ValueError: before the first ``reset``.
+        Observations, rewards, terminated, truncated, and info as arrays over lanes.
         """
         worlds, before = self._worlds, self._worlds.started("step")
         keys = jax.random.split(_key(self.np_random), self.num_envs)
@@ -297,14 +268,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         return worlds.see(observation, state), np.asarray(reward), ended, late, told
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Draw every lane.
-
-        Returns:
-            u8[480, W, 3] for each; None without a render mode.
-
-        Raises:
-            ValueError: before the first ``reset``.
-        """
+        """Draw every lane, as ``FollowEnv.render``."""
         return self._worlds.draw()
 
 

@@ -73,15 +73,9 @@ class EpisodeState:
 
 
 def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> EpisodeState:
-    """Put robot and navigator at the start of a task.
+    """Put robot and navigator at the start of a task, before the first step.
 
-    Args:
-        task: what to run.
-        instructions: leaves [I, …], the sentences of the batch.
-        config: sizes and policy.
-
-    Returns:
-        The episode before its first step.
+    ``instructions``: leaves [I, …], the sentences of the batch.
     """
     scenario = task.scenario
     chex.assert_shape([scenario.start, scenario.area, scenario.goal], [(3,), (4,), (2,)])
@@ -126,16 +120,7 @@ def _sense(key: Array, progress: EpisodeState) -> Observation:
 def advance(
     progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[EpisodeState, NavigatorInfo]:
-    """Run one cycle: sense, decide, move.
-
-    Args:
-        progress: an episode under way.
-        params: the navigator's numbers.
-        config: sizes and policy.
-
-    Returns:
-        The episode one step later, and why the robot did what it did.
-    """
+    """Run one cycle: sense, decide, move; the episode a step later, and why it did what it did."""
     return cycle(progress, params=params, config=config)[:2]
 
 
@@ -161,15 +146,7 @@ def cycle(
 
 
 def count(progress: EpisodeState, info: NavigatorInfo) -> dict[str, Array]:
-    """Add what one cycle has to say of itself to the sums of an episode.
-
-    Args:
-        progress: before the cycle.
-        info: of the cycle.
-
-    Returns:
-        The new sums, by the names of their fields.
-    """
+    """Add what one cycle says of itself to the sums of an episode, by the names of their fields."""
     seen, weights = info.filter, int(Fault.WEIGHTS)
     return {
         "overflow": progress.overflow + seen.overflow,
@@ -231,16 +208,9 @@ def run(
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
 ) -> EpisodeResult:
-    """Run one episode, language included, as one jitted function.
+    """Run one episode, language included, as one jitted function; ``params`` are traced.
 
-    Args:
-        task: key, scenario, sentence, sensor and odometry.
-        instructions: leaves [I, …]; the task names one of them.
-        params: the navigator's numbers; traced.
-        config: sizes and policy.
-        max_steps: cycles until a time-out.
-
-    Returns:
-        The result.
+    ``task``: key, scenario, sentence (one of ``instructions``, leaves [I, …]), sensor and odometry;
+    ``max_steps``: cycles until a time-out.
     """
     return finish(complete(task, instructions, params=params, config=config, max_steps=max_steps))

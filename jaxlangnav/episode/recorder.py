@@ -57,17 +57,9 @@ def scene_of(
 ) -> StaticScene:
     """Gather what stays the same, whoever moves the robot.
 
-    Args:
-        scenario: the truth.
-        sensor: what the belief is told of the detector.
-        instruction: the sentence, grounded.
-        text: the sentence, for people.
-        params: the navigator's numbers.
-        config: sizes and policy.
-        type_names: of the detector's labels; the lexicon's types by default.
-
-    Returns:
-        The scene.
+    ``scenario``: the truth; ``sensor``: what the belief is told of the detector; ``instruction``:
+    the sentence, grounded, and ``text``, for people; ``type_names``: of the detector's labels, the
+    lexicon's types by default.
     """
     instruction, scenario, sensor, planner = jax.device_get(
         (instruction, scenario, sensor, params.planner)
@@ -96,18 +88,11 @@ def play(
     max_steps: int = MAX_STEPS,
     ear: UtteranceSource | None = None,
 ) -> Iterator[tuple[Frame, EpisodeResult]]:
-    """Run an episode step by step, early exit included.
+    """Run an episode step by step: each step, and how it would be judged if it ended with it.
 
-    Args:
-        task: one episode; the same key gives the same episode as ``episode.run``.
-        instructions: leaves [I, …]; the task names one of them.
-        params: the navigator's numbers.
-        config: sizes and policy.
-        max_steps: cycles until a time-out, at least 1.
-        ear: what is said under way; the episode goes on as long as it expects more.
-
-    Yields:
-        Each step, and how the episode would be judged if it ended with it.
+    The same ``task.key`` gives the same episode as ``episode.run``. The episode goes on for
+    ``max_steps`` cycles (at least 1) or until it ends, or as long as its ``ear`` expects more to be
+    said.
 
     Raises:
         ValueError: ``max_steps`` is less than 1.
@@ -139,20 +124,7 @@ def record(
     text: str = "",
     type_names: tuple[str, ...] | None = None,
 ) -> Recording:
-    """Run an episode and keep what pictures need.
-
-    Args:
-        task: one episode.
-        instructions: leaves [I, …]; the task names one of them.
-        params: the navigator's numbers.
-        config: sizes and policy.
-        max_steps: cycles until a time-out, at least 1.
-        text: the sentence, for people.
-        type_names: of the detector's labels; the lexicon's types by default.
-
-    Returns:
-        The recording.
-    """
+    """Run an episode as ``play`` does and keep it; text and names as ``scene_of``."""
     index = int(task.instruction_index)
     instruction = jax.tree.map(lambda leaf: leaf[index], jax.device_get(instructions))
     given = {"text": text, "type_names": type_names}
@@ -184,17 +156,10 @@ def frame_of(
     info: NavigatorInfo,
     observation: Observation,
 ) -> Frame:
-    """Gather one step.
+    """Gather one step: the world before the motion, the belief after the step.
 
-    Args:
-        world: before the motion.
-        before: the navigator's state before its decision.
-        after: and after it.
-        info: of the decision.
-        observation: that it was decided by.
-
-    Returns:
-        The frame: the world before the motion, the belief after the step.
+    ``before`` and ``after`` are the navigator's states around its decision, ``info`` is of it,
+    ``observation`` what it was decided by.
     """
     belief, goals, choice = after.belief, info.goals, info.choice
     particles, nodes = belief.particles, choice.nodes

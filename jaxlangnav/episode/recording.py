@@ -163,13 +163,8 @@ def moments(
 ) -> Iterator[Moment]:
     """Set each step of an episode beside what was said and seen before it.
 
-    Args:
-        scene: of the episode.
-        steps: as they happen, from ``recorder.play``, or as they were recorded.
-        said: utterances; a list that may grow as the episode runs.
-
-    Yields:
-        The moments.
+    ``steps``: as they happen, from ``recorder.play``, or as they were recorded; ``said``:
+    utterances, a list that may grow as the episode runs.
     """
     own = {name: getattr(scene, name) for name in ("stop_radius", "is_judged", "unjudged")}
     before = None
@@ -221,27 +216,15 @@ class Recording:
         return self.moments[-1].scene
 
     def at(self, step: int) -> Frame:
-        """Take one step out, leaves without the axis T.
-
-        Args:
-            step: in [−T, T).
-
-        Returns:
-            The frame.
-        """
+        """Take the step in [−T, T) out, leaves without the axis T."""
         return jax.tree.map(lambda leaf: leaf[step], self.frames)
 
 
 def missing_names(scene: StaticScene, frame: Frame) -> list[str]:
-    """Name what bears on the goal of the present command and no look has shown by a step.
+    """Name types that bear on the goal of the present command and no look has shown by a step.
 
-    Args:
-        scene: of the episode.
-        frame: the step.
-
-    Returns:
-        Names of object types, in the order of the sentence: of the goal and of what it is placed
-        against; of all that the sentence speaks of where the goal is not one of these.
+    In the order of the sentence: of the goal and of what it is placed against; of all that the
+    sentence speaks of where the goal is not one of these.
     """
     missing = missing_types(scene.readings, frame.object_type)
     clause = int(frame.clause)
@@ -254,15 +237,6 @@ def missing_names(scene: StaticScene, frame: Frame) -> list[str]:
 
 
 def stack_frames(scene: StaticScene, frames: list[Frame], result: EpisodeResult) -> Recording:
-    """Stack the steps of an episode.
-
-    Args:
-        scene: what stays the same.
-        frames: the steps from ``recorder.play``, at least one.
-        result: of the last step.
-
-    Returns:
-        The recording.
-    """
+    """Stack the steps of an episode, at least one; ``result`` is of the last."""
     stacked: Frame = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
     return Recording(scene=scene, frames=stacked, result=result)

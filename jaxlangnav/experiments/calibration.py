@@ -169,10 +169,9 @@ def _draw_unseen(key: Array, coverage: Coverage, number: int) -> tuple[Array, Ar
 def _independent(key: Array, goals: Goals, belief: ParticleBelief, readings: Readings) -> Goals:
     """Draw anew, independently, hypotheses of a goal of which nothing is said but that it exists.
 
-    Regions of highest density are told from hypotheses that are independent draws, as the truth is
-    one. But the filter spreads those that may be anywhere unseen evenly over all of that, so that
-    they keep away from each other: other places look denser than theirs, and regions of 90 % of a
-    perfect belief would hold the truth in 94 % of cases. Their law is the coverage map's.
+    The filter spreads them evenly, so that they keep apart: regions of 90 % of a perfect belief
+    would hold the truth in 94 % of cases. The law of what may be anywhere unseen is the coverage
+    map's.
     """
     drawn_x, drawn_y = _draw_unseen(key, belief.coverage, goals.hypothesis_x.shape[0])
     reading = belief.particles.reading
@@ -222,31 +221,20 @@ def _is_held_as(belief: ParticleBelief, kind: Array) -> Array:
 
 
 def is_it(apart: Array, is_event: Array) -> Array:
-    """Tell which of the objects observed is the true one: one of them at most.
+    """Tell which observed object, bool[O] of those that may be it, is the true one: one at most.
 
-    What a detector invents beside the goal, or what the map holds twice of it, is not the goal.
-
-    Args:
-        apart: f32[O] metres from the true one.
-        is_event: bool[O], objects that may be it.
-
-    Returns:
-        bool[O].
+    ``apart``: f32[O], metres from the true one; ``is_event``: bool[O], what may be it. What a
+    detector invents beside the goal, or what the map holds twice of it, is not the goal.
     """
     metres = jnp.where(is_event, apart, jnp.inf)
     return (jnp.arange(metres.shape[0]) == jnp.argmin(metres)) & (metres < SAME_DISTANCE)
 
 
 def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
-    """Hold the belief of one step against the truth.
+    """Hold the belief of one step against the truth, in the step's stage.
 
-    Args:
-        progress: before the step; the robot is where the decision was made.
-        info: of the decision.
-        after: after the step, with the belief of the decision.
-
-    Returns:
-        The sums of this step, in its stage.
+    ``progress``, ``after``: before and after the step; the robot is where the decision was made,
+    and the belief of ``after`` is the one it was made by. ``info``: of the decision.
     """
     scenario, belief = progress.task.scenario, after.navigator.belief
     true_x, true_y = scenario.goal - progress.world.position + info.robot
@@ -287,18 +275,13 @@ def _error(events: Reliability) -> tuple[float | None, float | None, float | Non
 
 
 def scores(tally: Tally, stage: int | None = None) -> dict[str, float | None]:
-    """Turn sums into scores.
+    """Turn sums of episodes, leaves [E, S, …], into scores; of one of ``STAGES``, all if None.
 
-    Args:
-        tally: sums of episodes, leaves [E, S, …].
-        stage: index into ``STAGES`` of the steps that count; all of them if None.
-
-    Returns:
-        ``ece`` and ``brier`` (None if no object of the goal's type was ever seen) of the planner's
-        probabilities, ``ece_map`` and ``brier_map`` of the map's, ``ece_floor`` and
-        ``ece_map_floor``: what so few episodes would show if the belief were perfect,
-        ``coverage90`` in percent and its standard error ``coverage90_se``, ``nll`` in nats, and
-        the number of ``calibration_events`` and ``calibration_steps``.
+    ``ece`` and ``brier`` (None if no object of the goal's type was ever seen) of the planner's
+    probabilities, ``ece_map`` and ``brier_map`` of the map's, ``ece_floor`` and ``ece_map_floor``:
+    what so few episodes would show if the belief were perfect, ``coverage90`` in percent and its
+    standard error ``coverage90_se``, ``nll`` in nats, ``calibration_events``,
+    ``calibration_steps``.
     """
     span = slice(None) if stage is None else slice(stage, stage + 1)
     part = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64)[:, span], tally)

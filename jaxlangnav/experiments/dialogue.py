@@ -183,11 +183,7 @@ def converse(
     config: NavigatorConfig,
     on_progress: OnProgress | None = None,
 ) -> Exchange:
-    """Run episodes, leaves [E, …], in which a person speaks.
-
-    NumPy arrays, leaves [E, …], in the order of the tasks; ``on_progress`` is told the number
-    of episodes just finished.
-    """
+    """Run episodes in which a person speaks; NumPy arrays, leaves [E, …], in the tasks' order."""
     numbers = _Numbers(navigator=params, person=person, sentence=sentence)
     return run_tasks(
         tasks, sentence, params=numbers, config=config, on_progress=on_progress, course=_TALK
@@ -203,8 +199,7 @@ def speak(
 ) -> tuple[Person, Array, Array]:
     """Let a person who watches an episode say something, or nothing, before a decision.
 
-    Returns:
-        The person after it; i32[], what is said, one of ``Says``; i32[], of which slot.
+    Gives the person after it; what is said, i32[], one of ``Says``; and of which slot, i32[].
     """
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
     seen = _seen_of(progress.navigator, progress.steps)

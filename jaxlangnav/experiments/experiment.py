@@ -93,13 +93,7 @@ class Experiment:
         return len(self.specs) * len(self.arms(options)) * options.episodes
 
     def check(self, options: Options) -> list[Arm]:
-        """Refuse, before anything is run, what cannot be.
-
-        Args:
-            options: of the run.
-
-        Returns:
-            The arms.
+        """Build the arms of a run, or refuse, before anything is run, what cannot be.
 
         Raises:
             ValueError: fewer than one episode, an unknown policy, more than memory holds, or

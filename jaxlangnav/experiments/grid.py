@@ -39,13 +39,9 @@ class Grid:
     """Columns that settings and arms fill; ``seed`` and ``episode`` follow them."""
 
     def draw(self, places: np.ndarray) -> Task:
-        """Draw tasks.
+        """Draw the tasks, leaves [E, …], of an arm's episodes by their numbers, i[E].
 
-        Args:
-            places: i[E], numbers among an arm's episodes.
-
-        Returns:
-            Tasks, leaves [E, …]; an episode's depends on its setting and number only.
+        An episode's task depends on its setting and its number in it only.
         """
         used, index, numbers = self._locate(places)
         return draw_tasks(used, index, numbers)
@@ -53,16 +49,11 @@ class Grid:
     def columns(
         self, arm: Arm, places: np.ndarray, results: EpisodeResult, known: np.ndarray
     ) -> dict[str, Any]:
-        """Lay episodes out as tidy columns: which each is, and what came of it.
+        """Lay episodes of an arm out as columns [E] by name: which each is, and what came of it.
 
-        Args:
-            arm: which has run them.
-            places: i[E], numbers among the arm's episodes.
-            results: leaves [E, …].
-            known: f32[E], the known map's distance, metres.
-
-        Returns:
-            Arrays [E] by name; the final position as ``final_x`` and ``final_y``.
+        ``places``: i[E], their numbers among the arm's; ``results``: leaves [E, …]; ``known``:
+        f32[E], the known map's distance, metres. The final position stands in ``final_x`` and
+        ``final_y``.
         """
         columns: dict[str, Any] = {}
         for name, labels in self._labels(arm, places).items():
@@ -126,13 +117,8 @@ def run_grid(
 ) -> Iterator[Played]:
     """Run a grid arm by arm; all settings go through one compiled program as one batch.
 
-    Args:
-        grid: settings and arms.
-        instructions: leaves [I, …], as the settings number them.
-        on_progress: called with the number of episodes just finished.
-
-    Yields:
-        What each arm did.
+    ``instructions``: leaves [I, …], as the settings number them; ``on_progress`` is called with the
+    number of episodes just finished. Yields what each arm did.
     """
     drawn = grid.draw(np.arange(len(grid.settings) * grid.episodes))
     for arm in grid.arms:

@@ -46,13 +46,9 @@ their events and outcomes, ``events2`` and ``outcome2``, and the product of both
 
 
 def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
-    """Sum up the events of some episodes by their probability.
+    """Sum up the events of some episodes, leaves [E, S, …], by their probability.
 
-    Args:
-        tally: sums of episodes, leaves [E, S, …].
-
-    Returns:
-        ``planner`` and ``map``, each ``Bins`` in JSON's own types.
+    ``planner`` and ``map``, each ``Bins`` in JSON's own types.
     """
 
     def sums(found: Reliability) -> dict[str, list[float]]:
@@ -75,28 +71,17 @@ def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
 
 
 def pooled(parts: Iterable[Bins]) -> dict[str, np.ndarray]:
-    """Add up the bins of several rows of a table.
-
-    Args:
-        parts: at least one.
-
-    Returns:
-        Arrays f64[B] by name.
-    """
+    """Add up the bins of several rows of a table, at least one: f64[B] by name."""
     listed = list(parts)
     return {name: np.sum([part[name] for part in listed], axis=0) for name in listed[0]}
 
 
 def curve(bins: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
-    """Turn sums into a reliability curve.
+    """Turn sums by bin into a reliability curve.
 
-    Args:
-        bins: sums by bin.
-
-    Returns:
-        Of each bin that is not empty: mean probability, share that came true, lower and upper end
-        of its 95 % interval, number of events. The interval is Wilson's, of as many independent
-        events as have the variance between episodes; of as many episodes where they all agree.
+    Of each bin that is not empty: mean probability, share that came true, lower and upper end of
+    its 95 % interval, number of events. The interval is Wilson's, of as many independent events as
+    have the variance between episodes; of as many episodes where they all agree.
     """
     sums = {name: np.asarray(values, float) for name, values in bins.items()}
     used = sums["events"] > 0

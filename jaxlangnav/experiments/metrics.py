@@ -42,16 +42,9 @@ class RowMetrics:
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Compute the 95 % Wilson score interval of a rate.
+    """Compute the 95 % Wilson score interval of a rate, in [0, 1].
 
     Limits: no trials give (0, 1); all successes give an upper end of 1.
-
-    Args:
-        successes: how many succeeded.
-        trials: of how many.
-
-    Returns:
-        Lower and upper end, in [0, 1].
     """
     if trials == 0:
         return 0.0, 1.0
@@ -60,31 +53,18 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def timeouts_text(row: Mapping[str, Any]) -> str:
-    """Write how many episodes of a row ended without an arrival.
-
-    Args:
-        row: with ``timeouts`` and ``not_found``.
-
-    Returns:
-        "3"; where there are episodes that ended with the goal not found, "3 + 2 not found".
-    """
+    """Write a row's episodes without an arrival: "3", or "3 + 2 not found"."""
     given_up = f" + {row['not_found']} not found" if row["not_found"] else ""
     return f"{row['timeouts']}{given_up}"
 
 
 def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
-    """Summarise episodes of one row.
+    """Summarise episodes of one row, leaves [E, …].
 
     SPL is success weighted by path length: the mean of success · l / max(l, d), with l the straight
-    way to where the robot may stop and d the distance travelled. Worlds that missed their
-    template's law are counted and left out.
-
-    Args:
-        results: leaves [E, …].
-        known_distance: f32[E], metres, straight way from start to goal.
-
-    Returns:
-        The summary.
+    way to where the robot may stop and d the distance travelled. ``known_distance``: f32[E],
+    metres, straight from start to goal. Worlds that missed their template's law are counted and
+    left out.
     """
     valid = np.asarray(results.is_valid)
     success = np.asarray(results.is_success)[valid]
@@ -141,16 +121,7 @@ def compare(
     first_distance: np.ndarray,
     second_distance: np.ndarray,
 ) -> Comparison:
-    """Compare two arms over the same episodes.
-
-    Args:
-        first_success: bool[E].
-        second_success: bool[E].
-        first_distance: f64[E], metres.
-        second_distance: f64[E], metres.
-
-    Returns:
-        The comparison.
+    """Compare two arms over the same episodes: bool[E] successes, f64[E] distances in metres.
 
     Raises:
         ValueError: there is nothing to compare.

@@ -73,19 +73,13 @@ def mesh() -> Mesh:
 def join_devices(
     coordinator: str | None = None, processes: int | None = None, process: int | None = None
 ) -> tuple[int, int]:
-    """Find out which of how many processes this is; before anything is computed.
+    """Find out which of how many processes this is, from 0; before anything is computed.
 
     ``jax.distributed`` asks the launcher (SLURM, Open MPI, Kubernetes, cloud TPUs) for whatever is
-    not given, and all processes meet at the first one. Then they part: nothing that is computed
-    crosses from one to another, and a process that dies later must not take its peers along.
-
-    Args:
-        coordinator: host:port of the first process.
-        processes: how many there are.
-        process: which one this is, from 0.
-
-    Returns:
-        The place of this process, from 0, and how many there are.
+    not given: ``coordinator``, host:port of the first process; how many ``processes`` there are;
+    which ``process`` this is, from 0. All processes meet at the first one, and then they part:
+    nothing that is computed crosses from one to another, and a process that dies later must not
+    take its peers along.
 
     Raises:
         ValueError: no launcher is known, something is missing or does not fit together, or the
@@ -107,16 +101,7 @@ def join_devices(
 
 
 def fill(tasks: Task, first: int, size: int) -> Task:
-    """Cut tasks for one call, filled up to its shape.
-
-    Args:
-        tasks: leaves [E, …].
-        first: place of the first.
-        size: how many, at most ``CHUNK``.
-
-    Returns:
-        Tasks, leaves [CHUNK, …]; the first ``size`` count.
-    """
+    """Cut ``size`` tasks from ``first`` on, filled up to the shape of a call: leaves [CHUNK, …]."""
     place = np.arange(CHUNK)
     return take_tasks(tasks, first + np.where(place < size, place, 0))
 
@@ -129,17 +114,10 @@ def run_round(
     max_steps: int = MAX_STEPS,
     course: EpisodeProgram = EPISODE,
 ) -> list[Any]:
-    """Run one call of the program, a chunk on each device.
+    """Run one call of the program, a chunk on each device; arguments as ``run_tasks``.
 
-    Args:
-        works: at most as many as there are devices; the other devices rest.
-        instructions: leaves [I, …].
-        config: sizes and policy.
-        max_steps: cycles until a time-out.
-        course: what is kept of an episode; its result by default.
-
-    Returns:
-        For each of the works its results as NumPy arrays, leaves [count, …].
+    ``works``: at most as many as there are devices; the other devices rest. For each of them its
+    results as NumPy arrays, leaves [count, …].
     """
     idle = mesh().size - len(works)
     padded = [*works, *[works[0]] * idle]
@@ -226,13 +204,8 @@ def _pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
 def run_ahead(work: Callable[[Job], Done], jobs: Iterable[Job], threads: int) -> Iterator[Done]:
     """Do jobs in threads, a few handed out ahead of need; the first failure ends the run.
 
-    Args:
-        work: does one job.
-        jobs: taken as threads come free, so that no plan is laid out whole.
-        threads: jobs under way at once.
-
-    Yields:
-        What each job gave, in their order.
+    Jobs are taken as threads come free, so that no plan is laid out whole. Yields what each gave,
+    in their order.
     """
     running: collections.deque[concurrent.futures.Future[Done]] = collections.deque()
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:

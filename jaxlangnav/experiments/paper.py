@@ -213,14 +213,7 @@ _LEAD_FIGURE5 = (
 
 
 def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
-    """Build the experiment.
-
-    Args:
-        ranges: metres; those of the paper if there is none.
-
-    Returns:
-        Rows by relation, ranges growing.
-    """
+    """Build the figure: rows by relation, then by range (metres; the paper's if none is given)."""
     specs = [
         RowSpec(world=_WORLD, range=sensing_range, relation=relation)
         for relation in ("behind", "nearest")
@@ -267,14 +260,7 @@ def _falls(rows: Sequence[Row]) -> list[Row]:
 
 
 def describe_falls(document: Document) -> str:
-    """Say in words where success falls.
-
-    Args:
-        document: with ``rows``.
-
-    Returns:
-        A sentence for each fall, or that there is none.
-    """
+    """Say in words where success falls as the range grows, or that it nowhere does."""
     lines = [
         f"{one['policy']}, {one['world']} {one['relation']}: success falls from "
         f"{one['from']:.1f} % to {one['to']:.1f} % at {one['range']:g} m."
@@ -303,14 +289,10 @@ EXTRA = (
 
 
 def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
-    """Build the table.
+    """Build the table: rows in the paper's order, ranges growing.
 
-    Args:
-        extra: whether the rows that the paper does not print stand beneath its own.
-        ranges: metres, in place of each row's own.
-
-    Returns:
-        Rows in the paper's order, ranges growing.
+    ``extra``: whether rows that the paper does not print stand beneath its own; ``ranges``: metres,
+    in place of each row's own.
     """
     printed = [(row.world, row.range, row.relation) for row in PRINTED]
     reaches = sorted(set(ranges))

@@ -50,13 +50,7 @@ KNOWLEDGE = {
 
 
 def check_policies(names: Sequence[str]) -> tuple[str, ...]:
-    """Check the names of policies.
-
-    Args:
-        names: as typed.
-
-    Returns:
-        The same, each once, in their order.
+    """Check the names of policies as typed; each once, in their order.
 
     Raises:
         ValueError: none at all, or one that does not exist, with the nearest that does.
@@ -74,30 +68,14 @@ def check_policies(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def navigator_config(policy: AnyPolicy, num_particles: int = DEFAULT_PARTICLES) -> NavigatorConfig:
-    """Build the configuration of one of the navigator's own policies.
-
-    Args:
-        policy: "informed", "faithful", or a policy of somebody's own.
-        num_particles: P.
-
-    Returns:
-        Sizes and policy.
-    """
+    """Build sizes of a navigator's policy: "informed", "faithful", or one of somebody's own."""
     return NavigatorConfig(
         map=MapConfig(num_particles=num_particles), planner=PlannerConfig(policy=policy)
     )
 
 
 def without_compass(config: NavigatorConfig, motion: MotionParams) -> NavigatorConfig:
-    """Have the belief doubt the heading where odometry lets it drift.
-
-    Args:
-        config: sizes and policy.
-        motion: odometry as the belief is told it is; concrete.
-
-    Returns:
-        The same where a compass gives the heading.
-    """
+    """Have the belief doubt the heading where odometry, as it is told, lets it drift; concrete."""
     if not is_drifting(motion):
         return config
     return dataclasses.replace(config, map=dataclasses.replace(config.map, has_drift=True))
@@ -131,14 +109,7 @@ class Arm:
         return BASELINES.get(self.policy, EPISODE)
 
     def tasks(self, tasks: Task) -> Task:
-        """Set odometry, detector and worlds; keys stay, so that all arms are paired.
-
-        Args:
-            tasks: as drawn for the settings, leaves [E, …].
-
-        Returns:
-            Tasks, leaves [E, …].
-        """
+        """Set odometry, detector and worlds of tasks, leaves [E, …]; keys stay, so arms pair."""
         number = tasks.instruction_index.shape[0]
         sensor = {name: jnp.full(number, one, jnp.float32) for name, one in self.sensor.items()}
         tasks = replace(tasks, sensor=replace(tasks.sensor, **sensor))
@@ -148,13 +119,9 @@ class Arm:
         return tasks if self.worlds is None else self.worlds(tasks)
 
     def believing(self, numbers: Numbers) -> "Arm":
-        """Set single numbers of the navigator; a baseline has none, and stays as it is.
+        """Set single numbers of the navigator by name; a baseline has none, and stays as it is.
 
-        Args:
-            numbers: by the names of their fields.
-
-        Returns:
-            The arm; of the same compiled program.
+        The arm has the same compiled program.
 
         Raises:
             ValueError: no such number, or one that cannot be.
@@ -172,18 +139,11 @@ class Arm:
         on_progress: OnProgress | None = None,
         num_threads: int | None = None,
     ) -> tuple[EpisodeResult, Tally | None]:
-        """Run any number of tasks.
+        """Run any number of tasks, as ``run_tasks`` takes them.
 
-        Args:
-            tasks: leaves [E, …].
-            instructions: leaves [I, …].
-            is_judged: whether the belief of every step is held against the truth.
-            on_progress: called with the number of episodes just finished.
-            num_threads: calls under way at once; as many as keep all cores busy by default.
-
-        Returns:
-            Results as NumPy arrays, leaves [E, …], in the order of the tasks; and the sums of each
-            episode, leaves [E, …], None where nothing is judged.
+        Gives results as NumPy arrays, leaves [E, …], in the order of the tasks; and, if
+        ``is_judged``, the belief of every step held against the truth: the sums of each episode,
+        leaves [E, …], else None.
         """
         found = run_tasks(
             tasks,
@@ -206,17 +166,11 @@ def policy_arm(
     motion: MotionParams | None = None,
     told: Mapping[str, Any] | None = None,
 ) -> Arm:
-    """Build the arm of a policy.
+    """Build the arm of a policy: one of ``POLICY_NAMES``, or a policy of somebody's own.
 
-    Args:
-        policy: one of ``POLICY_NAMES``, or a policy of somebody's own.
-        num_particles: P, of the navigator's policies.
-        params: the navigator's numbers; its defaults if None.
-        motion: the odometry, of which the belief is told; that of the settings if None.
-        told: what the columns say of it; its name if None.
-
-    Returns:
-        The arm.
+    ``num_particles`` and ``params`` (the defaults if None) are the navigator's. ``motion``:
+    odometry, of which the belief is told; that of the settings if None. ``told``: what the columns
+    say of it; its name if None.
 
     Raises:
         ValueError: no such policy.

@@ -45,10 +45,8 @@ class RowSpec:
     ) -> Cell:
         """Build the setting of its episodes; commands are numbered in the order of ``SENTENCES``.
 
-        Args:
-            seed: root seed of worlds and noise.
-            environments: worlds of a template taken in turn; 0 for a fresh one per episode.
-            sensor: the detector; its range is the row's. The default one if None.
+        ``environments``: worlds of a template taken in turn; 0 for a fresh one per episode.
+        ``sensor``: the detector, but for its range; the default one if None.
         """
         usual = default_sensor(self.range)
         return Cell(
@@ -243,10 +241,9 @@ def _law_search_bound(mean: float, sd: float, sensing_range: float, num_goals: i
 def limits(template: str, relation: str, sensing_range: float) -> dict[str, float | None]:
     """Gather the limits of one row of a table, such as "2H1C", "behind", 3 m.
 
-    Returns:
-        ``known``: mean straight way, metres; ``search_uniform``, ``search_law``: least mean
-        distance of a search without a hint, None where the sentence gives one; ``success``: the
-        highest success rate in percent, below 100 where the sentence fits several objects.
+    ``known``: mean straight way, metres; ``search_uniform``, ``search_law``: least mean distance of
+    a search without a hint, None where the sentence gives one; ``success``: the highest success
+    rate in percent, below 100 where the sentence fits several objects.
     """
     record = parse_template(template)
     mean, sd = known_range(record, relation)

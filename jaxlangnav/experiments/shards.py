@@ -48,15 +48,7 @@ class Shard:
 
 
 def write_shard(columns: Mapping[str, Any], path: Path, shard: Shard) -> Path:
-    """Write the episodes of a chunk, all or nothing.
-
-    Args:
-        columns: by name, arrays [E] or lists of E.
-        path: of the file; its folder is made.
-        shard: which it is.
-
-    Returns:
-        The path.
+    """Write the episodes of a chunk, columns [E] by name, all or nothing; the folder is made.
 
     Raises:
         ValueError: columns of different lengths, or not of the shard's.
@@ -80,10 +72,6 @@ def write_shard(columns: Mapping[str, Any], path: Path, shard: Shard) -> Path:
 def check_shard(path: Path, shard: Shard) -> None:
     """See that a file is the shard that it should be.
 
-    Args:
-        path: of the file.
-        shard: which it should be.
-
     Raises:
         ShardError: it is another one, or its bytes are not those that were written.
     """
@@ -91,15 +79,7 @@ def check_shard(path: Path, shard: Shard) -> None:
 
 
 def read_shard(path: Path, *, sweep: str, index: int) -> pa.Table:
-    """Read a shard, verified.
-
-    Args:
-        path: of the file.
-        sweep: of which it should be.
-        index: which of its files it should be.
-
-    Returns:
-        Its rows.
+    """Read the rows of the file ``index`` of a sweep, verified.
 
     Raises:
         ShardError: it is another one, or its bytes are not those that were written.
@@ -174,15 +154,10 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 @contextlib.contextmanager
 def held(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
-    """Hold a part of a folder, so that no second process works on the same files.
+    """Hold a part i/n of a folder, made if need be: no second process works on the same files.
 
-    Args:
-        folder: of the sweep; made if it is not there.
-        part: i and n.
-        on_note: told whose lock was taken over, and where there are no locks.
-
-    Yields:
-        Whether the part is held; False where the file system has no locks.
+    ``on_note`` is told whose lock was taken over, and where there are no locks. Yields whether the
+    part is held: not where the file system has no locks.
 
     Raises:
         ValueError: a living process holds it, or a part that shares files with it.

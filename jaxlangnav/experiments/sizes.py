@@ -76,14 +76,7 @@ def result_bytes() -> int:
 
 
 def readable_count(number: int) -> str:
-    """Write a number for people, however large it is.
-
-    Args:
-        number: not negative.
-
-    Returns:
-        All digits in threes, or the first two with the power of ten.
-    """
+    """Write a number of at least 0 for people: all digits in threes, or two and the exponent."""
     digits = str(number)
     return f"{number:,}" if number < 10**15 else f"{digits[0]}.{digits[1]}·10^{len(digits) - 1}"
 
@@ -91,12 +84,8 @@ def readable_count(number: int) -> str:
 def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str = "") -> None:
     """Refuse more of something than memory holds.
 
-    Args:
-        name: what is counted, for the message.
-        count: how many are asked for.
-        each: bytes of one.
-        fixed: bytes that they need besides.
-        beside: what else makes up the size, for the message.
+    ``name`` says what is counted and ``beside`` what else makes up the size; ``each``: bytes of
+    one, ``fixed``: bytes that they need besides.
 
     Raises:
         ValueError: says the size, the limit and how many would fit.
@@ -114,27 +103,15 @@ def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str
 
 
 def check_engine(config: NavigatorConfig) -> None:
-    """Refuse sizes with which a batch of episodes does not fit into memory.
-
-    Args:
-        config: sizes.
-
-    Raises:
-        ValueError: says the size, the limit and how many particles would fit.
-    """
+    """Refuse sizes with which a batch of episodes does not fit into memory, as ``check_count``."""
     # On a CPU all calls share one memory, on accelerators each device has its own.
     _check_lanes(config, LANES * num_calls() * (mesh().size if _is_on_host() else 1))
 
 
 def check_recording(config: NavigatorConfig, max_steps: int) -> None:
-    """Refuse sizes with which one recorded episode does not fit into memory.
+    """Refuse sizes with which one recorded episode does not fit into memory, as ``check_count``.
 
-    Args:
-        config: sizes.
-        max_steps: of each of which a record is kept, at most as large as the state.
-
-    Raises:
-        ValueError: says the size, the limit and what would fit.
+    Of each of ``max_steps`` a record is kept, at most as large as the state.
     """
     _check_lanes(config, 1)
     fixed, each = _episode_bytes(config)

@@ -25,16 +25,12 @@ _MOST_PAIRS = 6
 
 
 def summarize_directory(path: str | Path) -> dict[str, Any]:
-    """Summarise the files of a sweep, complete or not; a damaged file counts as missing.
+    """Summarise the files of a sweep's folder, complete or not; a damaged file counts as missing.
 
-    Args:
-        path: the sweep's folder.
-
-    Returns:
-        ``name``, ``rows`` (one per setting and arm, rates in percent, distances in metres),
-        ``comparisons`` (second arm against first in one setting), ``varied`` (columns that take
-        more than one value), ``episodes``, ``files``, ``missing`` files and, of those, the
-        ``damaged``: a line for each that names it and says what is wrong.
+    ``name``, ``rows`` (one per setting and arm, rates in percent, distances in metres),
+    ``comparisons`` (second arm against first in one setting), ``varied`` (columns that take more
+    than one value), ``episodes``, ``files``, ``missing`` files and, of those, the ``damaged``: a
+    line for each that names it and says what is wrong.
 
     Raises:
         ValueError: no sweep there, or nothing of it is done yet, or nothing is sound.
@@ -189,14 +185,7 @@ def _tables(document: Document) -> list[Table]:
 
 
 def summary_markdown(document: Document) -> str:
-    """Write a summary as Markdown.
-
-    Args:
-        document: of ``summarize_directory``.
-
-    Returns:
-        Heading, rows, paired tests.
-    """
+    """Write what ``summarize_directory`` found as Markdown: heading, rows, paired tests."""
     rows, *tests = _tables(document)
     parts = [f"# {sanitize.markdown(rows.title)}", rows.caption, rows.markdown().rstrip()]
     for one in tests:
@@ -205,14 +194,7 @@ def summary_markdown(document: Document) -> str:
 
 
 def render(document: Document) -> Any:
-    """Draw a summary for the terminal.
-
-    Args:
-        document: of ``summarize_directory``.
-
-    Returns:
-        A rich group of tables.
-    """
+    """Draw what ``summarize_directory`` found for the terminal: a group of rich's tables."""
     from rich.console import Group
 
     return Group(*(one.text() for one in _tables(document)))

@@ -51,14 +51,7 @@ _UNREADABLE = "restore it, or run the sweep in another folder"
 
 
 def files_there(folder: Path) -> Iterator[tuple[int, Path]]:
-    """Find the files of episodes that are there, sound or not.
-
-    Args:
-        folder: of the sweep.
-
-    Yields:
-        Number and path, in no order.
-    """
+    """Find the files of episodes in a sweep's folder, sound or not, in no order: number, path."""
     for path in folder.iterdir():
         match = _FILE.fullmatch(path.name)
         if match is not None:
@@ -68,14 +61,8 @@ def files_there(folder: Path) -> Iterator[tuple[int, Path]]:
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Read which sweep a folder holds.
 
-    Args:
-        folder: of the sweep.
-
-    Returns:
-        The manifest.
-
     Raises:
-        ValueError: none is there, or it is not one of a sweep.
+        ValueError: there is no manifest, or it is not one of a sweep.
     """
     path = folder / MANIFEST
     if not path.exists():
@@ -93,16 +80,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def identity(document: dict[str, Any]) -> str:
-    """Hash what the files of a sweep share, and what this version measures of an episode.
+    """Hash what the files of a manifest's sweep share, and what this version measures: SHA-256.
 
-    Files of a version that measured something else are those of another sweep: they cannot stand
-    in one table with these.
-
-    Args:
-        document: the manifest.
-
-    Returns:
-        SHA-256 in hexadecimal.
+    Files of a version that measured something else cannot stand in one table with these.
     """
     shared = {key: _uncounted(document.get(key)) for key in _IDENTITY}
     shared["measured"] = [field.name for field in dataclasses.fields(EpisodeResult)]
@@ -183,14 +163,7 @@ def _difference(theirs: Any, ours: Any, name: str) -> str:
 
 
 def total_episodes(config: SweepConfig, *, shard: str = "1/1") -> int:
-    """Count the episodes of a shard, for a progress bar.
-
-    Args:
-        config: the grid.
-        shard: "i/n".
-
-    Returns:
-        Episodes, those already done included.
+    """Count the episodes of a shard "i/n", those already done included.
 
     Raises:
         ValueError: the shard is not of this form, Params that cannot be, or more than fits.

@@ -121,14 +121,9 @@ class SweepConfig:
 def read_config(
     path: str | Path, *, overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> SweepConfig:
-    """Read and check a sweep's configuration.
+    """Read and check a sweep's configuration, TOML; world files in it are relative to its folder.
 
-    Args:
-        path: a TOML file; world files in it are relative to its folder.
-        overrides: by table (sensor, motion, map, planner) and key, in place of the file's values.
-
-    Returns:
-        The configuration.
+    ``overrides``: by table (sensor, motion, map, planner) and key, in place of the file's values.
 
     Raises:
         ValueError: unreadable, or anything in it is wrong; one line.
@@ -145,14 +140,7 @@ def read_config(
 
 
 def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> SweepConfig:
-    """Check a configuration.
-
-    Args:
-        table: its keys, as in the file.
-        folder: to which world files are relative.
-
-    Returns:
-        The configuration.
+    """Check a configuration, keys as in the file; world files are relative to ``folder``.
 
     Raises:
         ValueError: an unknown key, an empty list, a wrong value or unit; one line.

@@ -46,14 +46,8 @@ class Table:
     def of(cls, rows: Iterable[Mapping[str, Any]], columns: "TableColumns", **rest: Any) -> "Table":
         """Lay out records, a line each.
 
-        Args:
-            rows: of a document.
-            columns: heading of each column, and what writes its cell: a format such as
-                "{distance_mean:.2f}", or a function of the row.
-            **rest: the table's other fields.
-
-        Returns:
-            The table.
+        ``columns``: heading of each, and what writes its cell: a format such as
+        "{distance_mean:.2f}", or a function of the record. ``rest``: the table's other fields.
         """
         cells = [
             [one.format_map(row) if isinstance(one, str) else one(row) for _, one in columns]
@@ -165,16 +159,7 @@ def _render_report(title: str, sections: Sequence[Section], *, made: Mapping[str
 def write_report(
     title: str, sections: Sequence[Section], path: Path, *, made: Mapping[str, str]
 ) -> Path:
-    """Write the page into a file, all or nothing.
-
-    Args:
-        title: of the page.
-        sections: its parts, in order.
-        path: of the file; its folder is made.
-        made: how all of it was made.
-
-    Returns:
-        The path.
+    """Write the page into a file, all or nothing; ``made`` says how all of it was made.
 
     Raises:
         ValueError: a picture is neither SVG nor PNG.

@@ -40,16 +40,7 @@ HOLD_OUT = 1 / 3
 
 
 def draw_splits(count: int, splits: int, seed: int) -> np.ndarray:
-    """Draw which instructions are held out.
-
-    Args:
-        count: instructions.
-        splits: K.
-        seed: of the draw.
-
-    Returns:
-        bool[K, count], a third of each row is held out.
-    """
+    """Draw K times which third of the instructions is held out: bool[K, count]."""
     generator = np.random.default_rng(seed)
     held_out = np.zeros((splits, count), bool)
     for row in held_out:
@@ -276,14 +267,7 @@ def _cell(row: dict[str, float]) -> str:
 
 
 def table_1(document: Document) -> Table:
-    """Lay out the table for people, ours beside the paper's.
-
-    Args:
-        document: of ``evaluate``.
-
-    Returns:
-        A line for each figure, each model's beside the printed one.
-    """
+    """Lay out a document of ``evaluate``: a line for each figure, ours beside the printed ones."""
     rows: list[list[str]] = []
 
     def line(title: str, text: Callable[[dict[str, Any]], str], is_printed: bool = False) -> None:

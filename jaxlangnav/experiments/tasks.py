@@ -174,10 +174,8 @@ def _first(tasks: Task, *, number: int) -> Task:
 def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) -> Task:
     """Draw the worlds and keys of any selection of episodes, leaves [E, …].
 
-    Args:
-        cells: the cells they come from; ``episodes`` and ``first_episode`` are not read.
-        index: i[E], which cell each episode is of.
-        numbers: i[E], its number within the cell's (seed, world); nothing else counts.
+    ``index``: i[E], which cell each is of; ``numbers``: i[E], its number within the cell's (seed,
+    world). Nothing else counts: ``episodes`` and ``first_episode`` of the cells are not read.
 
     Raises:
         ValueError: unknown world or relation, or places beside templates.

@@ -180,10 +180,9 @@ def _part(name: str, part: Any, progress: EpisodeState, repetitions: int) -> Par
 def cycle_parts(*, params: NavigatorParams, repetitions: int = 3) -> dict[str, Any]:
     """Measure the parts of a cycle, in a batch of episodes of all rows.
 
-    Returns:
-        ``cycle_us`` and ``parts_us`` by name, microseconds of one cycle of one episode;
-        ``machine``, ``wall_s``. A part that is left over may come out below zero by the noise of
-        the others; it is then counted as nothing.
+    ``cycle_us`` and ``parts_us`` by name, microseconds of one cycle of one episode; ``machine``,
+    ``wall_s``. A part that is left over may come out below zero by the noise of the others; it is
+    then counted as nothing.
     """
     start = time.perf_counter()
     machine = describe_machine()

@@ -64,11 +64,8 @@ def beliefs_figure(
 ) -> "Figure":
     """Draw the factor graph of any tree with any S symbols (``grounding.correspondence``).
 
-    Args:
-        beliefs: of all phrases, parents first.
-        names: of the S symbols.
-        title: the sentence.
-        num_symbols: how many of the likeliest symbols of each phrase to show, at least 1.
+    ``beliefs``: of all phrases, parents first; ``names``: of the S symbols; ``title``: the
+    sentence; ``num_symbols``: how many of the likeliest symbols of each phrase to show, at least 1.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

@@ -36,15 +36,7 @@ _UNNAMED, _NO_TYPE = 254, 255
 
 
 def write_html(recording: Recording, path: Path | str) -> Path:
-    """Write an episode as a self-contained page.
-
-    Args:
-        recording: the episode.
-        path: file to write; folders are made.
-
-    Returns:
-        The path.
-    """
+    """Write an episode as a self-contained page; folders are made."""
     return write_text(_render_html(recording), Path(path))
 
 
@@ -217,12 +209,7 @@ def _short(*values: float) -> list[float]:
 def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
     """Write belief and value function over time, the interactive recording, and the story.
 
-    Args:
-        recording: the episode.
-        folder: where to; made if it is not there.
-
-    Returns:
-        belief.png, belief.svg, values.png, values.svg, episode.html and story.txt.
+    belief.png, belief.svg, values.png, values.svg, episode.html and story.txt; the folder is made.
 
     Raises:
         MissingExtraError: matplotlib is not installed; nothing has been written.
@@ -240,16 +227,7 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
 def write_graph(
     parse: Parse, model: GroundingModel, folder: Path | str, *, name: str = "graph"
 ) -> list[Path]:
-    """Write the factor graph of a sentence.
-
-    Args:
-        parse: the sentence, such as ``Understanding.parse``.
-        model: trained models.
-        folder: where to; made if it is not there.
-        name: of the files, without ending.
-
-    Returns:
-        The PNG and the SVG file.
+    """Write the factor graph of a sentence, such as ``Understanding.parse``, as PNG and SVG.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

@@ -256,17 +256,10 @@ _DOTS = 100
 def drive_picture(
     state: HasScenario, *, params: HasSensor, world: WorldState, way: np.ndarray, text: str
 ) -> np.ndarray:
-    """Draw the true world with the robot in it.
+    """Draw the true world with the robot in it, as ``world`` says where.
 
-    Args:
-        state: holds the true world.
-        params: hold the sensor's specification.
-        world: where the robot is.
-        way: f32[T, 2], true positions so far, metres.
-        text: the command.
-
-    Returns:
-        u8[480, W, 3], red, green, blue; the width follows from the area's shape.
+    ``way``: f32[T, 2], true positions so far, metres; ``text``: the command. u8[480, W, 3], red,
+    green, blue; the width follows from the area's shape.
 
     Raises:
         MissingExtraError: without matplotlib.

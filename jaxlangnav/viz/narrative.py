@@ -29,16 +29,10 @@ from jaxlangnav.viz.words import (
 def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[str, Any]]:
     """Say in numbers what the panels of a figure show.
 
-    Args:
-        recording: the episode.
-        steps: the moments.
-
-    Returns:
-        For each: ``step``, ``distance`` walked (m), ``event``, ``goal_seen`` (probability that the
-        goal is an observed object), ``unseen_left`` and ``unseen_right`` (that it is unseen, on
-        either side of the line along which the robot began), ``spread`` of the unseen goal (m,
-        root mean square from its mean; None where it has been seen), ``explored`` (share of the
-        area).
+    For each step: ``step``, ``distance`` walked (m), ``event``, ``goal_seen`` (probability that the
+    goal is an observed object), ``unseen_left`` and ``unseen_right`` (that it is unseen, on either
+    side of the line along which the robot began), ``spread`` of the unseen goal (m, root mean
+    square from its mean; None where it has been seen), ``explored`` (share of the area).
     """
     x, y, heading = (float(one) for one in recording.scene.scenario.start)
     found = []
@@ -82,14 +76,7 @@ _MOMENTS: TableColumns = (
 
 
 def moments_table(moments: Sequence[dict[str, Any]]) -> Table:
-    """Lay out the moments of a figure.
-
-    Args:
-        moments: of ``describe_moments``.
-
-    Returns:
-        A line for each.
-    """
+    """Lay out the moments of a figure, of ``describe_moments``, a line each."""
     return Table.of(moments, _MOMENTS)
 
 
@@ -125,14 +112,7 @@ def opening(scene: StaticScene) -> list[str]:
 
 
 def tell_step(moment: Moment) -> list[str]:
-    """Tell one step: what is heard and seen, what is believed, what it does and why.
-
-    Args:
-        moment: the step.
-
-    Returns:
-        One sentence each.
-    """
+    """Tell a step, a sentence each: what is heard, seen and believed, what it does and why."""
     scene, frame = moment.scene, moment.frame
     heard = [sentences.heard(frame, one) for one in moment.said]
     if int(frame.status) in (Status.HALTED, Status.IDLE):
@@ -156,14 +136,7 @@ def tell_step(moment: Moment) -> list[str]:
 
 
 def headline(moment: Moment) -> str:
-    """Say a step in a few words, for the head of a panel, such as "discovers a cone".
-
-    Args:
-        moment: the step.
-
-    Returns:
-        The words.
-    """
+    """Say a step in a few words, for the head of a panel, such as "discovers a cone"."""
     scene, frame, before = moment.scene, moment.frame, moment.before
     if moment.said:
         return f"hears “{moment.said[-1].text}”"
@@ -189,15 +162,9 @@ def headline(moment: Moment) -> str:
 
 
 def say_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tuple[str, str]:
-    """Say how an episode ended.
+    """Say how an episode ended, in two or three words and in a sentence.
 
-    Args:
-        scene: of the episode.
-        result: how it is judged.
-        lack: what was not found, see ``sentences.unseen``.
-
-    Returns:
-        That in two or three words, and in a sentence.
+    ``lack``: what was not found, see ``sentences.unseen``.
     """
     ending, radius = int(result.ending), f"{scene.stop_radius:g} m"
     off = f"{float(result.goal_distance):.1f} m"
@@ -225,16 +192,7 @@ def say_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tup
 
 
 def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str]:
-    """Tell how it ended; the truth is revealed only here.
-
-    Args:
-        scene: of the episode.
-        frame: the last step.
-        result: how the episode is judged.
-
-    Returns:
-        Lines.
-    """
+    """Tell how it ended, by the last step and the result; the truth is revealed only here."""
     lack = sentences.unseen(scene, frame)
     way = f"It walked {float(result.distance):.1f} m."
     if scene.is_judged:
@@ -258,11 +216,7 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
 def narrate(recording: Recording) -> list[str]:
     """Tell a whole episode, steps without event drawn together.
 
-    Args:
-        recording: the episode.
-
-    Returns:
-        Lines, each to be printed on its own; steps begin with their number and the metres walked.
+    Lines, each to be printed on its own; steps begin with their number and the metres walked.
     """
     lines, quiet = opening(recording.scene), list[Moment]()
     for moment in recording.moments:
@@ -282,16 +236,9 @@ def tell_on(
     said: Sequence[Remark],
     tell: Callable[[list[str]], object],
 ) -> Iterator[tuple[Frame, EpisodeResult]]:
-    """Tell an episode while it runs, and pass its steps on.
+    """Tell an episode while it runs through ``tell``, which prints lines, and pass its steps on.
 
-    Args:
-        scene: of the episode.
-        steps: as they happen.
-        said: utterances; a list that grows as the episode runs.
-        tell: prints lines.
-
-    Yields:
-        The steps.
+    ``said``: utterances; a list that grows as the episode runs.
     """
     for moment in moments(scene, steps, said):
         if moment.said or not _is_quiet(moment):

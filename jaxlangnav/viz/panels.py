@@ -129,16 +129,13 @@ def _add_legend(figure: "Figure", handles: "Sequence[Line2D]") -> None:
 def belief_figure(
     recording: Recording, *, steps: Sequence[int] | None = None, num_panels: int = 6
 ) -> "Figure":
-    """Draw the belief at several moments of an episode.
+    """Draw the belief at several moments of an episode; ``style.save`` writes the figure.
 
     Args:
         recording: the episode.
         steps: moments to show, negative ones counted from the end; those that tell the most if
             None.
         num_panels: how many, where no moments are given.
-
-    Returns:
-        What ``style.save`` writes.
 
     Raises:
         MissingExtraError: without matplotlib.
@@ -169,14 +166,9 @@ NUM_BARS = 5
 
 
 def best_nodes(frame: Frame, number: int = NUM_BARS) -> np.ndarray:
-    """Rank the places open to a step; nodes that stand together are one place.
+    """Rank the places open to a step, the best first; nodes that stand together are one place.
 
-    Args:
-        frame: one step.
-        number: how many to keep.
-
-    Returns:
-        i64[≤ number] node indices, the most valuable first.
+    i64[≤ number] node indices.
     """
     return distinct_nodes(frame)[:number]
 
@@ -184,20 +176,7 @@ def best_nodes(frame: Frame, number: int = NUM_BARS) -> np.ndarray:
 def values_figure(
     recording: Recording, *, steps: Sequence[int] | None = None, num_panels: int = 4
 ) -> "Figure":
-    """Draw the value function at several moments of an episode.
-
-    Args:
-        recording: the episode.
-        steps: as ``belief_figure`` takes them.
-        num_panels: the same.
-
-    Returns:
-        The figure; ``style.save`` writes it.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: a step is not in the recording, or there are none.
-    """
+    """Draw the value function at several moments of an episode; all else as ``belief_figure``."""
     chosen = _choose_steps(recording, steps, num_panels)
     with style.house_style():
         text = "Discs: waypoints it may choose, darker where more valuable at that step."

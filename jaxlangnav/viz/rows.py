@@ -23,13 +23,7 @@ MOST_LINES = 48
 
 
 def table_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw the rows of a table beside the paper's: success at the left, distance at the right.
-
-    Args:
-        document: of ``experiments.table2``.
-
-    Returns:
-        The figure, a line for each row of the table.
+    """Draw a document of ``paper.table_2`` beside the paper's rows: success left, distance right.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -52,13 +46,10 @@ def table_figure(document: Mapping[str, Any]) -> "Figure":
 
 
 def summary_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw the summary of a sweep: success at the left, distance at the right.
+    """Draw a sweep's summary: a line for each setting, its arms beneath one another.
 
-    Args:
-        document: of ``experiments.summary.summarize_directory``.
-
-    Returns:
-        The figure, a line for each setting, its arms beneath one another.
+    ``document``: of ``experiments.summary.summarize_directory``. Success stands at the left,
+    distance at the right.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -118,14 +109,7 @@ def _rows_figure(
 
 
 def summary_lines(document: Mapping[str, Any]) -> list[tuple[str, str, Row]]:
-    """Name the settings and arms of a sweep's summary by what varies in them.
-
-    Args:
-        document: of ``experiments.summary.summarize_directory``.
-
-    Returns:
-        Setting, arm and row, in the document's order.
-    """
+    """Name setting and arm of each row of a sweep's summary by what varies in them."""
     varied = document["varied"]
     # Baselines have no particles: that alone does not tell two arms apart.
     sizes = {row["particles"] for row in document["rows"] if row.get("particles") is not None}
@@ -156,15 +140,10 @@ Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def reliability_figure(
     panels: Mapping[str, Mapping[str, Curve]], *, title: str, subtitle: str = ""
 ) -> "Figure":
-    """Draw reliability curves side by side.
+    """Draw reliability curves side by side, and beneath how many predictions each bin has.
 
-    Args:
-        panels: heading of each panel to its curves by name.
-        title: the headline.
-        subtitle: a line beneath it, before the word on how to read the figure.
-
-    Returns:
-        The figure: a column a panel, curves above, and beneath how many predictions a bin has.
+    ``panels``: heading of each panel to its curves by name; ``subtitle``: a line before the word on
+    how to read the figure.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -226,14 +205,9 @@ def _draw_reliability(
 
 
 def time_figure(parts: Mapping[str, float], *, what: str = "one decision cycle") -> "Figure":
-    """Draw where the time goes.
+    """Draw where the time goes: a bar for each part, the longest first, with its share.
 
-    Args:
-        parts: microseconds by part.
-        what: the parts are parts of this.
-
-    Returns:
-        The figure: a bar for each part, the longest first, with its share.
+    ``parts``: microseconds by part, of what ``what`` says.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

@@ -18,14 +18,7 @@ _APPLICATION = "jaxlangnav"
 
 
 def write_rrd(recording: Recording, path: Path | str) -> Path:
-    """Write an episode for the rerun viewer.
-
-    Args:
-        recording: the episode.
-        path: file to write, usually ``.rrd``; folders are made.
-
-    Returns:
-        The path.
+    """Write an episode for the rerun viewer, usually ``.rrd``; folders are made.
 
     Raises:
         MissingExtraError: rerun is not installed.

@@ -85,17 +85,10 @@ def _goals(frames: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def peaks(
     frame: Frame, *, radius: float = 1.5, number: int = 2, least: float = 0.15
 ) -> list[tuple[float, float, float]]:
-    """Find where the unseen goal is most likely to be.
+    """Find where the unseen goal is likeliest to be: at most ``number`` places, the best first.
 
-    Args:
-        frame: one step.
-        radius: metres around a peak that count as the same place.
-        number: how many peaks at most.
-        least: peaks that hold less than this share of the unseen goal's mass are left out.
-
-    Returns:
-        x, y in metres, map frame, and the share of the unseen goal's mass within ``radius``;
-        the greatest first.
+    Each is x, y in metres, map frame, and the share of the unseen goal's mass within ``radius``
+    metres; peaks that hold less than ``least`` of it are left out.
     """
     mass = np.asarray(frame.hypothesis_goal_mass, float)
     held = np.flatnonzero(mass > 0.0)
@@ -171,15 +164,7 @@ def explored_share(frame: Frame) -> float:
 
 
 def pick_moments(recording: Recording, number: int = 6) -> list[int]:
-    """Choose the steps to show.
-
-    Args:
-        recording: an episode of T steps.
-        number: panels wanted, at least 1.
-
-    Returns:
-        Steps in order, min(number, T) of them; the first and the last step among them if
-        number > 1, otherwise the last one.
+    """Choose min(number, T) steps to show, in order; the last is one, and of several the first.
 
     Raises:
         ValueError: ``number`` is less than 1.

@@ -27,15 +27,11 @@ _APART = 1.025
 
 
 def range_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw distance and success against the sensing range, as Figure 5 of the paper.
+    """Draw distance (above) and success against the sensing range, as Figure 5 of the paper.
 
-    Args:
-        document: of ``experiments.figure5``: ``rows`` by world, relation, policy and range, and
-            ``paper``, the printed rows that match. Rates in percent, distances in metres.
-
-    Returns:
-        The figure: a column for each world and relation, distance above, success below. Our error
-        bars are 95 % intervals of the mean; the paper prints one standard deviation.
+    ``document``: of ``paper.figure_5``: ``rows`` by world, relation, policy and range, and
+    ``paper``, the printed rows that match. Our error bars are 95 % intervals of the mean; the paper
+    prints one standard deviation.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -192,14 +188,10 @@ _WITH_BELIEF = 0.4
 
 
 def robustness_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw success, distance and calibration of every scenario.
+    """Draw success, distance and calibration of every scenario of a document of ``robustness``.
 
-    Args:
-        document: of ``experiments.robustness``.
-
-    Returns:
-        The figure: a line for each scenario. Its name is green where ``informed`` meets all of its
-        targets, red where it misses one, and black where it has none.
+    A scenario's name is green where ``informed`` meets all of its targets, red where it misses one,
+    and black where it has none.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -271,14 +263,11 @@ _LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155
 
 
 def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw every variation beside the printed figures: success above, distance below.
+    """Draw every variation of a document of ``unknowns`` beside the printed figures.
 
-    Args:
-        document: of ``experiments.unknowns``.
-
-    Returns:
-        The figure: a column for each row of Table 2, a line for each variation. A band spans two
-        standard errors of the printed figure, a bar two of ours; filled points agree with it.
+    A column for each row of Table 2, success above, distance below; a line for each variation. A
+    band spans two standard errors of the printed figure, a bar two of ours; filled points agree
+    with it.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

@@ -123,17 +123,10 @@ def watch(
     console: "Console | None" = None,
     seconds_per_step: float = 0.4,
 ) -> Recording:
-    """Draw an episode in the terminal while it runs.
+    """Draw an episode in the terminal while it runs; returns it as ``recorder.record`` would.
 
-    Args:
-        scene: from ``recorder.scene_of``.
-        steps: from ``recorder.play``, at least one.
-        said: utterances; a list that grows as the episode runs.
-        console: where to draw; standard output by default.
-        seconds_per_step: least time a step stays on the screen.
-
-    Returns:
-        The recording, as ``recorder.record`` would have made it.
+    ``scene`` is of ``recorder.scene_of``, ``steps`` of ``recorder.play``, at least one; ``said``
+    may grow as the episode runs. ``seconds_per_step``: least time a step stays on the screen.
     """
     import time
 
