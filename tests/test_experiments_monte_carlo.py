@@ -10,7 +10,7 @@ import pytest
 
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments import monte_carlo
-from jaxlangnav.experiments.grid import Grid, run_grid
+from jaxlangnav.experiments.experiment import Grid, run_grid
 from jaxlangnav.experiments.policies import Arm, policy_arm, run_policy
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sweep_config import config_from_dict

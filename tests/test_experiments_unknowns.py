@@ -9,8 +9,7 @@ import pytest
 
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments import unknowns
-from jaxlangnav.experiments.experiment import Options
-from jaxlangnav.experiments.grid import Grid
+from jaxlangnav.experiments.experiment import Grid, Options
 from jaxlangnav.experiments.rows import PRINTED as SPECS, RowSpec, printed_rows
 from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _turned
 from jaxlangnav.navigator import check

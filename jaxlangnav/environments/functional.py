@@ -18,7 +18,6 @@ noise may differ from lane to lane of one compiled program.
 
 import functools
 import math
-from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -50,14 +49,10 @@ STOP_ABOVE = 0.9
 NUM_DIRECTIONS = 16
 
 
-def _all_around() -> np.ndarray:
-    """List stop and the steps all around."""
-    turns = np.arange(NUM_DIRECTIONS) * (2.0 * math.pi / NUM_DIRECTIONS)
-    steps = np.stack([np.cos(turns), np.sin(turns), np.full(NUM_DIRECTIONS, -1.0)], axis=1)
-    return np.concatenate([[[0.0, 0.0, 1.0]], steps]).astype(np.float32)
-
-
-DISCRETE_ACTIONS = _all_around()
+_TURNS = np.arange(NUM_DIRECTIONS) * (2.0 * math.pi / NUM_DIRECTIONS)
+DISCRETE_ACTIONS = np.array(
+    [[0.0, 0.0, 1.0], *([np.cos(turn), np.sin(turn), -1.0] for turn in _TURNS)], np.float32
+)
 """f32[17, 3], the discrete actions: stop, then the greatest step in 16 directions, +x to +y."""
 
 
@@ -118,7 +113,6 @@ def pick_world(key: Array, pool: Scenario) -> Scenario:
 
 
 DEFAULT_RELATION = "behind"
-_Tree = TypeVar("_Tree")
 
 
 @pytree
@@ -195,7 +189,7 @@ def reset(
     ``pool``: worlds to begin in, of ``draw_pool``; without it a fresh one is drawn.
     """
     world_key, sense_key = jax.random.split(key)
-    state = _begin(_draw(world_key, params, pool))
+    state = _begin(world_key, params, pool)
     return _observe(sense_key, state, params), state
 
 
@@ -239,7 +233,7 @@ def step_and_reset(
     move_key, world_key, sense_key = jax.random.split(key, 3)
     after, reward, info = _advance(move_key, state, action, params)
     is_over = info.is_stopped | info.is_cut_off
-    after = _where(is_over, _begin(_draw(world_key, params, pool)), after)
+    after = _begun(is_over, world_key, after, params, pool)
     return _observe(sense_key, after, params), after, reward, is_over, info
 
 
@@ -258,20 +252,30 @@ def step_or_reset(
     """
     move_key, world_key, sense_key = jax.random.split(key, 3)
     after, reward, info = _advance(move_key, state, action, params)
-    reward, info = _where(is_over, jax.tree.map(jnp.zeros_like, (reward, info)), (reward, info))
-    after = _where(is_over, _begin(_draw(world_key, params, pool)), after)
+    reward, info = jax.tree.map(
+        lambda leaf: jnp.where(is_over, jnp.zeros_like(leaf), leaf), (reward, info)
+    )
+    after = _begun(is_over, world_key, after, params, pool)
     return _observe(sense_key, after, params), after, reward, info
 
 
-def _draw(key: Array, params: EnvironmentParams, pool: Scenario | None) -> Scenario:
-    """Take a world from the pool, or draw one."""
-    return draw_scenario(key, params.law) if pool is None else pick_world(key, pool)
-
-
-def _begin(scenario: Scenario) -> EnvironmentState:
-    """Put the robot at the start of a world."""
+def _begin(key: Array, params: EnvironmentParams, pool: Scenario | None) -> EnvironmentState:
+    """Put the robot at the start of a world: one of the pool, or a new one."""
+    scenario = draw_scenario(key, params.law) if pool is None else pick_world(key, pool)
     world = simulator.reset(scenario)
     return EnvironmentState(scenario=scenario, world=world, steps=jnp.int32(0))
+
+
+def _begun(
+    is_over: Array,
+    key: Array,
+    state: EnvironmentState,
+    params: EnvironmentParams,
+    pool: Scenario | None,
+) -> EnvironmentState:
+    """Begin the next episode where one is over."""
+    fresh = _begin(key, params, pool)
+    return jax.tree.map(lambda new, old: jnp.where(is_over, new, old), fresh, state)
 
 
 def _advance(
@@ -307,8 +311,3 @@ def _observe(key: Array, state: EnvironmentState, params: EnvironmentParams) -> 
     """Sense, and lay it out for the agent."""
     seen = sense(key, state.world, state.scenario, params.sensor)
     return _to_vector(seen, area=state.scenario.area, relation=params.law.relation)
-
-
-def _where(is_first: Array, first: _Tree, second: _Tree) -> _Tree:
-    """Choose between two trees."""
-    return jax.tree.map(lambda one, two: jnp.where(is_first, one, two), first, second)

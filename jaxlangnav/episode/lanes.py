@@ -98,9 +98,8 @@ def run_batch(
     own = jax.tree.map(
         lambda leaf: jnp.broadcast_to(leaf, episodes) if leaf.ndim == 0 else leaf, own
     )
-    tasks = replace(tasks, **own)
     return _run_batch(
-        tasks,
+        replace(tasks, **own),
         instructions,
         params=params,
         count=number,
@@ -136,7 +135,21 @@ def _run_batch(
         state, _ = jax.vmap(advance)(lanes.state)
         is_over = course.is_done(state) | (course.progress(state).steps >= max_steps)
         is_over = is_over & (lanes.episode < number)
-        return _refilled(lanes, state, is_over, number, course, load)
+        target = jnp.where(is_over, lanes.episode, capacity)  # an index of E is dropped
+        results = jax.tree.map(
+            lambda store, value: store.at[target].set(value, mode="drop"),
+            lanes.results,
+            jax.vmap(course.finish)(state),
+        )
+        order = lanes.next_episode + jnp.cumsum(is_over) - 1
+        episode = jnp.where(is_over, jnp.minimum(order, number), lanes.episode)
+        fresh = jax.vmap(load)(episode)
+        return _Lanes(
+            state=jax.tree.map(lambda new, old: _where(is_over, new, old), fresh, state),
+            episode=episode.astype(jnp.int32),
+            next_episode=lanes.next_episode + jnp.sum(is_over),
+            results=results,
+        )
 
     first = jnp.arange(num_lanes, dtype=jnp.int32)
     state = jax.vmap(load)(first)
@@ -149,30 +162,3 @@ def _run_batch(
         results=results,
     )
     return jax.lax.while_loop(lambda one: jnp.any(one.episode < number), body, lanes).results
-
-
-def _refilled(
-    lanes: _Lanes,
-    state: Any,
-    is_over: Array,
-    number: Array,
-    course: EpisodeProgram,
-    load: Callable[[Array], Any],
-) -> _Lanes:
-    """Store the results of the lanes that are over, bool[L], and give these their next tasks."""
-    capacity = jax.tree.leaves(lanes.results)[0].shape[0]
-    target = jnp.where(is_over, lanes.episode, capacity)  # an index of E is dropped
-    results = jax.tree.map(
-        lambda store, value: store.at[target].set(value, mode="drop"),
-        lanes.results,
-        jax.vmap(course.finish)(state),
-    )
-    order = lanes.next_episode + jnp.cumsum(is_over) - 1
-    episode = jnp.where(is_over, jnp.minimum(order, number), lanes.episode)
-    fresh = jax.vmap(load)(episode)
-    return _Lanes(
-        state=jax.tree.map(lambda new, old: _where(is_over, new, old), fresh, state),
-        episode=episode.astype(jnp.int32),
-        next_episode=lanes.next_episode + jnp.sum(is_over),
-        results=results,
-    )

@@ -16,7 +16,6 @@ None of the last three reads the relation; of two hydrants they are right half o
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -38,8 +37,8 @@ from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.simulator import drive_known_map
 from jaxlangnav.world.state import WorldState
 
-NextPlace = Callable[[Array, Array, Array], tuple[Array, Array]]
-"""From area, range and waypoints reached to the next waypoint."""
+NextPlace = Callable[[Array, Array, Array], Array]
+"""From area, range and waypoints reached to the next waypoint, f32[2]."""
 _LANE_MARGINS = (1.0, 0.3)
 """How far from the edge a lane ends, as a share of the range: on the first pass and later on. The
 first pass turns as early as it can and leaves corners out of view; later ones look there."""
@@ -50,22 +49,20 @@ _ARC_DEPTH, _ARC_MARGIN = 0.66, 0.8
 """Likeliest range as a share of the area's depth; how much of its range it stays from the edge."""
 
 
-def _lane_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Array]:
+def _lane_waypoint(area: Array, range_max: Array, leg: Array) -> Array:
     """Compute a waypoint of the sweep of an area; after the last it begins anew."""
     depth, width = area[1] - area[0], area[3] - area[2]
-    num_lanes = jnp.ceil(depth / (2.0 * range_max)).astype(jnp.int32)
-    num_lanes = jnp.maximum(num_lanes, 1)
+    num_lanes = jnp.maximum(jnp.ceil(depth / (2.0 * range_max)).astype(jnp.int32), 1)
     at = leg % (2 * num_lanes)
     lane = at // 2
     is_far = ((at + 1) // 2) % 2 == 1  # near, far, far, near, near, far, ...
     share = jnp.where(leg < 2 * num_lanes, _LANE_MARGINS[0], _LANE_MARGINS[1])
     margin = jnp.minimum(share * range_max, 0.5 * width)
     x = area[0] + (lane.astype(jnp.float32) + 0.5) * depth / num_lanes.astype(jnp.float32)
-    y = jnp.where(is_far, area[3] - margin, area[2] + margin)
-    return x, y
+    return jnp.stack([x, jnp.where(is_far, area[3] - margin, area[2] + margin)])
 
 
-def _arc_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Array]:
+def _arc_waypoint(area: Array, range_max: Array, leg: Array) -> Array:
     """Compute a waypoint of the sweep by the worlds' law; after three arcs it goes on in lanes."""
     depth = area[1] - area[0]
     sweep, point = leg // _ARC_POINTS, leg % _ARC_POINTS
@@ -76,11 +73,10 @@ def _arc_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Arr
     )
     share = point.astype(jnp.float32) / (_ARC_POINTS - 1)
     angle = reach * (2.0 * share - 1.0) * jnp.where(sweep % 2 == 0, 1.0, -1.0)
-    lane_x, lane_y = _lane_waypoint(area, range_max, leg - _ARC_POINTS * len(_ARC_RADII))
-    is_arc = sweep < len(_ARC_RADII)
-    x = area[0] + radius * jnp.cos(angle)
-    y = 0.5 * (area[2] + area[3]) + radius * jnp.sin(angle)
-    return jnp.where(is_arc, x, lane_x), jnp.where(is_arc, y, lane_y)
+    lane = _lane_waypoint(area, range_max, leg - _ARC_POINTS * len(_ARC_RADII))
+    middle = 0.5 * (area[2] + area[3])
+    arc = jnp.stack([area[0] + radius * jnp.cos(angle), middle + radius * jnp.sin(angle)])
+    return jnp.where(sweep < len(_ARC_RADII), arc, lane)
 
 
 _ARRIVAL = 0.5
@@ -94,11 +90,9 @@ class Explorer:
     """What a baseline remembers; positions by its own dead reckoning, metres."""
 
     coverage: Coverage
-    target_x: Array  # f32[] the object it makes for
-    target_y: Array  # f32[]
+    target: Array  # f32[2] the object it makes for
     has_target: Array  # bool[]
-    waypoint_x: Array  # f32[] where it is exploring to
-    waypoint_y: Array  # f32[]
+    waypoint: Array  # f32[2] where it is exploring to
     leg: Array  # i32[] waypoints reached
 
 
@@ -130,19 +124,17 @@ def _notice(explorer: Explorer, observation: Observation, figure_type: Array) ->
     x = pose[0] + observation.detection_range * jnp.cos(bearing)
     y = pose[1] + observation.detection_range * jnp.sin(bearing)
     is_figure = observation.is_detection & (observation.detection_type == figure_type)
-    from_target = (x - explorer.target_x) ** 2 + (y - explorer.target_y) ** 2
+    from_target = (x - explorer.target[0]) ** 2 + (y - explorer.target[1]) ** 2
     # Another object of the type, metres away, is not the target seen again.
     is_target = is_figure & (~explorer.has_target | (from_target < 4.0))
     rank = jnp.where(explorer.has_target, from_target, observation.detection_range)
     nearest = jnp.argmin(jnp.where(is_target, rank, jnp.inf))
-    is_seen = jnp.any(is_target)
-    sensor = observation.sensor
+    is_seen, sensor = jnp.any(is_target), observation.sensor
     eye = eye_of(pose[0], pose[1], pose[2], sensor)
     return replace(
         explorer,
         coverage=look(explorer.coverage, eye, sensor.detection_probability, OPEN.view),
-        target_x=jnp.where(is_seen, x[nearest], explorer.target_x),
-        target_y=jnp.where(is_seen, y[nearest], explorer.target_y),
+        target=jnp.where(is_seen, jnp.stack([x[nearest], y[nearest]]), explorer.target),
         has_target=explorer.has_target | is_seen,
     )
 
@@ -152,42 +144,38 @@ def _explore_sweep(
 ) -> Explorer:
     """Go on to the next waypoint of a sweep once this one is reached."""
     area = explorer.coverage.area
-    x, y = waypoint(area, sensor.range_max, explorer.leg)
-    is_there = jnp.hypot(x - pose[0], y - pose[1]) < _ARRIVAL
-    leg = explorer.leg + is_there.astype(jnp.int32)
-    x, y = waypoint(area, sensor.range_max, leg)
-    return replace(explorer, waypoint_x=x, waypoint_y=y, leg=leg)
+    left = waypoint(area, sensor.range_max, explorer.leg) - pose[:2]
+    leg = explorer.leg + (jnp.hypot(left[0], left[1]) < _ARRIVAL).astype(jnp.int32)
+    return replace(explorer, waypoint=waypoint(area, sensor.range_max, leg), leg=leg)
 
 
 def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) -> Explorer:
     """Keep the chosen frontier until it has been looked at; then take the nearest one."""
     del sensor
-    coverage = explorer.coverage
+    coverage, former = explorer.coverage, explorer.waypoint
     x, y, is_frontier = frontiers(coverage, _NUM_BLOCKS, jnp.float32(_FRONTIER_MISS))
     squared = (x - pose[0]) ** 2 + (y - pose[1]) ** 2
     is_open = is_frontier & (squared > (0.5 * _ARRIVAL) ** 2)
     nearest = jnp.argmin(jnp.where(is_open, squared, jnp.inf))
     worst = jnp.max(coverage.log_miss)
-    there = log_miss_at(coverage, explorer.waypoint_x, explorer.waypoint_y)
-    remaining = jnp.hypot(explorer.waypoint_x - pose[0], explorer.waypoint_y - pose[1])
+    there = log_miss_at(coverage, former[0], former[1])
+    remaining = jnp.hypot(former[0] - pose[0], former[1] - pose[1])
     keeps = (explorer.leg > 0) & (remaining > _ARRIVAL)
     keeps = keeps & (there > worst + jnp.log(jnp.float32(_FRONTIER_MISS)))
     return replace(
         explorer,
-        waypoint_x=jnp.where(keeps, explorer.waypoint_x, x[nearest]),
-        waypoint_y=jnp.where(keeps, explorer.waypoint_y, y[nearest]),
+        waypoint=jnp.where(keeps, former, jnp.stack([x[nearest], y[nearest]])),
         leg=explorer.leg + (~keeps).astype(jnp.int32),
     )
 
 
 def _act(explorer: Explorer, pose: Array) -> Action:
     """Make for the target if there is one, else explore; stop where the navigator would."""
-    x = jnp.where(explorer.has_target, explorer.target_x, explorer.waypoint_x)
-    y = jnp.where(explorer.has_target, explorer.target_y, explorer.waypoint_y)
-    step = jnp.stack([x - pose[0], y - pose[1]])
+    place = jnp.where(explorer.has_target, explorer.target, explorer.waypoint)
+    step = place - pose[:2]
     is_stop = explorer.has_target & (jnp.hypot(step[0], step[1]) <= default_planner_params().reach)
     return Action(
-        waypoint=jnp.stack([x, y]),
+        waypoint=place,
         step=step,
         is_stop=is_stop,
         status=_status(is_stop),
@@ -204,14 +192,12 @@ def _status(is_stop: Array) -> Array:
 def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> _Run:
     """Put an episode at its start; of a sentence only the type of its first figure is read."""
     del config
-    zero, no = jnp.float32(0.0), jnp.asarray(False)
+    nowhere, no = jnp.zeros(2), jnp.asarray(False)
     explorer = Explorer(
         coverage=unexplored(task.scenario.area, _NUM_CELLS),
-        target_x=zero,
-        target_y=zero,
+        target=nowhere,
         has_target=no,
-        waypoint_x=zero,
-        waypoint_y=zero,
+        waypoint=nowhere,
         leg=jnp.int32(0),
     )
     return _Run(
@@ -271,18 +257,22 @@ def _finish(run: _Run) -> EpisodeResult:
     )
 
 
-def _course(advance: Callable[..., Any], is_done: Callable[[_Run], Array]) -> EpisodeProgram:
+def _course(explore_on: Callable[..., Explorer]) -> EpisodeProgram:
     return EpisodeProgram(
-        begin=_begin, advance=advance, finish=_finish, progress=lambda run: run, is_done=is_done
+        begin=_begin,
+        advance=functools.partial(_advance, explore_on=explore_on),
+        finish=_finish,
+        progress=lambda run: run,
+        is_done=lambda run: run.is_stopped,
     )
 
 
 BASELINES = {
-    name: _course(functools.partial(_advance, explore_on=explore_on), lambda run: run.is_stopped)
-    for name, explore_on in (
-        ("frontier", _explore_frontiers),
-        ("lawnmower", functools.partial(_explore_sweep, waypoint=_lane_waypoint)),
-        ("arc", functools.partial(_explore_sweep, waypoint=_arc_waypoint)),
-    )
-} | {"known": _course(_drive_known, lambda run: jnp.ones_like(run.is_stopped))}
+    "frontier": _course(_explore_frontiers),
+    "lawnmower": _course(functools.partial(_explore_sweep, waypoint=_lane_waypoint)),
+    "arc": _course(functools.partial(_explore_sweep, waypoint=_arc_waypoint)),
+    "known": _course(_explore_frontiers)._replace(
+        advance=_drive_known, is_done=lambda run: jnp.ones_like(run.is_stopped)
+    ),
+}
 """Of ``run_tasks``, by name; they read neither params nor configuration."""

@@ -13,11 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from jaxlangnav.experiments.experiment import Experiment
-from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.policies import KNOWLEDGE
 from jaxlangnav.experiments.rows import AGREEMENT, PRINTED, RowSpec, bound_rows, deviations, row_key
-from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
+from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableColumns
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 

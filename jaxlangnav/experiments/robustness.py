@@ -14,12 +14,11 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.experiment import Experiment, Options
-from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.policies import POLICY_NAMES, Arm, check_policies
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
-from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
+from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.navigator.api import Navigator

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxlangnav.experiments.grid import Row
+from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.tasks import SENTENCES, Cell
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import replace

@@ -11,8 +11,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.rows import RowSpec
+from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.tasks import Cell
 from jaxlangnav.messages import SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import replace

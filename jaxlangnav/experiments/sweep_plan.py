@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.grid import Grid
+from jaxlangnav.experiments.experiment import Grid
 from jaxlangnav.experiments.monte_carlo import CHUNK
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, Arm, navigator_config, policy_arm
 from jaxlangnav.experiments.sizes import check_engine, readable_count

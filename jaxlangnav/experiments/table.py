@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 Document = Mapping[str, Any]
 """What a command or an experiment found, in JSON's own types."""
+Row = dict[str, Any]
+"""A row of a table of results, by the names of its figures."""
 TableColumns = Sequence[tuple[str, str | Callable[[Any], str]]]
 """Headings of a table, each with what writes its cells; see ``Table.of``."""
 SUCCESS = "{success_rate:.1f} ({success_ci[0]:.1f}-{success_ci[1]:.1f})"

@@ -22,7 +22,6 @@ from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.experiment import Experiment, Options
-from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import compare, timeouts_text
 from jaxlangnav.experiments.policies import Arm, policy_arm
 from jaxlangnav.experiments.rows import (
@@ -35,7 +34,7 @@ from jaxlangnav.experiments.rows import (
     printed_rows,
     rate_error,
 )
-from jaxlangnav.experiments.table import Document, Table, TableColumns
+from jaxlangnav.experiments.table import Document, Row, Table, TableColumns
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace

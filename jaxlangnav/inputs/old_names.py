@@ -21,6 +21,7 @@ MOVED = {
     "agent": "navigator.api",
     "kept": "inputs.program_cache",
     "kinds": "inputs.object_types",
+    "experiments.grid": "experiments.experiment",
     "experiments.table2": "experiments.paper",
     "experiments.figure5": "experiments.paper",
     "experiments.report": "experiments.table",

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.paper import least_distance
+from jaxlangnav.experiments.table import Row
 from jaxlangnav.viz import style
 from jaxlangnav.viz.style import legend_of, looks_of
 from jaxlangnav.viz.sweep import PAPER_BARS, draw_line, line_panels

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.robustness import ECE_TARGET, ROBUSTNESS
 from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
+from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.unknowns import UNKNOWNS, row_name
 from jaxlangnav.viz import style
 from jaxlangnav.viz.style import POLICY_LOOKS, Mark, legend_of, looks_of
