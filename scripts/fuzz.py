@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.cli.errors import is_refusal
+from jaxlangnav.cli.output import is_refusal
 from jaxlangnav.inputs.sanitize import is_plain
 
 SECONDS_PER_TURN = 2.0

@@ -14,8 +14,7 @@ import tyro
 
 from jaxlangnav import __version__
 from jaxlangnav.cli import SUMMARIES, arguments, main as cli
-from jaxlangnav.cli.errors import UsageError, is_refusal, one_line
-from jaxlangnav.cli.output import Output, to_json
+from jaxlangnav.cli.output import Output, UsageError, is_refusal, one_line, to_json
 from jaxlangnav.world import files
 
 

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from jaxlangnav.cli import main as cli
-from jaxlangnav.cli.errors import platform_fault
-from jaxlangnav.cli.output import Output, write_document
+from jaxlangnav.cli.output import Output, platform_fault, write_document
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
 

@@ -9,8 +9,8 @@ from test_cli_hostile import refused
 
 from jaxlangnav.cli import main as cli, settings
 from jaxlangnav.cli.arguments import parse_arguments
-from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.follow import Follow
+from jaxlangnav.cli.output import UsageError
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner.params import PlannerParams

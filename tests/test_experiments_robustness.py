@@ -16,7 +16,7 @@ from jaxlangnav.experiments.dialogue import sentence_with
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed
 from jaxlangnav.experiments.scenarios import SAID, SCENARIOS
-from jaxlangnav.navigator import check, default_params
+from jaxlangnav.navigator import check
 from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.viz.sweep import robustness_figure
 from jaxlangnav.world.person import params_of
@@ -232,12 +232,9 @@ def test_a_row_without_a_cost_weighs_no_questions() -> None:
 @pytest.mark.slow
 def test_a_correction_finds_the_other() -> None:
     """Paired episode by episode; the same seed gives the same row."""
-    numbers = {"seed": 0, "particles": 64, "params": default_params()}
     silent, corrected = ROWS[0], ROWS[1]
-    alone = _run_row(silent, episodes=20, **numbers)
-    told = _run_row(corrected, episodes=20, **numbers)
+    alone, told = (_run_row(row, Options(episodes=20)) for row in (silent, corrected))
     assert told["success"] > alone["success"]
     assert told["questions"] == 0.0
     assert told["corrections"] > 0.0
-    again = _run_row(dataclasses.replace(corrected), episodes=20, **numbers)
-    assert again == told
+    assert _run_row(dataclasses.replace(corrected), Options(episodes=20)) == told

@@ -16,8 +16,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from jaxlangnav.cli import SUMMARIES, settings
-from jaxlangnav.cli.errors import UsageError, did_you_mean
-from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.output import Document, Output, UsageError, did_you_mean
 
 PROGRAM = "jaxlangnav"
 _FRAME = " \t│╭╮╰╯"

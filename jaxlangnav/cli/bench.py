@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jaxlangnav
-from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
 
 FOLDER = Path(jaxlangnav.__file__).resolve().parents[1] / "benchmarks"

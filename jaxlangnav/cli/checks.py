@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.output import UsageError
 from jaxlangnav.inputs.limits import RANGES
 
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.cli.checks import File, check_at_least, check_seed
-from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
 from jaxlangnav.language.phrase import LEAST_PROBABILITY
 

@@ -17,8 +17,7 @@ from jaxlangnav.cli.checks import (
     check_range,
     check_seed,
 )
-from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Document, Output, document_text
+from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.parse import is_template, parse_text
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
 from jaxlangnav.cli.settings import SettingPath, apply, read_settings

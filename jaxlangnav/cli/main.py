@@ -12,8 +12,15 @@ from collections.abc import Sequence
 from jaxlangnav import __version__
 from jaxlangnav.cli import SUMMARIES
 from jaxlangnav.cli.arguments import PROGRAM, Runnable, parse_arguments
-from jaxlangnav.cli.errors import UsageError, is_refusal, one_line, platform_fault
-from jaxlangnav.cli.output import Output, standard_output_kept, write_document
+from jaxlangnav.cli.output import (
+    Output,
+    UsageError,
+    is_refusal,
+    one_line,
+    platform_fault,
+    standard_output_kept,
+    write_document,
+)
 from jaxlangnav.inputs.sanitize import printable
 
 DEBUG = "JAXLANGNAV_DEBUG"

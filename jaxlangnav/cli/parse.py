@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.output import Document, Output, UsageError
 
 if TYPE_CHECKING:
     from rich.tree import Tree

@@ -14,8 +14,7 @@ from jaxlangnav.cli.checks import (
     check_folder,
     check_seed,
 )
-from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import apply, read_settings
 
@@ -133,9 +132,9 @@ class Reproduce:
             out=self.out,
             command=self._command,
         )
-        names = reproduction.reported() if self.what == "all" else [self.what]
-        reproduction.check_sizes(names, settings)
-        if self.what == "all":
+        is_all = self.what == "all"
+        reproduction.check_sizes(reproduction.REPORTED if is_all else [self.what], settings)
+        if is_all:
             return reproduction.run_all(settings, output)
         return reproduction.run_one(self.what, settings, output)[0]
 

@@ -1,10 +1,9 @@
 """The experiments behind ``jaxlangnav reproduce``: run, printed, drawn and put into the report.
 
-``STUDIES`` is their registry: one record each, by name, from the settings of the command line.
+``GRIDS`` and ``STUDIES`` are their registry, by the names on the command line.
 """
 
 import dataclasses
-import functools
 import importlib.util
 import time
 from collections.abc import Callable, Sequence
@@ -75,15 +74,15 @@ def _table1(settings: Settings, output: Output) -> Found:
 
 
 def _episodes(name: str, settings: Settings) -> Study:
-    """Build the study of an experiment made of episodes: every row and arm."""
+    """Build the study of one of ``GRIDS``: every row and arm."""
     experiment, options = GRIDS[name](settings)
 
     def run(settings: Settings, output: Output) -> Found:
-        with progress_bar("episodes", experiment.total_episodes(options)) as advance:
+        total = experiment.total_episodes(options)
+        with progress_bar("episodes", total) as advance:
             document = experiment.run(options, out=settings.out, on_progress=advance)
         output.say(experiment.render(document))
         wall, compiling = document["wall_s"], document["compile_s"]
-        total = experiment.total_episodes(options)
         output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
         return document, lambda out: _draw(experiment.name, document, out, output)
 
@@ -118,13 +117,7 @@ def _conversation(settings: Settings, output: Output) -> Found:
     """Run episodes in which a simulated person speaks; ``informed`` alone is told of it."""
     given = settings.options
     with progress_bar("episodes", given.episodes * len(spoken.ROWS)) as advance:
-        document = spoken.run_rows(
-            episodes=given.episodes,
-            seed=given.seed,
-            particles=given.num_particles,
-            params=settings.params,
-            on_progress=advance,
-        )
+        document = spoken.run_rows(given, on_progress=advance)
     table = spoken.dialogue_table(document)
     output.say(table.text())
 
@@ -218,7 +211,7 @@ def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
     }
 
 
-STUDIES: dict[str, Study | Callable[[Settings], Study]] = {
+STUDIES = {
     "table1": Study(
         title="Table 1: how often sentences are understood",
         lead="Whole sentences whose annotation or behavior is exactly right among those held "
@@ -234,7 +227,6 @@ STUDIES: dict[str, Study | Callable[[Settings], Study]] = {
     "fig1": FIGURE_1,
     "fig3": FACTOR_GRAPH,
     "fig4": FIGURE_4,
-    **{name: functools.partial(_episodes, name) for name in ("table2", "fig5", "unknowns")},
     "time": Study(
         title="Where the time goes",
         lead="The parts of one decision cycle of one episode, each compiled alone and timed on "
@@ -252,16 +244,11 @@ STUDIES: dict[str, Study | Callable[[Settings], Study]] = {
         tables=lambda document: [spoken.dialogue_table(document)],
         notes=lambda _: [spoken.NOTE],
     ),
-    "robustness": functools.partial(_episodes, "robustness"),
     "table3": Study(title=_TITLE3, run=_table3),
 }
-"""Every experiment by its name on the command line, in the order of the report; those made of
-episodes are built from the settings."""
-
-
-def reported() -> list[str]:
-    """List the experiments of the report: those of the paper, and what they cost."""
-    return [name for name in STUDIES if name not in ("conversation", "robustness", "table3")]
+"""The other experiments."""
+REPORTED = ("table1", "fig1", "fig3", "fig4", "table2", "fig5", "unknowns", "time")
+"""Those of the report, in its order: the paper's, and what they cost."""
 
 
 def check_sizes(names: Sequence[str], settings: Settings) -> None:
@@ -275,9 +262,8 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
 
 
 def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, Any], Study]:
-    """Run one of ``STUDIES``, print what it found, write its files and draw its figures."""
-    study = STUDIES[name]
-    study = study if isinstance(study, Study) else study(settings)
+    """Run an experiment, print what it found, write its files and draw its figures."""
+    study = _episodes(name, settings) if name in GRIDS else STUDIES[name]
     begin = time.perf_counter()
     document, write = study.run(settings, output)
     document |= {"wall_s": time.perf_counter() - begin, "files": []} | document
@@ -293,8 +279,8 @@ def run_all(settings: Settings, output: Output) -> Document:
     begin = time.perf_counter()
     documents: dict[str, Any] = {}
     sections = []
-    for place, name in enumerate(reported(), start=1):
-        output.note(f"{name} ({place} of {len(reported())})")
+    for place, name in enumerate(REPORTED, start=1):
+        output.note(f"{name} ({place} of {len(REPORTED)})")
         documents[name], study = run_one(name, settings, output)
         sections.append(study.section(documents[name], settings.command(name)))
     documents["report"] = None

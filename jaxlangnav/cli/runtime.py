@@ -6,8 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from jaxlangnav.cli.errors import one_line
-from jaxlangnav.cli.output import Output
+from jaxlangnav.cli.output import Output, one_line
 
 Advance = Callable[[int], None]
 """Called with the number of pieces of work just done."""

@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
-from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.output import UsageError
 
 _T = TypeVar("_T")
 SettingPath = tuple[str, ...]

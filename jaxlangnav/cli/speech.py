@@ -1,7 +1,6 @@
 """What is said to the robot of ``follow`` under way: options, and who sits at the terminal."""
 
 import dataclasses
-import difflib
 import math
 import queue
 import sys
@@ -9,8 +8,7 @@ import threading
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Output
+from jaxlangnav.cli.output import Output, UsageError, did_you_mean
 from jaxlangnav.inputs.sanitize import cut, printable
 
 if TYPE_CHECKING:
@@ -72,8 +70,7 @@ class Speech:
         from jaxlangnav.world.person import PERSONS
 
         if person is not None and person not in PERSONS:
-            near = difflib.get_close_matches(person, PERSONS, n=1)
-            hint = f'; did you mean "{near[0]}"?' if near else ""
+            hint = did_you_mean(person, PERSONS)
             raise UsageError(
                 f'--person is "{cut(person)}", but must be one of {", ".join(PERSONS)}{hint}'
             )
@@ -165,7 +162,15 @@ class Typist:
         if self._has_left or not (is_waiting or self._is_talking):
             return None
         if doubt:
-            self._ask(doubt)
+            self._output.note("Which one? The nearest first:")
+            for place, one in enumerate(doubt, start=1):
+                self._output.note(
+                    f"  {place}. the {one.type_name} at ({one.x:.1f}, {one.y:.1f}) m, "
+                    f"{100 * one.probability:.0f} %"
+                )
+            self._output.note(
+                'Answer "the first", "the left one", "either", …; an empty line: none.'
+            )
         elif is_waiting:
             self._output.note("It stands still. Say something, or end the input (Ctrl-D).")
         is_new, self._step = step != self._step, step
@@ -177,16 +182,6 @@ class Typist:
             self._has_left = True
             return None
         return line.strip() or None
-
-    def _ask(self, doubt: "Sequence[Candidate]") -> None:
-        """Put the question."""
-        self._output.note("Which one? The nearest first:")
-        for place, one in enumerate(doubt, start=1):
-            self._output.note(
-                f"  {place}. the {one.type_name} at ({one.x:.1f}, {one.y:.1f}) m, "
-                f"{100 * one.probability:.0f} %"
-            )
-        self._output.note('Answer "the first", "the left one", "either", …; an empty line: none.')
 
     def reply(self, said: "Remark") -> None:
         """Tell at once what was not taken in."""

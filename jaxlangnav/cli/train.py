@@ -7,8 +7,7 @@ from typing import Literal
 import tyro
 
 from jaxlangnav.cli.checks import File, check_file
-from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs
 
 

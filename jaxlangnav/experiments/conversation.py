@@ -6,19 +6,19 @@ Table 2, which the paper leaves to future work.
 
 import dataclasses
 import math
-from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.experiments.dialogue import converse, sentence_with
+from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.table import Document, Table, TableColumns
+from jaxlangnav.experiments.table import Document, Row, Table, TableColumns
 from jaxlangnav.experiments.tasks import cell, make_tasks
-from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import params_of
 
@@ -68,35 +68,31 @@ ROWS = (
 """All rows; those of a world and relation are run in the same worlds."""
 
 
-def _run_row(
-    row: Dialogue,
-    *,
-    episodes: int,
-    seed: int,
-    particles: int,
-    params: NavigatorParams,
-    on_progress: OnProgress | None = None,
-) -> dict[str, Any]:
+def _run_row(row: Dialogue, options: Options, on_progress: OnProgress | None = None) -> Row:
     """Run a row and summarise it."""
-    tasks = make_tasks(cell(row.world, row.relation, 0, row.sees, episodes, seed))
+    given = row.world, row.relation, 0, row.sees, options.episodes, options.seed
+    params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))
     spoken = converse(
-        tasks,
+        make_tasks(cell(*given)),
         sentence_with(row.text, _TRUTH, _FALSEHOOD),
         params_of(**row.person),
         params=replace(params, planner=planner),
-        config=navigator_config("informed", particles),
+        config=navigator_config("informed", options.num_particles),
         on_progress=on_progress,
     )
     is_success = np.asarray(spoken.result.is_success)
+    distance = np.asarray(spoken.result.distance)
     number, questions = len(is_success), float(np.mean(spoken.num_questions))
     low, high = wilson_interval(int(is_success.sum()), number)
     cost = row.cost if math.isfinite(row.cost) else None
     has_way = (np.asarray(spoken.num_corrections) > 0) & is_success
-    ways: list[float | None] = []
-    for which in (has_way & spoken.is_known, has_way & ~spoken.is_known):
+    ways: Row = {}
+    for name, is_known in (("seen", spoken.is_known), ("unseen", ~spoken.is_known)):
+        which = has_way & is_known
         straight = float(np.sum(spoken.straight[which]))
-        ways.append(float(np.sum(spoken.walked[which])) / straight if straight else None)
+        ratio = float(np.sum(spoken.walked[which])) / straight if straight else None
+        ways |= {f"corrected_way_{name}": ratio, f"corrected_{name}": int(np.sum(which))}
     rate = 100.0 * float(np.mean(is_success))
     return {
         "world": row.world,
@@ -107,38 +103,24 @@ def _run_row(
         "success": rate,
         "success_low": low,
         "success_high": high,
-        "distance": float(np.mean(spoken.result.distance)),
-        "distance_of_successes": float(np.mean(spoken.result.distance[is_success]))
-        if is_success.any()
-        else None,
+        "distance": float(np.mean(distance)),
+        "distance_of_successes": float(np.mean(distance[is_success])) if is_success.any() else None,
         "questions": questions,
         "corrections": float(np.mean(spoken.num_corrections)),
-        "corrected_way_seen": ways[0],
-        "corrected_way_unseen": ways[1],
-        "corrected_seen": int(np.sum(has_way & spoken.is_known)),
-        "corrected_unseen": int(np.sum(has_way & ~spoken.is_known)),
+        **ways,
         "weighted": rate if cost is None else rate - 100.0 * cost * questions,
         "time_outs": int(np.sum(~np.asarray(spoken.result.is_stopped))),
     }
 
 
-def run_rows(
-    *,
-    episodes: int,
-    seed: int,
-    particles: int,
-    params: NavigatorParams,
-    on_progress: OnProgress | None = None,
-) -> dict[str, Any]:
-    """Run all rows."""
-    numbers = {"episodes": episodes, "seed": seed, "particles": particles}
-    rows = [_run_row(row, **numbers, params=params, on_progress=on_progress) for row in ROWS]
+def run_rows(options: Options, *, on_progress: OnProgress | None = None) -> dict[str, Any]:
+    """Run all rows; of the options episodes, seed, particles and the navigator's numbers count."""
     return {
         "experiment": "conversation",
-        "episodes": episodes,
-        "seed": seed,
-        "num_particles": particles,
-        "rows": rows,
+        "episodes": options.episodes,
+        "seed": options.seed,
+        "num_particles": options.num_particles,
+        "rows": [_run_row(row, options, on_progress) for row in ROWS],
     }
 
 
@@ -150,14 +132,10 @@ NOTE = (
 )
 
 
-def _counted(which: str) -> Callable[[dict[str, Any]], str]:
+def _corrected(row: Row, which: str) -> str:
     """Write a corrected way with the number of episodes that it is of."""
-
-    def cell(row: dict[str, Any]) -> str:
-        ratio = row[f"corrected_way_{which}"]
-        return "" if ratio is None else f"{ratio:.2f} ({row[f'corrected_{which}']})"
-
-    return cell
+    ratio = row[f"corrected_way_{which}"]
+    return "" if ratio is None else f"{ratio:.2f} ({row[f'corrected_{which}']})"
 
 
 _COLUMNS: TableColumns = (
@@ -170,8 +148,8 @@ _COLUMNS: TableColumns = (
     ("walked m", "{distance:.2f}"),
     ("questions", "{questions:.2f}"),
     ("corrections", "{corrections:.2f}"),
-    ("corrected way, seen", _counted("seen")),
-    ("unseen", _counted("unseen")),
+    ("corrected way, seen", lambda row: _corrected(row, "seen")),
+    ("unseen", lambda row: _corrected(row, "unseen")),
     ("weighted %", "{weighted:.1f}"),
 )  # fmt: skip
 
