@@ -122,10 +122,8 @@ class _Worlds:
         pictures = []
         for index, way in enumerate(self._ways):
             lane: EnvironmentState = jax.tree.map(lambda leaf, at=index: leaf[at], lanes)
-            way = np.stack(way)
-            pictures.append(
-                drive_picture(lane, params=self.params, world=lane.world, way=way, text=self.text)
-            )
+            seen = lane.scenario, self.params.sensor, lane.world
+            pictures.append(drive_picture(*seen, way=np.stack(way), text=self.text))
         return tuple(pictures)
 
 

@@ -5,7 +5,7 @@ Everything is in metres in the map frame.
 """
 
 import math
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,24 +24,6 @@ if TYPE_CHECKING:
 
 _DART = [(1.0, 0.0), (-0.8, 0.7), (-0.45, 0.0), (-0.8, -0.7), (1.0, 0.0)]
 """The robot: an equilateral triangle would not tell which of its corners is the front."""
-
-
-class HasScenario(Protocol):
-    """A recording's scene, or the state of an environment."""
-
-    @property
-    def scenario(self) -> Scenario:
-        """The true world."""
-        ...
-
-
-class HasSensor(Protocol):
-    """A recording's scene, or the parameters of an environment."""
-
-    @property
-    def sensor(self) -> SensorParams:
-        """How far and how wide the robot sees."""
-        ...
 
 
 def draw_ground(axes: "Axes", scene: StaticScene, frame: Frame) -> "AxesImage":
@@ -82,11 +64,14 @@ def frame_area(axes: "Axes", area: tuple[float, float, float, float]) -> None:
         spine.set_color(style.LINE)
 
 
-def draw_truth(axes: "Axes", scene: HasScenario) -> "list[PathCollection]":
+def draw_truth(axes: "Axes", scene: StaticScene) -> "list[PathCollection]":
     """Mark where things truly stand, faintly, and the goal that was meant by a dotted ring."""
+    return _draw_world(axes, scene.scenario)
+
+
+def _draw_world(axes: "Axes", world: Scenario) -> "list[PathCollection]":
     from matplotlib.patches import Circle
 
-    world = scene.scenario
     look = {"s": 70, "facecolors": "none", "linewidths": 0.8, "alpha": 0.45, "zorder": 2}
     marks = [
         axes.scatter(
@@ -161,12 +146,12 @@ def draw_path(axes: "Axes", recording: Recording, step: int) -> "Line2D":
     return line
 
 
-def draw_view(axes: "Axes", scene: HasSensor, frame: Frame | WorldState) -> "Patch":
+def draw_view(axes: "Axes", sensor: SensorParams, frame: Frame | WorldState) -> "Patch":
     """Draw the field of view: a circle, or a sector where it is limited."""
     from matplotlib.patches import Circle, Wedge
 
     place = (float(frame.position[0]), float(frame.position[1]))
-    reach, opening = float(scene.sensor.range_max), float(scene.sensor.field_of_view)
+    reach, opening = float(sensor.range_max), float(sensor.field_of_view)
     look = {"fill": False, "linestyle": "--", "linewidth": 0.9, "color": style.VIEW, "zorder": 4}
     if opening >= 2 * math.pi - 1e-3:
         return axes.add_patch(Circle(place, reach, **look))
@@ -195,15 +180,14 @@ def draw_robot(axes: "Axes", frame: Frame | WorldState) -> "PathCollection":
 
 def draw_waypoint(axes: "Axes", frame: Frame) -> "Line2D":
     """Draw the chosen waypoint and the straight way to it; hidden where the robot has stopped."""
-    x = [float(frame.position[0]), float(frame.waypoint[0])]
-    y = [float(frame.position[1]), float(frame.waypoint[1])]
+    way = np.array([frame.position, frame.waypoint], float)
     (line,) = axes.plot(
-        x,
-        y,
+        way[:, 0],
+        way[:, 1],
         color=style.WAYPOINT,
         linewidth=1.2,
         marker="x",
-        markevery=[len(x) - 1],
+        markevery=[1],
         markersize=7,
         markeredgewidth=1.8,
         zorder=7,
@@ -229,15 +213,15 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
     seen = np.unique(frames.object_type[frames.object_type != NONE])
     true = np.unique(scene.scenario.object_type[np.asarray(scene.scenario.is_object)])
     handles = []
-    for kind in (int(one) for one in thought):
+    for kind in map(int, thought):
         color = style.type_color(kind)
         handles.append(
             mark("hypothesised", kind, 4 if filled else 5, color if filled else "none", color)
         )
-    handles += [mark("observed", int(k), 7, style.type_color(int(k)), style.INK) for k in seen]
-    handles += [mark("true place", int(k), 8, "none", style.type_color(int(k))) for k in true]
-    for one in handles[len(handles) - len(true) :]:
-        one.set_alpha(0.5)
+    handles += [mark("observed", kind, 7, style.type_color(kind), style.INK) for kind in seen]
+    for kind in true:
+        handles.append(mark("true place", kind, 8, "none", style.type_color(kind)))
+        handles[-1].set_alpha(0.5)
     return [
         *handles,
         handle("robot", marker="^", color=style.INK, markersize=8),
@@ -254,7 +238,7 @@ _DOTS = 100
 
 
 def drive_picture(
-    state: HasScenario, *, params: HasSensor, world: WorldState, way: np.ndarray, text: str
+    scenario: Scenario, sensor: SensorParams, world: WorldState, *, way: np.ndarray, text: str
 ) -> np.ndarray:
     """Draw the true world with the robot in it, as ``world`` says where.
 
@@ -268,18 +252,17 @@ def drive_picture(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    x_min, x_max, y_min, y_max = (float(edge) for edge in state.scenario.area)
+    x_min, x_max, y_min, y_max = (float(edge) for edge in scenario.area)
     tall = _HEIGHT - _HEAD - _FOOT
     wide = max(tall * (x_max - x_min) / (y_max - y_min), 2.4)
+    width = wide + 2 * _SIDE
     with style.house_style():
-        figure = Figure(figsize=(wide + 2 * _SIDE, _HEIGHT), dpi=_DOTS)
+        figure = Figure(figsize=(width, _HEIGHT), dpi=_DOTS)
         canvas = FigureCanvasAgg(figure)
-        width = wide + 2 * _SIDE
-        place = (_SIDE / width, _FOOT / _HEIGHT, wide / width, tall / _HEIGHT)
-        axes = figure.add_axes(place)
+        axes = figure.add_axes((_SIDE / width, _FOOT / _HEIGHT, wide / width, tall / _HEIGHT))
         frame_area(axes, (x_min, x_max, y_min, y_max))
-        draw_truth(axes, state)
-        draw_view(axes, params, world)
+        _draw_world(axes, scenario)
+        draw_view(axes, sensor, world)
         axes.plot(way[:, 0], way[:, 1], color=style.PATH, linewidth=1.1, zorder=4)
         draw_robot(axes, world)
         metres = float(np.hypot(*np.diff(way, axis=0).T).sum())

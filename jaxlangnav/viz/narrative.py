@@ -58,20 +58,15 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
     return found
 
 
-def _share(name: str) -> Callable[[dict[str, Any]], str]:
-    """Write a probability."""
-    return lambda one: percent(one[name])
-
-
 _MOMENTS: TableColumns = (
     ("step", "{step}"),
     ("walked m", "{distance:.1f}"),
     ("what happens", "{event}"),
-    ("goal seen", _share("goal_seen")),
-    ("unseen, left", _share("unseen_left")),
-    ("unseen, right", _share("unseen_right")),
+    ("goal seen", lambda one: percent(one["goal_seen"])),
+    ("unseen, left", lambda one: percent(one["unseen_left"])),
+    ("unseen, right", lambda one: percent(one["unseen_right"])),
     ("its spread m", lambda one: "" if one["spread"] is None else f"{one['spread']:.1f}"),
-    ("looked at", _share("explored")),
+    ("looked at", lambda one: percent(one["explored"])),
 )
 
 

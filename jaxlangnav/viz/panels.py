@@ -153,7 +153,7 @@ def belief_figure(
             mapping.draw_hypotheses(axes, frame)
             mapping.draw_objects(axes, frame)
             mapping.draw_path(axes, recording, step)
-            mapping.draw_view(axes, scene, frame)
+            mapping.draw_view(axes, scene.sensor, frame)
             mapping.draw_waypoint(axes, frame)
             mapping.draw_robot(axes, frame)
             _head_panel(axes, recording.moments[step], index)

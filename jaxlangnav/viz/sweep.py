@@ -215,7 +215,12 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
             shift = 0.66 * ((arms.index(row["policy"]) + 0.5) / len(arms) - 0.5)
             place = names.index(row["scenario"])
             _draw_scenario(panels, row, looks[row["policy"]], place, shift)
-        _color_names(panels[0], names, rows)
+        for name, text in zip(names, panels[0].get_yticklabels(), strict=True):
+            mine = [row for row in rows if row["scenario"] == name]
+            judged = [row.get(key) for row in mine for key in ("is_met", "is_calibrated")]
+            set_ones = [one for one in judged if one is not None]
+            met = style.GOOD if all(set_ones) else style.BAD
+            text.set_color(met if set_ones else style.INK)
         panels[0].set_xlim(left=0)
         panels[1].set_xlim(left=0)
         panels[2].set_xlim(0, 1.02 * _WITH_BELIEF)
@@ -246,16 +251,6 @@ def _draw_scenario(
         rates.plot([row["target"]] * 2, [place - 0.42, place + 0.42], **mark)
     if row.get("longest"):
         ways.plot([row["longest"]] * 2, [place - 0.42, place + 0.42], **mark)
-
-
-def _color_names(axes: "Axes", names: Sequence[str], rows: Sequence[Row]) -> None:
-    """Colour the names of scenarios by their targets."""
-    for name, text in zip(names, axes.get_yticklabels(), strict=True):
-        mine = [row for row in rows if row["scenario"] == name]
-        judged = [row.get(key) for row in mine for key in ("is_met", "is_calibrated")]
-        set_ones = [one for one in judged if one is not None]
-        met = style.GOOD if all(set_ones) else style.BAD
-        text.set_color(met if set_ones else style.INK)
 
 
 _LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155
@@ -294,8 +289,14 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
             grid[0][index].set_title(row_name(printed))
             grid[0][index].set_xlabel("success (%)")
             grid[1][index].set_xlabel("distance (m)")
-        for line in grid:
-            _label(line, fits)
+        grid[0][0].set_yticks(
+            range(len(fits)), [f"{one['unknown']}  {one['value']}".strip() for one in fits]
+        )
+        grid[0][0].set_ylim(len(fits) - 0.4, -0.6)
+        for place, (before, after) in enumerate(itertools.pairwise(fits)):
+            if before["unknown"] != after["unknown"]:
+                for axes in grid.flat:
+                    axes.axhline(place + 0.5, color=style.LINE, linewidth=0.6, zorder=0)
         style.title(
             figure,
             UNKNOWNS.title,
@@ -325,14 +326,3 @@ def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str, name:
         )  # fmt: skip
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
-
-
-def _label(line: "Sequence[Axes]", fits: Sequence[Mapping[str, Any]]) -> None:
-    """Name the variations at the left of a row of panels, with a line between unknowns."""
-    names = [f"{one['unknown']}  {one['value']}".strip() for one in fits]
-    line[0].set_yticks(range(len(fits)), names)
-    line[0].set_ylim(len(fits) - 0.4, -0.6)
-    for place, (before, after) in enumerate(itertools.pairwise(fits)):
-        if before["unknown"] != after["unknown"]:
-            for axes in line:
-                axes.axhline(place + 0.5, color=style.LINE, linewidth=0.6, zorder=0)
