@@ -130,7 +130,6 @@ class Follow:
         return document
 
     def _check(self) -> None:
-        """Refuse what can be refused before anything is loaded."""
         check_range(self.range)
         check_seed(self.seed)
         check_at_least("--particles", self.particles, 2)
@@ -202,7 +201,6 @@ class Follow:
         return prepared
 
     def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
-        """Build the engine's numbers and sizes."""
         from jaxlangnav.task.follow import usual_engine
 
         params, config = usual_engine(self.world, self.policy, self.particles)
@@ -260,7 +258,6 @@ class Follow:
     def _document(
         self, name: str, annotations: list[dict[str, Any]], recording: "Recording"
     ) -> dict[str, Any]:
-        """Gather what ``--json`` prints."""
         from jaxlangnav.cli.speech import describe_talk
         from jaxlangnav.messages import Status
 
@@ -292,7 +289,6 @@ class Follow:
         }
 
     def _draw(self, recording: "Recording", document: dict[str, Any], output: Output) -> None:
-        """Write pictures, recordings and document into the folder."""
         from jaxlangnav.inputs.whole_files import write_text
         from jaxlangnav.viz.html import write_pictures
 

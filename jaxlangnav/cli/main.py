@@ -96,6 +96,5 @@ def _run(command: Runnable) -> int:
 
 
 def _complain(message: str, *, code: int) -> int:
-    """Print one line on standard error and return the exit code."""
     print(f"{PROGRAM}: {printable(message)}", file=sys.stderr)
     return code

@@ -139,7 +139,6 @@ class Reproduce:
         return reproduction.run_one(self.what, settings, output)[0]
 
     def _check(self) -> None:
-        """Refuse what can be refused before anything is loaded."""
         check_at_least("--trials", _TRIALS if self.trials is None else self.trials, 1)
         if self.trials is not None and self.what != "table3":
             raise UsageError(f"--trials is for table3, but {self.what} is run")
@@ -177,7 +176,6 @@ class Reproduce:
 
     @property
     def _episodes(self) -> int:
-        """Runs a row."""
         usual = _EPISODES_ROBUSTNESS if self.what == "robustness" else _EPISODES
         return usual if self.episodes is None else self.episodes
 

@@ -1,9 +1,7 @@
 """The engine's numbers and sizes on the command line: ``--params.planner.discount 0.9``.
 
-Options are made from the records themselves: what they are called, what their fields say of
-themselves (``pytree.field``), their defaults, and the limits that a sweep's configuration has. The
-options are built only where somebody uses one or asks for them, so that plain help stays short
-and instant.
+Options are made from the records themselves: names, help (``pytree.field``), defaults, and the
+limits of a sweep's configuration; only where somebody uses one, so that plain help is instant.
 """
 
 import dataclasses
@@ -62,7 +60,6 @@ class Option:
         return tuple(self._one(part) for part in parts)
 
     def _one(self, text: str) -> float | int:
-        """Read one number."""
         given: str | float = text
         try:
             given = int(text) if self.is_whole else float(text)

@@ -79,7 +79,6 @@ class Train:
         return document
 
     def _train_reader(self, output: Output) -> Document:
-        """Train the reader and write it."""
         if self.base is not None:
             raise UsageError("--base is of the other models: leave it out for the reader")
         from jaxlangnav.language.reader.model import save_reader

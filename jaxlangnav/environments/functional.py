@@ -1,19 +1,18 @@
 """Following a command as a pure environment: ``reset`` and ``step`` (section 4.2).
 
-An agent drives the simulated robot of our worlds itself: it is told which of Table 2's commands
-it is to carry out, senses what the robot senses, and says stop where it takes the goal to be.
+An agent drives the simulated robot of our worlds itself: it is told which of Table 2's commands it
+is to carry out, senses what the robot senses, and says stop where it takes the goal to be.
 
     params = default_params(world="2H1C", relation="behind")
     observation, state = reset(key, params)
     observation, state, reward, is_over, info = step(key, state, action, params)
 
-Where episodes follow one another, worlds are drawn ahead (``pool`` says what that means):
+Where episodes follow one another, worlds are drawn ahead:
 
     pool = draw_pool(key, params.law)
     observation, state, reward, is_over, info = step_and_reset(key, state, action, params, pool)
 
-Everything is ``jit``- and ``vmap``-able; ``params`` are traced, so worlds, commands, ranges and
-noise may differ from lane to lane of one compiled program.
+Everything is ``jit``- and ``vmap``-able; ``params`` are traced and may differ from lane to lane.
 """
 
 import functools
@@ -308,6 +307,5 @@ def _advance(
 
 
 def _observe(key: Array, state: EnvironmentState, params: EnvironmentParams) -> Array:
-    """Sense, and lay it out for the agent."""
     seen = sense(key, state.world, state.scenario, params.sensor)
     return _to_vector(seen, area=state.scenario.area, relation=params.law.relation)

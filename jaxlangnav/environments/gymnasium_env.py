@@ -6,7 +6,7 @@ Importing this module registers ``jaxlangnav/Follow-v1``:
     env = gymnasium.make("jaxlangnav/Follow-v1", world="2H1C", relation="behind")
 
 It needs the extra ``gym``, and ``viz`` for ``render_mode="rgb_array"``. Observations and actions
-are those of ``functional``; with ``actions="discrete"`` an action is a row of ``ACTIONS``.
+are those of ``functional``; a discrete action is a row of its ``DISCRETE_ACTIONS``.
 """
 
 from typing import Any, Literal, get_args
@@ -73,7 +73,6 @@ def to_functional(actions: Any, space: spaces.Space[Any]) -> np.ndarray:
 
 
 def _key(generator: np.random.Generator) -> jax.Array:
-    """Draw a random key from Gymnasium's generator."""
     return jax.random.key(generator.integers(2**32, dtype=np.uint32))
 
 
@@ -271,7 +270,6 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
 
 
 def _told(info: EnvironmentInfo) -> dict[str, np.ndarray]:
-    """List the fields of an info by name."""
     return {name: np.asarray(value) for name, value in vars(info).items()}
 
 

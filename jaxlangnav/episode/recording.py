@@ -1,8 +1,6 @@
-"""A recorded episode: what a picture, a story or a live view needs of every step (section 4).
+"""A recorded episode, of ``recorder``: what a picture, a story or a live view needs of every step.
 
 The truth is recorded beside the belief, for people only: nothing here is read by the navigator.
-``recorder`` makes recordings.
-
 Further axis letter: **T** steps of the episode.
 """
 

@@ -1,15 +1,13 @@
 """Robots to compare with: known map, nearest frontier, lawnmower (section 4.2 and its limits).
 
-All run in the same worlds, with the same keys for the sensor's and the odometry's noise, as the
-navigator: whatever differs is the policy. What each of them knows:
+All run in the same worlds with the same noise as the navigator: whatever differs is the policy.
 
 - ``known``: the whole map and its own true position. The column *Known* of Table 2.
 - ``frontier``: the operating area, and that the goal is of the sentence's figure type. It goes to
   the nearest edge of what it has seen, and to the first object of that type that it sees.
-- ``lawnmower``: the same, but it sweeps the operating area in lanes as wide as it sees. It does not
-  know by what law the worlds are drawn.
-- ``arc``: the same, and it does know that law: hydrants stand within ±45° ahead, about 0.7 of the
-  area's depth away. It sweeps along that arc, then along one farther out and one nearer.
+- ``lawnmower``: the same, but it sweeps the operating area in lanes as wide as it sees.
+- ``arc``: the same, but it knows the law of the worlds: hydrants stand within ±45° ahead, about 0.7
+  of the area's depth away. It sweeps along that arc, then along one farther out and one nearer.
 
 None of the last three reads the relation; of two hydrants they are right half of the time.
 """
@@ -98,8 +96,6 @@ class Explorer:
 
 @pytree
 class _Run:
-    """An episode under way."""
-
     task: Task
     figure_type: Array  # i32[] of the sentence
     explorer: Explorer
@@ -213,7 +209,6 @@ def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) ->
 def _advance(
     run: _Run, *, params: object, config: NavigatorConfig, explore_on: Callable[..., Explorer]
 ) -> tuple[_Run, None]:
-    """Run one cycle of a search."""
     del params, config
     task = run.task
     # The very keys of episode.advance: common random numbers for all policies.

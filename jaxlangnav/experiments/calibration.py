@@ -7,9 +7,8 @@ At every decision the belief is held against the truth, which only this module m
 - the density of the goal's place, from all particles: negative log-likelihood at the true place,
   and whether the region of highest density that holds 90 % contains it.
 
-The belief's map drifts with the odometry, so places are compared relative to the robot.
-Sums of several steps and episodes may be added; one step says nothing. A stop is decided from what
-the robot has seen, so ending an episode at it biases nothing.
+The belief's map drifts with the odometry, so places are compared relative to the robot. A stop is
+decided from what the robot has seen, so ending an episode at it biases nothing.
 """
 
 import jax

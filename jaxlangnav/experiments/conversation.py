@@ -1,7 +1,6 @@
 """What a conversation is worth: rows of a person who corrects, answers, states, and errs.
 
-``jaxlangnav reproduce conversation``: success, metres and questions of each row in the worlds of
-Table 2, which the paper leaves to future work.
+In the worlds of Table 2; the paper leaves it to future work.
 """
 
 import dataclasses
@@ -69,7 +68,6 @@ ROWS = (
 
 
 def _run_row(row: Dialogue, options: Options, on_progress: OnProgress | None = None) -> Row:
-    """Run a row and summarise it."""
     given = row.world, row.relation, 0, row.sees, options.episodes, options.seed
     params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))

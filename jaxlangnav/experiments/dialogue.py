@@ -1,8 +1,7 @@
 """Episodes in which a simulated person speaks, many at once: what a conversation is worth.
 
-A course of ``lanes.run_batch`` with a person (``world.person``) who is shown what the
-robot says of itself and speaks before its decisions. What is said is put into the state by the
-functions of ``speech_acts``, the words of a statement joined once for all lanes.
+The person (``world.person``) is shown what the robot says of itself and speaks before its
+decisions, through ``speech_acts``; the words of a statement are joined once for all lanes.
 """
 
 import operator
@@ -92,7 +91,6 @@ def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
 
 
 def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -> NavigatorState:
-    """Put what was said into the state of one robot."""
     pose, candidates = state.belief.last_pose, state.talk.candidate > 0.0
     bits = jnp.left_shift(1, jnp.arange(candidates.shape[0]))
     outcomes = {
@@ -112,7 +110,6 @@ def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -
 
 
 def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
-    """Put an episode at its start."""
     progress = episode.begin(task, sentence.instruction, config=config)
     navigator = progress.navigator
     talk = replace(navigator.talk, words=sentence.words)

@@ -201,7 +201,6 @@ class Options:
 
 
 def _policy_arms(options: Options) -> list[Arm]:
-    """Build an arm for each policy, in the order of their names."""
     numbers: dict[str, Any] = {
         name: getattr(options, name) for name in ("num_particles", "params", "motion")
     }

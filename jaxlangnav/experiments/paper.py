@@ -1,10 +1,9 @@
 """Table 2 and Figure 5 of the paper: success and distance in simulated worlds (section 4.2).
 
-Our rows stand beside the printed ones. The paper gives no geometry, no noise and no field of view;
-worlds and noise are those of ``jaxlangnav.world`` and every row says how many runs it rests on.
-The paper ran further worlds and ranges that it does not print; they can be run beside its rows.
-Figure 5 has ranges of 2 to 20 m for "behind" and for "nearest"; the printed figure states no
-numbers, so where Table 2 prints a row of the same world, relation and range, it is in ``paper``.
+Our rows stand beside the printed ones. The paper gives no geometry, no noise and no field of view:
+worlds and noise are those of ``jaxlangnav.world``. Its further worlds and ranges can be run too.
+Figure 5 states no numbers: where Table 2 prints a row of the same world, relation and range, it is
+in ``paper``.
 """
 
 import itertools

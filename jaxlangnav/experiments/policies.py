@@ -1,7 +1,6 @@
 """The policies that stand in the tables, by name: the navigator's two and the baselines.
 
-All of them answer the same tasks with the same records, so that every table can hold any of
-them side by side, paired episode by episode.
+All of them answer the same tasks with the same records, paired episode by episode.
 """
 
 import dataclasses

@@ -1,10 +1,9 @@
 """Places unlike the paper's: does the robot still arrive, and does it know what it does not know?
 
-``jaxlangnav reproduce robustness``. Nothing of Table 2's law holds in these scenarios
-(``SCENARIOS`` says what does). The navigator has the sizes and numbers of ``Navigator.pretrained``:
-those of a robot in a place that nobody has prepared. Beside success and ways stand how episodes
-end, whether "this is the goal" is as probable as it says, and what the belief was told of its
-sensors against what was true.
+Nothing of Table 2's law holds in these ``SCENARIOS``. The navigator is that of
+``Navigator.pretrained``: a robot in a place that nobody has prepared. Beside success and ways stand
+how episodes end, whether "this is the goal" is as probable as it says, and what the belief was told
+of its sensors against what was true.
 """
 
 import dataclasses
@@ -93,7 +92,6 @@ def _measure(row: Row, spec: RowSpec, results: EpisodeResult, _: EpisodeResult) 
 
 
 def _missed(rows: Sequence[Row]) -> list[Row]:
-    """List the targets that are missed."""
     found: list[Row] = []
     for row in rows:
         name = {"scenario": row["scenario"]}
@@ -127,7 +125,6 @@ def _describe_missed(document: Document) -> list[str]:
 
 
 def _notes(document: Document) -> list[str]:
-    """Say what was missed, and under what conditions the rows were measured."""
     invalid = sum(row["invalid_worlds"] for row in document["rows"])
     return [
         *_describe_missed(document),
@@ -142,7 +139,6 @@ def _notes(document: Document) -> list[str]:
 
 
 def _target(row: Row) -> str:
-    """Write the targets of a row: success, and the way where it has one."""
     target = "" if row["target"] is None else f"≥ {row['target']:g}"
     return f"{target}, ≤ {row['longest']:g} m" if row.get("longest") else target
 

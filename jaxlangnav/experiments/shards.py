@@ -2,9 +2,8 @@
 
 A shard is a Parquet file of the episodes of one chunk of the plan. Its own footer says of which
 sweep it is, which of its files, how many rows it has, and the SHA-256 of its bytes (with zeros
-where the digits stand). One file holds rows and record, so one rename makes both count: there is
-no moment at which a kill could leave one without the other, and no list that several hosts would
-have to share. Parquet's own page checksums are written and verified too.
+where the digits stand). One file holds rows and record, so one rename makes both count, and no kill
+can leave one without the other.
 """
 
 import contextlib

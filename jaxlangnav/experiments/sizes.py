@@ -133,7 +133,6 @@ def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
 
 
 def _is_on_host() -> bool:
-    """Tell whether arrays lie in the memory of the host."""
     return jax.default_backend() == "cpu"
 
 

@@ -95,7 +95,6 @@ def _group(table: pa.Table, names: Sequence[str]) -> list[tuple[dict[str, Any], 
 
 
 def _metrics(table: pa.Table) -> dict[str, Any]:
-    """Summarise the episodes of one arm in one setting."""
     names = [field.name for field in dataclasses.fields(EpisodeResult) if field.name != "final"]
     leaves: dict[str, Any] = {name: table[name].to_numpy() for name in names}
     leaves["final"] = np.stack([table[f"final_{axis}"].to_numpy() for axis in "xy"], axis=1)

@@ -1,11 +1,10 @@
 """Sweeps: any grid of episodes, resumable, split over any number of processes (section 4.2).
 
-Every file holds the episodes of one chunk of the plan, is written whole or not at all, and says
-of itself what its bytes must be (``shards``): a killed process or a full disk loses the chunks
-under way and nothing else, and a damaged file is found and made again. Which episodes a file
-holds, and what they give, depends on the configuration alone, so a resumed or split sweep ends
-with the same bytes as an undisturbed one on the same kind of machine. The manifest of the folder is
-written once and never changed; it says which sweep the folder holds.
+Every file holds the episodes of one chunk of the plan, is written whole or not at all, and says of
+itself what its bytes must be (``shards``): a killed process or a full disk loses the chunks under
+way, and a damaged file is found and made again. A file depends on the configuration alone, so a
+resumed or split sweep ends with the same bytes as an undisturbed one on the same kind of machine.
+The manifest of the folder is written once; it says which sweep the folder holds.
 """
 
 import dataclasses

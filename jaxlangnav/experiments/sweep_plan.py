@@ -1,12 +1,10 @@
 """The plan of a sweep: which episodes there are, and which of them make up a file.
 
-The grid falls into *arms* (policy, particles, Params of map, planner and motion: what one call
-of the compiled program shares) and *settings* (world, command, range, detector, seed). An arm's
+The grid falls into *arms* (policy, particles, Params of map, planner and motion: what one call of
+the compiled program shares) and *settings* (world, command, range, detector, seed). An arm's
 episodes are cut into chunks of the size the compiled program takes; a chunk is a file. The plan
-depends on the configuration alone, so files are the same however the work is split.
-
-Nothing of it is laid out before it is asked for: arm, setting and chunk are worked out from
-their number, so that a part of a billion episodes costs what that part costs.
+depends on the configuration alone. Arm, setting and chunk are worked out from their number, so that
+a part of a billion episodes costs what that part costs.
 """
 
 import dataclasses
@@ -165,14 +163,12 @@ Axes = dict[str, Sequence[Any]]
 
 
 def _params_axes(config: SweepConfig, *tables: str) -> Axes:
-    """List the values of Params."""
     return {
         f"{table}.{key}": values for table in tables for key, values in config.params[table].items()
     }
 
 
 def _setting_axes(config: SweepConfig) -> Axes:
-    """List the values of everything that makes up a setting."""
     where: Axes = {"world": config.worlds, "command": config.commands, "range": config.ranges}
     return {**where, **_params_axes(config, "sensor"), "seed": config.seeds}
 
@@ -186,7 +182,6 @@ def _arm_axes(config: SweepConfig, policy: str) -> Axes:
 
 
 def _size(axes: Axes) -> int:
-    """Count the members of a grid."""
     return math.prod(map(len, axes.values()))
 
 
@@ -203,7 +198,6 @@ def _numbers(picked: Mapping[str, Any], table: str) -> dict[str, Any]:
 
 
 def _setting(config: SweepConfig, place: int) -> Cell:
-    """Build a setting."""
     picked = _pick(_setting_axes(config), place)
     command, own = picked["command"], config.own_worlds.get(picked["world"])
     return Cell(
@@ -219,7 +213,6 @@ def _setting(config: SweepConfig, place: int) -> Cell:
 
 
 def _arm(config: SweepConfig, policy: str, place: int) -> Arm:
-    """Build an arm of a policy."""
     picked = _pick(_arm_axes(config, policy), place)
     of_navigator = dict.fromkeys(("particles", *_params_axes(config, "map", "planner")))
     params = _params(picked)
@@ -233,7 +226,6 @@ def _arm(config: SweepConfig, policy: str, place: int) -> Arm:
 
 
 def _params(picked: Mapping[str, Any]) -> NavigatorParams:
-    """Build the navigator's numbers."""
     usual, motion = default_params(), replace(default_motion(), **_numbers(picked, "motion"))
     return replace(
         usual,

@@ -100,7 +100,6 @@ class Table:
         return folded if self.fold else whole
 
     def _is_numeric(self, place: int) -> bool:
-        """Tell whether all that a column holds are numbers."""
         return all(_NUMBER.match(row[place]) for row in self.rows if row[place])
 
     def _blocks(self) -> list[list[str]]:
@@ -140,7 +139,6 @@ class Section:
 
 
 def _render_report(title: str, sections: Sequence[Section], *, made: Mapping[str, str]) -> str:
-    """Write the page."""
     contents = "\n".join(
         f'<li><a href="#part{index}">{_html_text(part.title)}</a></li>'
         for index, part in enumerate(sections, start=1)
@@ -170,7 +168,6 @@ def write_report(
 
 
 def _section(index: int, part: Section) -> str:
-    """Write one part of the page."""
     pieces = [f'<section id="part{index}">', f"<h2>{_html_text(part.title)}</h2>"]
     pieces += [f"<p>{_html_text(part.lead)}</p>"] if part.lead else []
     for path, words in part.pictures:

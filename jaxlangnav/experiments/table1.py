@@ -91,7 +91,6 @@ def _score_all(
     on_progress: OnProgress | None,
     **searched: Any,
 ) -> dict[str, Results]:
-    """Measure both models of every split on its hold-out."""
     annotation, behavior = (Models.of(fitted[name].models) for name in MODELS)
     splits, sentences = held_out.shape
     count = itertools.count(1)
@@ -192,7 +191,6 @@ def evaluate(
 
 
 def _check(splits: int, beams: Sequence[int], without: Sequence[str]) -> None:
-    """Refuse what cannot be evaluated; see ``evaluate``."""
     if splits < 2:
         raise ValueError(f"splits is {splits}, but at least 2 are needed for an interval")
     if not beams or min(beams) < 1:
@@ -241,7 +239,6 @@ def _accuracy(scores: Sequence[Scores | ExactScores]) -> dict[str, float]:
 
 
 def _row(fitted: Splits, results: Results, seconds: float) -> dict[str, Any]:
-    """Write one row of the table."""
     beams = {str(beam): _accuracy(of_beam) for beam, of_beam in results.by_width.items()}
     first = next(iter(beams.values()))
     if results.exact:

@@ -157,7 +157,6 @@ def split(parts: list[Part]) -> dict[str, float]:
 
 
 def _compile(part: Callable[[EpisodeState], Any], progress: EpisodeState) -> Any:
-    """Compile a part for all lanes."""
     return jax.jit(jax.vmap(part)).lower(progress).compile()
 
 

@@ -1,12 +1,9 @@
 """What the paper leaves open, one thing at a time: which of it explains its figures (section 4.2)?
 
-The paper prints no field of view, no frontier spacing, no γ, no number of particles, no threshold
-of stopping and no geometry. ``faithful`` runs the rows of Table 2 once as in all our tables and
-once with each of these set otherwise, in the same worlds with the same noise, and every figure is
-held against the printed one in standard errors of both. A variation *explains* a row where both its
-success and its distance then lie within two standard errors. Seven rows and two dozen variations
-are many looks: one that explains a single row and spoils the others explains little, so the rows
-that each variation brings near are counted too.
+``faithful`` runs the rows of Table 2 once as in all our tables and once with each thing that the
+paper does not print set otherwise, in the same worlds with the same noise. A variation *explains* a
+row where both its success and its distance then lie within two standard errors of the printed ones.
+Two dozen variations are many looks, so the rows that each brings near are counted too.
 """
 
 import dataclasses
@@ -240,7 +237,6 @@ def _matrix(document: Document) -> Table:
 
 
 def _explain(one: Mapping[str, Any]) -> str:
-    """Say what explains one row."""
     if one["is_near"]:
         return "ours lies within two standard errors as it is."
     if one["both"]:

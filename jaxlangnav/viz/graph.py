@@ -107,7 +107,6 @@ def _height_of(rank: int) -> float:
 def _draw_phrase(
     axes: "Axes", one: PhraseBelief, x: float, names: Sequence[str], num_symbols: int
 ) -> None:
-    """Draw a phrase λ with the factors of its likeliest symbols above it."""
     order = np.argsort(-one.probability, kind="stable")[:num_symbols]
     top = _height_of(len(order) - 1)
     axes.plot([x, x], [0.95, top], color=style.MUTED, linewidth=0.9, zorder=1)
@@ -167,7 +166,6 @@ def _circle(axes: "Axes", x: float, y: float, *, face: str, share: float = 0.0) 
 
 
 def _draw_key(axes: "Axes") -> None:
-    """Explain the marks along the bottom."""
     x, y = 0.25, 0.16
     axes.plot([x], [y], marker="s", markersize=7, color=style.INK)
     axes.text(x + 0.14, y, "factor Ψ", va="center", fontsize=8)

@@ -41,7 +41,6 @@ def write_html(recording: Recording, path: Path | str) -> Path:
 
 
 def _render_html(recording: Recording) -> str:
-    """Render an episode as a self-contained page."""
     template = resources.files("jaxlangnav.viz") / "recording.html"
     form: dict[str, Any] = {"separators": (",", ":"), "ensure_ascii": False, "allow_nan": False}
     data = json.dumps(_page_data(recording), **form)

@@ -260,7 +260,6 @@ def _is_quiet(moment: Moment) -> bool:
 
 
 def _line(moment: Moment) -> str:
-    """Tell a step in a line of its own."""
     return f"{_head(moment)} {' '.join(tell_step(moment))}"
 
 

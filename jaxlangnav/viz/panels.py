@@ -27,7 +27,6 @@ _WIDTH = 10.5
 def _lay_out(
     recording: Recording, number: int, *, text: str, foot: float, extra: float = 0.0
 ) -> "tuple[Figure, list[Axes], list[Axes]]":
-    """Lay out a figure of maps."""
     from matplotlib.figure import Figure
 
     x_min, x_max, y_min, y_max = recording.scene.area
@@ -192,7 +191,6 @@ def values_figure(
 
 
 def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollection":
-    """Draw one map of Figure 4."""
     scene, frame = recording.scene, recording.at(step)
     mapping.draw_ground(axes, scene, frame)
     norm, ramp = _norm(frame.value), style.value_colormap()

@@ -86,7 +86,6 @@ def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
 
 
 def _log_belief(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
-    """Log what is believed in one step."""
     scene, frame = recording.scene, recording.at(step)
     x_min, x_max, y_min, y_max = scene.area
     size = frame.miss.shape[0]
@@ -117,7 +116,6 @@ def _log_belief(rerun: Any, stream: Any, recording: Recording, step: int) -> Non
 
 
 def _log_plan(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
-    """Log robot, way, waypoint and nodes of one step."""
     frame = recording.at(step)
     way = recording.frames.position[: step + 1]
     path = rerun.LineStrips3D([_flat(way[:, 0], way[:, 1])], colors=_rgba(style.PATH), radii=0.03)

@@ -207,7 +207,6 @@ def unseen(scene: StaticScene, frame: Frame) -> str:
 
 
 def _stopped(scene: StaticScene, frame: Frame) -> str:
-    """Tell why it stops."""
     is_find = float(frame.action[1]) > 0.5
     where = "in view" if is_find else f"within {float(scene.planner.reach):g} m"
     said = "Says stop" if bool(frame.is_done) else "This command is done"

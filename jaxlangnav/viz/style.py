@@ -1,11 +1,8 @@
 """The house style of all pictures: light, colour-blind safe, readable in print.
 
-Colours are Okabe and Ito's; every colour that carries a meaning comes with a shape of its own,
-as in Figure 4 of the paper (squares are cones, circles hydrants, the triangle is the robot;
-filled is observed, empty is hypothesised), so that nothing is lost in grey.
-
-matplotlib belongs to the extra ``viz``. It is imported where it is used and never through
-pyplot: no window, no global figure, no style left behind in somebody's notebook.
+Colours are Okabe and Ito's; every colour that carries a meaning comes with a shape of its own, so
+that nothing is lost in grey. matplotlib belongs to the extra ``viz``. It is imported where it is
+used and never through pyplot: no window, no global figure, no style left behind in a notebook.
 """
 
 import importlib.util

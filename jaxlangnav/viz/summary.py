@@ -1,8 +1,7 @@
 """Numbers that several pictures and the story share: what a frame says in few figures.
 
-Particles agree on what has been seen, up to its exact place, so the objects of all particles are
-summed up slot by slot; hypotheses stay as they are, one per particle and mention. ``scene`` is of
-the episode, ``frame`` one of its steps.
+The objects of all particles are summed up slot by slot; hypotheses stay as they are, one per
+particle and mention. ``scene`` is of the episode, ``frame`` one of its steps.
 """
 
 import dataclasses

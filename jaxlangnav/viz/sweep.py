@@ -240,7 +240,6 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
 def _draw_scenario(
     panels: "Sequence[Axes]", row: Row, looks: Mark, place: int, shift: float
 ) -> None:
-    """Draw one row into the three panels."""
     rates, ways, scores = panels
     look = draw_line(panels, row, looks, place + shift, markersize=4.5, linewidth=1.0)
     if row["ece"] is not None:

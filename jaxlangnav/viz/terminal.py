@@ -44,7 +44,6 @@ def _letters(scene: StaticScene) -> dict[int, str]:
 
 
 def _draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
-    """Draw a step as characters."""
     # Letters are observed objects (H a hydrant), shades where hypotheses lie, × the waypoint, an
     # arrow the robot; blank ground has been looked at, dots have not.
     from rich.text import Text
