@@ -182,25 +182,22 @@ MISS = float(-np.log(0.05))
 """Nats of a miss by the default detector."""
 
 
-BELIEF = by_hand.with_objects(by_hand.begin(), [(HYDRANT, 2.0, 0.0)])
-
-
 @jax.jit
-def look_at_hydrant(types, x, y, log_missed, is_detection):
+def look_at_hydrant(belief, types, x, y, log_missed, is_detection):
     """Look from the origin at a hydrant two metres ahead and at whatever else there is."""
     grounded = association.associate(
-        BELIEF.particles,
+        belief.particles,
         association.Detections(types, x, y, LOG_NEW + log_missed, is_detection),
         jnp.full((D, P), 0.5),
         jnp.float32(VARIANCE),
     )
-    particles = update.condition(BELIEF.particles, grounded, jnp.float32(VARIANCE))
+    particles = update.condition(belief.particles, grounded, jnp.float32(VARIANCE))
     log_objects, _, _ = update.log_absence(
         particles, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.25), by_hand.sensor(), OPEN.view
     )
     log_map = grounded.log_weight + log_objects
     return surprise(
-        BELIEF.log_weight, grounded, log_map, jnp.float32(LOG_NEW), jnp.float32(VARIANCE)
+        belief.log_weight, grounded, log_map, jnp.float32(LOG_NEW), jnp.float32(VARIANCE)
     )
 
 
@@ -210,6 +207,7 @@ def surprise_of(*detections: tuple[int, float, float, float]) -> float:
     types, x, y, missed = (np.array(column) for column in zip(*padded, strict=True))
     return float(
         look_at_hydrant(
+            by_hand.with_objects(by_hand.begin(), [(HYDRANT, 2.0, 0.0)]),
             jnp.asarray(types, jnp.int32),
             jnp.asarray(x, jnp.float32),
             jnp.asarray(y, jnp.float32),
