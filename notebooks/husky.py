@@ -16,7 +16,7 @@
 # Until here the robot was a point with a sensor. This one has wheels that slip in MuJoCo and a
 # camera that renders; tags are found in its pictures, and the navigator knows odometry and tags
 # and nothing else. It is simulation, not a physical experiment. It needs
-# `pip install "jaxlangnav[robot]"` and EGL: [docs/robots.md](../docs/robots.md).
+# `pip install "jaxlangnav[robot]"` and EGL: [docs/robot.md](../docs/robot.md).
 
 # %%
 # %matplotlib inline

@@ -1,4 +1,4 @@
-"""A hook of MkDocs: the executed notebooks as pages of the site, pictures and output included."""
+"""A hook of MkDocs: executed notebooks as pages of the site, equations as MathML."""
 
 import base64
 import json
@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from latex2mathml.converter import convert as to_mathml
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -22,9 +23,12 @@ ORDER = (
     "husky",
 )
 """How they stand in the menu."""
-_AFTER = "Tutorial"
+_AFTER = "Start"
 _MAGICS = re.compile(r"(?m)^%.*\n")
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
+_DISPLAYED = re.compile(r"(?ms)^```math\n(.*?)^```$")
+_INLINE = re.compile(r"\$(?=\S)([^$\n`]+)(?<=\S)\$")
+_TAG = re.compile(r"\\tag\{([^}]*)\}")
 _FRAMES = re.compile("[\u2500-\u257f]")
 """What draws boxes and trees: such output scrolls, for wrapped it means nothing."""
 _ALIGNED = "{ .text .aligned }"
@@ -43,7 +47,7 @@ def title(path: Path) -> str:
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put the notebooks into the menu, after the tutorial (called by MkDocs)."""
+    """Put the notebooks into the menu, after the first page (called by MkDocs)."""
     pages = [{title(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
     menu = list(config.nav or [])
     place = 1 + next(index for index, entry in enumerate(menu) if _AFTER in entry)
@@ -52,9 +56,18 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Lead links to a notebook in the repository to its page on the site (called by MkDocs)."""
+    """Lead links to notebooks to their pages, and set equations (called by MkDocs)."""
     del page, config, files
+    if _DISPLAYED.search(markdown):
+        markdown = _DISPLAYED.sub(_displayed, markdown)
+        markdown = _INLINE.sub(lambda found: to_mathml(found[1]), markdown)
     return re.sub(r"\]\(\.\./notebooks/(\w+)\.ipynb\)", r"](notebooks/\1.md)", markdown)
+
+
+def _displayed(found: re.Match[str]) -> str:
+    """Set an equation in a line of its own, its number in the paper behind it."""
+    numbered = _TAG.sub(r"\\qquad (\1)", found[1].strip())
+    return f"<div>{to_mathml(numbered, display='block')}</div>"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -100,7 +113,6 @@ def convert(path: Path) -> tuple[str, dict[str, bytes]]:
 
 
 def _text(value: Any) -> str:
-    """Join the lines of a notebook's text."""
     return value if isinstance(value, str) else "".join(value)
 
 

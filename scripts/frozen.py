@@ -85,14 +85,7 @@ def _fold(line: str) -> str:
 
 
 def short_table(results: str) -> str:
-    """Make the README's Table 2 from the results page's.
-
-    Args:
-        results: Markdown of the results page.
-
-    Returns:
-        Markdown of the table, its line end included.
-    """
+    """Make the README's Table 2 (Markdown) from the results page."""
     found: dict[tuple[str, ...], dict[str, list[str]]] = {}
     section = results.partition("## Table 2\n")[2].partition("\n## ")[0]
     for line in re.findall(r"(?m)^\| (\d.*) \|$", section):
@@ -133,7 +126,7 @@ def old_pages(folder: Path) -> dict[Path, str]:
 
 
 def remake(texts: dict[Path, str], picture: Path) -> None:
-    """Write pages that were old, and the demo's picture, which the tutorial's command has drawn."""
+    """Write pages that were old, and the demo's picture, which a page's command has drawn."""
     for page, text in texts.items():
         page.write_text(text, "utf-8")
     if not ages.is_current(PICTURE):

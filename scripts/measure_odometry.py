@@ -2,7 +2,7 @@
 
     python scripts/measure_odometry.py [DRIVES]
 
-Prints a Markdown table; docs/robots.md shows it, ``robots/physics/odometry.py`` holds what the
+Prints a Markdown table; docs/robot.md shows it, ``robots/physics/odometry.py`` holds what the
 belief is told of it. Needs ``jaxlangnav[robot]`` and EGL.
 """
 

@@ -5,6 +5,7 @@ state of the code. What stands in the page from ``HAND`` on is written by hand a
 """
 
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -22,6 +23,8 @@ HAND = "<!-- What follows is written by hand; scripts/results_page.py keeps it. 
 PICTURES = ("table2", "calibration", "figure5", "unknowns")
 SHOWN = ("informed", "faithful", "known")
 """Policies of the short table of Figure 5."""
+IN_TABLE_2, COLUMNS = ("informed", "faithful", "frontier"), 10
+"""Policies and columns of Table 2 that the page shows of ``table2.md``."""
 
 
 def read(folder: Path, name: str) -> dict[str, Any]:
@@ -42,6 +45,16 @@ def range_table(document: dict[str, Any]) -> str:
     return Table(headings=["command", "range m", *SHOWN], rows=rows).markdown().rstrip()
 
 
+def shorten(table2: str) -> str:
+    """Take the first columns of Table 2, of the policies that the page shows."""
+    rows = [
+        line.split("|")[1 : COLUMNS + 1]
+        for line in re.findall(r"(?m)^\|.*\|$", table2.partition("\n\n")[0])
+    ]
+    shown = [*rows[:2], *(row for row in rows[2:] if row[3].strip() in IN_TABLE_2)]
+    return "\n".join(f"|{'|'.join(row)}|" for row in shown)
+
+
 def time_line(document: dict[str, Any]) -> str:
     """Say where a cycle's time goes."""
     whole = document["cycle_us"]
@@ -52,37 +65,21 @@ def time_line(document: dict[str, Any]) -> str:
 
 def unknowns_section(document: dict[str, Any]) -> str:
     """Write what the paper leaves open, and what of it explains its figures."""
-    notes, rows = UNKNOWNS.notes(document), len(document["paper"])
-    lines = "\n".join(f"- {line}" for line in notes[:rows])
-    conditions = "\n".join(notes[rows:])
+    rows = len(document["paper"])
+    lines = "\n".join(f"- {line}" for line in UNKNOWNS.notes(document)[:rows])
     return f"""## What would explain the paper's figures
 
-`jaxlangnav reproduce unknowns`: the rows of Table 2 for `faithful`, with one thing set otherwise at
-a time that the paper does not print. All figures with their standard errors and z stand in the
-`unknowns.md` that it writes.
+`jaxlangnav reproduce unknowns` runs the rows of Table 2 for `faithful` with one thing at a time set
+otherwise that the paper does not print: field of view, frontier spacing, γ, particles, thresholds,
+expected objects, detection, time-out, direction of the goal. `unknowns.md` has all figures.
 
 ![Success and distance of every variation beside the paper's](unknowns.png)
-
-{UNKNOWNS.tables(document)[0].markdown().rstrip()}
-
-{conditions}
-
-What would explain each row by itself:
 
 {lines}"""
 
 
 def page(folder: Path, commit: str, kept: str) -> str:
-    """Write the page.
-
-    Args:
-        folder: of the results.
-        commit: of the code that made them.
-        kept: the part that is written by hand.
-
-    Returns:
-        Markdown.
-    """
+    """Write the page of a commit's results; ``kept`` is the part that is written by hand."""
     table2, figure5 = read(folder, "table2"), read(folder, "figure5")
     unknowns = read(folder, "unknowns")
     body = (folder / "table2.md").read_text("utf-8").split("\n", 2)[2].strip()
@@ -90,9 +87,9 @@ def page(folder: Path, commit: str, kept: str) -> str:
     machine = read(folder, "time")["machine"]
     return f"""# Results
 
-`jaxlangnav reproduce all --out results` writes every table and figure of this page, and
-`report.html`, which sets them beside the paper's numbers and says how each was made. What follows
-is such a run of commit {commit}: {table2["episodes"]} episodes a row of Table 2,
+`jaxlangnav reproduce all --out results` writes the first part of this page and `report.html`, with
+all tables and figures beside the paper's numbers. What follows is such a run of commit {commit}:
+{table2["episodes"]} episodes a row of Table 2,
 {figure5["rows"][0]["episodes"]} of Figure 5 (seed {table2["seed"]}), {unknowns["episodes"]}
 of the paper's unknowns (seed {unknowns["seed"]}),
 models SHA-256 `{table2["models_sha256"][:12]}…`, JAX {machine["jax"]},
@@ -103,7 +100,10 @@ CPU threads: {machine["threads"]}. Table 2 took {table2["wall_s"]:.0f} s,
 
 ![Success and distance of all policies beside the paper's](table2.png)
 
-{body}
+{shorten(body)}
+
+A fresh world an episode, 64 particles; all policies have the same worlds and noise. `table2.md` has
+more policies (lawnmower, a sweep that knows the worlds' law, the known map, the limit) and columns.
 
 {unknowns_section(unknowns)}
 
@@ -143,12 +143,7 @@ One decision cycle of one episode in a batch (`jaxlangnav reproduce time`):
 
 
 def write(folder: Path, commit: str) -> None:
-    """Write the page, copy its pictures and keep which engine made them.
-
-    Args:
-        folder: of the results.
-        commit: of the code that made them.
-    """
+    """Write the page, copy its pictures and keep which engine made them."""
     old = PAGE.read_text("utf-8")
     PAGE.write_text(page(folder, commit, old[old.index(HAND) :]), "utf-8")
     for name in PICTURES:

@@ -285,7 +285,7 @@ def test_types_that_cannot_be_told_apart_are_refused(build: Callable[[], tuple])
 
 def test_the_form_in_the_documentation_is_taken() -> None:
     """And so is the grounder that is written there around a model."""
-    page = (Path(__file__).parent.parent / "docs" / "how-to.md").read_text("utf-8")
+    page = (Path(__file__).parent.parent / "docs" / "extend.md").read_text("utf-8")
     section = page.split("## Annotations from a form")[1].split("\n## ")[0]
     document = section.split("```json\n")[1].split("```")[0]
     names: dict = {}

@@ -303,7 +303,7 @@ def test_the_local_model_of_the_how_to_is_plugged_in_as_shown(monkeypatch) -> No
     grammar = types.SimpleNamespace(from_string=lambda text: text)
     module = types.SimpleNamespace(Llama=Llama, LlamaGrammar=grammar)
     monkeypatch.setitem(sys.modules, "llama_cpp", module)
-    page = (Path(__file__).parent.parent / "docs" / "how-to.md").read_text("utf-8")
+    page = (Path(__file__).parent.parent / "docs" / "extend.md").read_text("utf-8")
     (block,) = [one for one in re.findall(r"(?ms)^```python\n(.*?)^```", page) if "llama" in one]
     space: dict = {}
     exec(block, space)

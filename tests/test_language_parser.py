@@ -6,7 +6,6 @@ import json
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from jaxlangnav.language.grammar import load_grammar
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import MAX_CHARACTERS, parse
 from jaxlangnav.language.phrase import LanguageError, Parse
@@ -272,10 +271,6 @@ def test_longer_input_is_refused():
         parse("a" * (MAX_CHARACTERS + 1))
     with pytest.raises(LanguageError, match="more than 64 words"):
         parse("go " * 65)
-
-
-def test_grammar_is_built_once():
-    assert load_grammar() is load_grammar()
 
 
 @pytest.mark.parametrize("text", [None, 3, b"go to the cone", ["go"], float("nan"), object])
