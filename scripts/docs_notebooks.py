@@ -23,15 +23,15 @@ ORDER = (
     "husky",
 )
 """How they stand in the menu."""
-_AFTER = "Start"
 _MAGICS = re.compile(r"(?m)^%.*\n")
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 _DISPLAYED = re.compile(r"(?ms)^```math\n(.*?)^```$")
 _INLINE = re.compile(r"\$(?=\S)([^$\n`]+)(?<=\S)\$")
 _TAG = re.compile(r"\\tag\{([^}]*)\}")
+_ASIDE = re.compile(r"equation(\d+)set aside")
+_equations: list[str] = []
 _FRAMES = re.compile("[\u2500-\u257f]")
 """What draws boxes and trees: such output scrolls, for wrapped it means nothing."""
-_ALIGNED = "{ .text .aligned }"
 
 
 def notebooks() -> list[Path]:
@@ -50,7 +50,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Put the notebooks into the menu, after the first page (called by MkDocs)."""
     pages = [{title(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
     menu = list(config.nav or [])
-    place = 1 + next(index for index, entry in enumerate(menu) if _AFTER in entry)
+    place = 1 + next(index for index, entry in enumerate(menu) if "Start" in entry)
     config.nav = [*menu[:place], {"Notebooks": pages}, *menu[place:]]
     return config
 
@@ -59,15 +59,21 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Lead links to notebooks to their pages, and set equations (called by MkDocs)."""
     del page, config, files
     if _DISPLAYED.search(markdown):
-        markdown = _DISPLAYED.sub(_displayed, markdown)
-        markdown = _INLINE.sub(lambda found: to_mathml(found[1]), markdown)
+        markdown = _INLINE.sub(_set_aside, _DISPLAYED.sub(_set_aside, markdown))
     return re.sub(r"\]\(\.\./notebooks/(\w+)\.ipynb\)", r"](notebooks/\1.md)", markdown)
 
 
-def _displayed(found: re.Match[str]) -> str:
-    """Set an equation in a line of its own, its number in the paper behind it."""
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Put the equations back that Markdown must not read (called by MkDocs)."""
+    del page, config, files
+    return _ASIDE.sub(lambda found: _equations[int(found[1])], html)
+
+
+def _set_aside(found: re.Match[str]) -> str:
+    """Turn an equation into MathML, its number in the paper behind it, and leave a mark for it."""
     numbered = _TAG.sub(r"\\qquad (\1)", found[1].strip())
-    return f"<div>{to_mathml(numbered, display='block')}</div>"
+    _equations.append(to_mathml(numbered, display="block" if found.re is _DISPLAYED else "inline"))
+    return f"equation{len(_equations) - 1}set aside"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -81,14 +87,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def convert(path: Path) -> tuple[str, dict[str, bytes]]:
-    """Turn an executed notebook into Markdown.
-
-    Args:
-        path: the ``.ipynb`` file.
-
-    Returns:
-        The page, and its pictures by the names under which it shows them.
-    """
+    """Turn an executed notebook (``.ipynb``) into Markdown, and its pictures by their names."""
     parts: list[str] = []
     pictures: dict[str, bytes] = {}
     for cell in json.loads(path.read_text("utf-8"))["cells"]:
@@ -107,7 +106,8 @@ def convert(path: Path) -> tuple[str, dict[str, bytes]]:
             else:
                 shown = _text(output.get("text", data.get("text/plain", "")))
                 shown = _ESCAPES.sub("", shown).rstrip()
-                parts.append(_fence(shown, _ALIGNED if _FRAMES.search(shown) else "text"))
+                kind = "{ .text .aligned }" if _FRAMES.search(shown) else "text"
+                parts.append(_fence(shown, kind))
     where = f"Made by `notebooks/{path.stem}.py`; run `make notebooks` to make it again."
     return "\n\n".join([*parts, f"---\n\n*{where}*"]) + "\n", pictures
 
