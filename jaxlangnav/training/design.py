@@ -90,18 +90,14 @@ def flatten(
     Raises:
         ValueError: a kind has no example.
     """
-    widths = {}
+    columns, end = {}, 0
     for kind in kinds:
         found = (e.rows[kind].properties.shape[1] for e in examples if kind in e.rows)
         width = next(found, None)
         if width is None:
             raise ValueError(f"no example has a symbol of kind '{kind}' to learn from")
-        widths[kind] = width
-    ends = np.cumsum(list(widths.values()))
-    columns = {
-        kind: slice(int(end) - width, int(end))
-        for (kind, width), end in zip(widths.items(), ends, strict=True)
-    }
+        columns[kind] = slice(end, end + width)
+        end += width
     parts = [
         (index, kind, *_distinct(example.rows[kind]))
         for index, example in enumerate(examples)
@@ -109,10 +105,10 @@ def flatten(
         if kind in example.rows
     ]
     sizes = [len(label) for _, _, _, label, _ in parts]
-    properties = np.zeros((sum(sizes), int(ends[-1])), np.float32)
-    begins = np.cumsum([0, *sizes[:-1]])
-    for begin, size, (_, kind, rows, _, _) in zip(begins, sizes, parts, strict=True):
+    properties, begin = np.zeros((sum(sizes), end), np.float32), 0
+    for size, (_, kind, rows, _, _) in zip(sizes, parts, strict=True):
         properties[begin : begin + size, columns[kind]] = rows
+        begin += size
     phrase = np.repeat([index for index, *_ in parts], sizes)
     owner = np.array([example.instruction for example in examples])
     factors = Factors(

@@ -5,6 +5,7 @@ paper is one factor, (phrase, symbol); one of ours is a phrase with the factors 
 """
 
 import dataclasses
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -14,7 +15,6 @@ from jaxlangnav.grounding.correspondence import RANK, AnyWorld, Labelled, Symbol
 from jaxlangnav.grounding.properties import Annotations, Behaviors
 from jaxlangnav.grounding.symbols import (
     KINDS,
-    OBJECT,
     Annotation,
     BehaviorSymbol,
     Path,
@@ -60,38 +60,32 @@ class LabelledInstruction:
                     yield Labelled(root=root, world=world, expressed=expressed, clause=clause)
 
 
-def _split(text: str) -> tuple[str, list[str]]:
-    """Part ``kind(argument,...)`` into kind and arguments."""
-    kind, _, rest = text.removesuffix(")").partition("(")
-    return kind, rest.split(",")
-
-
 def read_annotation(text: str, type_names: tuple[str, ...]) -> Annotation:
     """Read an annotation symbol such as ``relation(hydrant,behind,cone)``."""
 
-    def landmark(name: str) -> int:
+    def index(name: str) -> int:
         return ROBOT if name == "robot" else type_names.index(name)
 
-    kind, arguments = _split(text)
-    if kind == "object":
-        return object_symbol(type_names.index(arguments[0]))
-    if kind == "region":
-        return region_symbol(RELATIONS.index(arguments[0]), landmark(arguments[1]))
-    figure, relation, mark = arguments
-    return relation_symbol(type_names.index(figure), RELATIONS.index(relation), landmark(mark))
+    match re.split(r"[(,)]", text)[:-1]:
+        case ["object", figure]:
+            return object_symbol(index(figure))
+        case ["region", relation, landmark]:
+            return region_symbol(RELATIONS.index(relation), index(landmark))
+        case [_, figure, relation, landmark]:
+            return relation_symbol(index(figure), RELATIONS.index(relation), index(landmark))
+    raise ValueError(f"'{text}' is no annotation")
 
 
 def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
     """Read a behavior symbol such as ``goal(at,3)``; the robot's slot comes after the objects."""
-    name, arguments = _split(text)
+    name, first, *rest = re.split(r"[(,)]", text)[:-1]
     kind = KINDS.index(name)
-    last = num_objects if arguments[-1] == "robot" else arguments[-1]
-    if kind == OBJECT:
-        return BehaviorSymbol(kind, NONE, int(last))
     if name in ("action", "mode"):
         names = ACTIONS if name == "action" else MODES
-        return BehaviorSymbol(kind, NONE, names.index(arguments[0]))
-    return BehaviorSymbol(kind, REGIONS.index(arguments[0]), int(last))
+        return BehaviorSymbol(kind, NONE, names.index(first))
+    slot = rest[0] if rest else first
+    region = REGIONS.index(first) if rest else NONE
+    return BehaviorSymbol(kind, region, num_objects if slot == "robot" else int(slot))
 
 
 def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
@@ -104,17 +98,12 @@ def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> Label
             rank[path] = own
     behaviors = []
     for labelled in example.worlds:
-        count = len(labelled.world.objects)
-        behaviors.append(
-            {
-                path: frozenset(read_behavior(text, count) for text in symbols)
-                for clause, labels, kind in zip(
-                    paths, labelled.behavior, example.parse.kinds, strict=True
-                )
-                if kind == COMMAND
-                for path, symbols in zip(clause, labels, strict=True)
-            }
-        )
+        count, behavior = len(labelled.world.objects), {}
+        clauses = zip(paths, labelled.behavior, example.parse.kinds, strict=True)
+        for clause, labels, kind in clauses:
+            for path, symbols in zip(clause, labels, strict=True) if kind == COMMAND else ():
+                behavior[path] = frozenset(read_behavior(text, count) for text in symbols)
+        behaviors.append(behavior)
     worlds = tuple(place(labelled.world, type_names) for labelled in example.worlds)
     return LabelledInstruction(example.parse, annotation, rank, worlds, tuple(behaviors))
 
@@ -147,12 +136,7 @@ def examples_of(
 ) -> list[PhraseExample]:
     """Build the training examples of trees: of every phrase, given the labels of its children.
 
-    Args:
-        space: the symbols.
-        labelled: trees with labels; each counts as an instruction.
-
-    Returns:
-        One example per phrase.
+    Each tree counts as an instruction.
 
     Raises:
         ValueError: a label is no symbol of its world, or the numbers of labels or properties are
@@ -170,7 +154,8 @@ def _tree_examples(
 ) -> Iterator[PhraseExample]:
     """Build the examples of one tree."""
     nodes, symbols = bottom_up(one.root, one.clause), space.symbols_in(one.world)
-    for labels in (one.expressed, one.ranks) if one.ranks else (one.expressed,):
+    ranks = one.ranks or [0] * len(nodes)
+    for labels in (one.expressed, ranks):
         if len(labels) != len(nodes):
             raise ValueError(
                 f"tree {instruction}: {len(labels)} labels, but {one.root} has {len(nodes)} phrases"
@@ -179,17 +164,15 @@ def _tree_examples(
     if unknown:
         raise ValueError(f"tree {instruction}: {unknown[0]} is no symbol of its world")
     gold = [symbols.mask(expressed) for expressed in one.expressed]
-    for place_of, node in enumerate(nodes):
+    for node, expressed, rank in zip(nodes, gold, ranks, strict=True):
         described = space.describe(node.phrase, node.path, one.world)
         blocks = described.given([gold[child] for child in node.children])
         rows = {
-            kind: Rows(np.asarray(block.properties, np.float32), gold[place_of][block.places])
+            kind: Rows(np.asarray(block.properties, np.float32), expressed[block.places])
             for kind, block in blocks.items()
         }
         if described.ranks is not None:
-            own = (
-                np.arange(1, len(described.ranks) + 1) == (one.ranks or [0] * len(nodes))[place_of]
-            )
+            own = np.arange(1, len(described.ranks) + 1) == rank
             rows[RANK] = Rows(np.asarray(described.ranks, np.float32), own)
         for kind, (properties, labels) in rows.items():
             wanted = len(labels), len(space.columns[kind])

@@ -138,16 +138,13 @@ def by_kind(weights: Array, design: Design) -> dict[str, Array]:
 
 
 def loss(weights: Mapping[str, Array], design: Design, counts: Array, l2: Array | float) -> Array:
-    """Evaluate the objective; differentiable by the weights and by the counts.
+    """Evaluate the objective J(W), f32[]; differentiable by the weights and by the counts.
 
     Args:
         weights: kind → f32[W, F].
         design: the factors.
         counts: f32[U, G, 2], a row of ``design.counts``.
         l2: λ, f32[] or f32[W]; 0 for the loss on sentences held out.
-
-    Returns:
-        f32[], J(W).
     """
     chex.assert_shape(counts, (*design.properties.shape[:2], 2))
     problem = Problem(jnp.asarray(design.words), jnp.asarray(design.properties), counts)
@@ -261,9 +258,6 @@ def train_graph(
         labelled: trees with labels.
         config: regularisation and stopping.
         without: groups of word features to leave out (``FEATURE_GROUPS``).
-
-    Returns:
-        The graph, and what was measured.
 
     Raises:
         ValueError: there is no tree, a label is wrong (``examples_of``), or a group is unknown.

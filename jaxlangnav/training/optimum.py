@@ -2,10 +2,10 @@
 
     J(V) = Σ_ug n₀ softplus(x_uᵀ V y_ug) + n₁ softplus(−x_uᵀ V y_ug) + ½ ‖V‖²
 
-The strength of regularisation is one: another one, or one for each word feature, goes into the
-words, x / √λ. J is then 1-strongly convex, so that J(V) − min J ≤ ½ ‖∇J(V)‖² says how far a search
-still has to go, whatever the strength. The minimum is a function of words, properties and counts,
-and is differentiated as one, by the implicit function theorem: ∇J(V*(θ), θ) = 0.
+Another strength of regularisation, or one for each word feature, goes into the words, x / √λ. J is
+then 1-strongly convex, so that J(V) − min J ≤ ½ ‖∇J(V)‖² says how far a search still has to go. The
+minimum is differentiated as a function of words, properties and counts, by the implicit function
+theorem: ∇J(V*(θ), θ) = 0.
 """
 
 from collections.abc import Callable

@@ -91,19 +91,13 @@ class Batch(NamedTuple):
 
 
 def align(said: Sequence[str], read: Sequence[str]) -> tuple[str, ...] | None:
-    """Label each word of a sentence by what stands for it in another wording.
+    """Label each word (or mark) of a sentence by what stands for it in the controlled language.
 
-    Args:
-        said: words and marks.
-        read: words and marks of the controlled language.
-
-    Returns:
-        A label a word; None where words are added at the end, which no label says.
+    None where words are added at the end, which no label says.
     """
     labels, put = [KEPT] * len(said), ""
-    for kind, first, last, begin, end in SequenceMatcher(
-        None, said, read, autojunk=False
-    ).get_opcodes():
+    matcher = SequenceMatcher(None, said, read, autojunk=False)
+    for kind, first, last, begin, end in matcher.get_opcodes():
         words = " ".join(read[begin:end])
         if put:  # what was added before: only a kept word has room for it
             labels[first], put = f"{KEPT}>{put}", ""
@@ -116,13 +110,9 @@ def align(said: Sequence[str], read: Sequence[str]) -> tuple[str, ...] | None:
 
 
 def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
-    """Read a corpus of the reader.
+    """Read a corpus of the reader; the package's own by default.
 
-    Args:
-        path: of the file; the package's own by default.
-
-    Returns:
-        Its sentences, labelled; those that cannot be labelled are left out.
+    Sentences that cannot be labelled are left out.
 
     Raises:
         ValueError: a line is none; one line that names it.
@@ -159,16 +149,17 @@ def vary_sentences(
 ) -> list[ReaderExample]:
     """Make sentences as others would say them: another verb of the class, talk before or behind.
 
-    Args:
-        examples: labelled sentences.
-        seed: of the choices.
-        copies: how often each sentence stands, and is varied.
-
-    Returns:
-        The sentences, and after them those that were made of them.
+    Each of the labelled sentences stands, and is varied, ``copies`` times; those that were made of
+    them come last. ``seed`` is of the choices.
     """
     rng, made = np.random.default_rng(seed), []
-    talk = [one for example in examples for one in _talk(example)]
+    talk = []  # clauses that are left out whole and name nothing
+    for one in examples:
+        sentence = ReaderSentence(one.words, one.names)
+        for clause in sentence.clauses:
+            is_idle = [one.labels[i] == LEFT_OUT and not sentence.is_name[i] for i in clause]
+            if len(clause) > 1 and all(is_idle):
+                talk.append(tuple(one.words[i] for i in clause))
     classes = [sorted(verbs) for _, verbs in sorted(load_verbs().items())]
     for one in [*examples] * copies:
         verbs = [i for i, label in enumerate(one.labels) if label in _PLAIN]
@@ -189,27 +180,8 @@ def vary_sentences(
     return [*examples] * copies + made
 
 
-def _talk(example: ReaderExample) -> list[tuple[str, ...]]:
-    """List the clauses of a sentence that are left out whole and name nothing."""
-    sentence = ReaderSentence(example.words, example.names)
-    return [
-        tuple(example.words[i] for i in clause)
-        for clause in sentence.clauses
-        if len(clause) > 1
-        and all(example.labels[i] == LEFT_OUT and not sentence.is_name[i] for i in clause)
-    ]
-
-
 def negative_log_likelihood(weights: ReaderWeights, batch: Batch) -> Array:
-    """Sum -log p(labels | words) over a batch, by the forward algorithm.
-
-    Args:
-        weights: of the reader.
-        batch: sentences.
-
-    Returns:
-        f32[], nats.
-    """
+    """Sum -log p(labels | words) over a batch, by the forward algorithm: f32[], nats."""
     scores = weights.emission.at[0].set(0.0)[batch.features].sum(axis=2)  # [B, T, L]
 
     def step(ahead: Array, at: tuple[Array, Array]) -> tuple[Array, None]:
@@ -232,14 +204,9 @@ def negative_log_likelihood(weights: ReaderWeights, batch: Batch) -> Array:
 def train_reader(
     examples: Sequence[ReaderExample], *, config: ReaderConfig
 ) -> tuple[ReaderModel, dict[str, Any]]:
-    """Train a reader.
+    """Train a reader on labelled sentences.
 
-    Args:
-        examples: labelled sentences.
-        config: how.
-
-    Returns:
-        The reader; and a report: sentences, features, labels, loss in nats a sentence, seconds.
+    The report has sentences, features, labels, loss in nats a sentence, and seconds.
 
     Raises:
         ValueError: too few sentences to learn from.
@@ -247,15 +214,10 @@ def train_reader(
     started = time.perf_counter()
     counted = Counter(label for one in examples for label in set(one.labels))
     names = frozenset().union(*(one.names for one in examples))
-    labels = tuple(
-        sorted(
-            label
-            for label, n in counted.items()
-            # What names a thing would name it whatever was said.
-            if n >= config.least_labels
-            and not any(ReaderSentence(tuple(label.lstrip("K>=").split()), names).is_name)
-        )
-    )
+    frequent = sorted(label for label, n in counted.items() if n >= config.least_labels)
+    # What names a thing would name it whatever was said.
+    read = {label: tuple(label.lstrip("K>=").split()) for label in frequent}
+    labels = tuple(one for one in frequent if not any(ReaderSentence(read[one], names).is_name))
     used = [one for one in examples if set(one.labels) <= set(labels)]
     if len(used) < config.batch:
         raise ValueError(f"{len(used)} sentences are too few to train on: {config.batch} at least")
@@ -268,12 +230,22 @@ def train_reader(
     weights, loss = _fit(batches, len(features), labels, config)
     emission = np.where(np.abs(weights.emission[1:]) < config.smallest, 0.0, weights.emission[1:])
     is_used = np.abs(emission).max(axis=1) > 0
+    pairs = (pair for one in used for pair in zip(one.words, one.labels, strict=True))
+    labelled = [Labelling(ReaderSentence(one.words, one.names), one.labels) for one in used]
     model = ReaderModel(
         features=tuple(name for name, used in zip(features, is_used, strict=True) if used),
         labels=labels,
-        seen=_seen(used),
+        seen=frozenset((word, label) for word, label in pairs if label[0] == "="),
         left_out=_left_out(used),
-        met=_met(used),
+        # The stretches of words that are not kept, with what is read for them. Not what only
+        # chooses, and for which nothing is read: "both" may go in one sentence alone.
+        met=frozenset(
+            one.stretch(run)
+            for one in labelled
+            for run in one.runs
+            if any(one.labels[i] != LEFT_OUT for i in run)
+            or any(CHOOSING.isdisjoint(one.sentence.classes[i]) for i in run)
+        ),
         emission=np.round(emission[is_used], 3),
         transition=np.asarray(weights.transition),
         begin=np.asarray(weights.begin),
@@ -287,27 +259,6 @@ def train_reader(
         "loss": loss,
         "train_s": time.perf_counter() - started,
     }
-
-
-def _seen(examples: Sequence[ReaderExample]) -> frozenset[tuple[str, str]]:
-    """Collect which words were read as which."""
-    pairs = (pair for one in examples for pair in zip(one.words, one.labels, strict=True))
-    return frozenset((word, label) for word, label in pairs if label[0] == "=")
-
-
-def _met(examples: Sequence[ReaderExample]) -> frozenset[str]:
-    """Collect the stretches of words that are not kept, with what is read for them.
-
-    Not what only chooses, and for which nothing is read: "both" may go in one sentence alone.
-    """
-    labelled = [Labelling(ReaderSentence(one.words, one.names), one.labels) for one in examples]
-    return frozenset(
-        one.stretch(run)
-        for one in labelled
-        for run in one.runs
-        if any(one.labels[i] != LEFT_OUT for i in run)
-        or any(CHOOSING.isdisjoint(one.sentence.classes[i]) for i in run)
-    )
 
 
 def _left_out(examples: Sequence[ReaderExample]) -> frozenset[str]:
@@ -369,19 +320,21 @@ def _fit(
     batches: Sequence[Batch], num_features: int, labels: Sequence[str], config: ReaderConfig
 ) -> tuple[ReaderWeights, float]:
     """Minimise the objective; the same batches and seed give the same weights."""
-    num_labels = len(labels)
-    size = num_labels, num_labels
+    size = len(labels)
     weights = ReaderWeights(
-        jnp.zeros((num_features + 1, num_labels)),
+        jnp.zeros((num_features + 1, size)),
+        jnp.zeros((size, size)),
         jnp.zeros(size),
-        jnp.zeros(num_labels),
-        jnp.zeros(num_labels),
+        jnp.zeros(size),
     )
+    # From a sentence that is refused to one that is read there is no transition, nor back.
+    is_refused = np.array([label == UNREADABLE for label in labels])
+    bars = np.where(is_refused[:, None] == is_refused, 0.0, _BARRED).astype(np.float32)
     rate = optax.cosine_decay_schedule(config.rate, config.epochs * len(batches))
     optimizer = optax.adam(rate)
 
     def objective(weights: ReaderWeights, batch: Batch) -> Array:
-        barred = weights._replace(transition=weights.transition + _bars(labels))
+        barred = weights._replace(transition=weights.transition + bars)
         mean = negative_log_likelihood(barred, batch) / jnp.maximum(batch.weight.sum(), 1.0)
         return mean + 0.5 * config.l2 * sum((leaf**2).sum() for leaf in weights)
 
@@ -400,11 +353,5 @@ def _fit(
         for index in rng.permutation(len(batches)):
             weights, state, loss = update(weights, state, batches[index])
             losses.append(loss)
-    weights = weights._replace(transition=weights.transition + _bars(labels))
+    weights = weights._replace(transition=weights.transition + bars)
     return jax.tree.map(np.asarray, weights), float(np.mean(losses))
-
-
-def _bars(labels: Sequence[str]) -> np.ndarray:
-    """Bar the transitions between a sentence that is refused and one that is read, [L, L]."""
-    is_refused = np.array([label == UNREADABLE for label in labels])
-    return np.where(is_refused[:, None] == is_refused, 0.0, _BARRED).astype(np.float32)

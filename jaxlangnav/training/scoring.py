@@ -166,48 +166,42 @@ def score_annotations(
         widths: beam widths.
         is_exact: also find the likeliest of all sets.
         on_sentence: called after each sentence.
-
-    Returns:
-        Results of each model in the order of its sentences.
     """
+    symbols = Annotations(type_names).symbols_in(None)
     tally = _Tally(num := len(models.temperature), widths, is_exact)
     for labelled, which in _tested(instructions, is_tested, num, on_sentence):
-        _count_sentence(tally, labelled, which, models.take(which), type_names)
+        gold = gold_annotations(labelled)
+        trees = _annotated(labelled, models.take(which), type_names)
+        ranks = [tree.log_ranks() for tree in trees]
+        for width, rows in tally.rows.items():
+            for place, model in enumerate(which):
+                beliefs = [
+                    clause_belief(
+                        symbols,
+                        tree.beams(width).of(place),
+                        clause,
+                        {path: chances[place] for path, chances in rank.items()},
+                        width,
+                    )
+                    for clause, (tree, rank) in enumerate(zip(trees, ranks, strict=True))
+                ]
+                rows[model].append(_compare(join_clauses(beliefs, width), gold))
+        if tally.exact:
+            best, is_proven = zip(*(tree.search_exactly() for tree in trees), strict=True)
+            is_right = (np.any(best, axis=0) == symbols.mask(gold)).all(1)
+            for model, *row in zip(which, is_right, np.all(is_proven, axis=0), strict=True):
+                tally.exact[model].append(tuple(row))
     return tally.results()
 
 
-def _count_sentence(
-    tally: _Tally,
-    labelled: LabelledInstruction,
-    which: np.ndarray,
-    models: Models,
-    type_names: tuple[str, ...],
-) -> None:
-    """Compare what models i[M] infer of one sentence with its gold annotations."""
-    gold, space = gold_annotations(labelled), Annotations(type_names)
-    trees = [
-        WeighedTree(space, models.coefficients, root, None, clause)
+def _annotated(
+    labelled: LabelledInstruction, models: Models, type_names: tuple[str, ...]
+) -> list[WeighedTree[None]]:
+    """Weigh the clauses of a sentence by annotation models."""
+    return [
+        WeighedTree(Annotations(type_names), models.coefficients, root, None, clause)
         for clause, root in enumerate(labelled.parse.clauses)
     ]
-    symbols, ranks = space.symbols_in(None), [tree.log_ranks() for tree in trees]
-    for width, rows in tally.rows.items():
-        for place, model in enumerate(which):
-            beliefs = [
-                clause_belief(
-                    symbols,
-                    tree.beams(width).of(place),
-                    clause,
-                    {path: chances[place] for path, chances in rank.items()},
-                    width,
-                )
-                for clause, (tree, rank) in enumerate(zip(trees, ranks, strict=True))
-            ]
-            rows[model].append(_compare(join_clauses(beliefs, width), gold))
-    if tally.exact:
-        best, is_proven = zip(*(tree.search_exactly() for tree in trees), strict=True)
-        is_right = (np.any(best, axis=0) == symbols.mask(gold)).all(1)
-        for model, *row in zip(which, is_right, np.all(is_proven, axis=0), strict=True):
-            tally.exact[model].append(tuple(row))
 
 
 def _by_rank(
@@ -215,8 +209,7 @@ def _by_rank(
 ) -> Iterator[tuple[np.ndarray, dict[Path, int]]]:
     """Group models by the ranks they infer: i[M] models, and rank by phrase."""
     ranks: dict[Path, np.ndarray] = {}  # i[M] each
-    for clause, root in enumerate(labelled.parse.clauses):
-        tree = WeighedTree(Annotations(type_names), annotation.coefficients, root, None, clause)
+    for tree in _annotated(labelled, annotation, type_names):
         ranks |= {path: chances.argmax(1) for path, chances in tree.log_ranks().items()}
     rows, which = np.unique(np.stack([*ranks.values()], axis=1), axis=0, return_inverse=True)
     for group, row in enumerate(rows.tolist()):
@@ -236,18 +229,8 @@ def score_behaviors(
 ) -> Results:
     """Compare inferred behaviors with the gold ones, one result per model, sentence and world.
 
-    Args:
-        instructions: I labelled sentences with worlds.
-        annotation: K annotation models (for ranks: "the second").
-        behavior: K behavior models.
-        is_tested: bool[K, I], which sentences each model is tested on; all by default.
-        type_names: object types.
-        widths: beam widths.
-        is_exact: also find the likeliest of all sets.
-        on_sentence: called after each sentence.
-
-    Returns:
-        Results of each model in the order of its sentences and their worlds.
+    Of K behavior models, and K annotation models for ranks ("the second"); the rest as in
+    ``score_annotations``.
     """
     chex.assert_equal_shape([annotation.temperature, behavior.temperature])
     tally = _Tally(num := len(behavior.temperature), widths, is_exact)
@@ -276,11 +259,11 @@ def _count_world(
         log_gold = np.zeros(len(models))
         for tree, gold in trees:
             beams = tree.beams(width)
-            is_gold = (beams.sets == gold).all(1)[beams.index]
-            is_gold &= np.isfinite(beams.log_probability)
+            log_probability = beams.log_probability
+            is_gold = (beams.sets == gold).all(1)[beams.index] & np.isfinite(log_probability)
             right &= is_gold[:, 0]
-            confidence *= np.exp(beams.log_probability[:, 0])
-            found = np.take_along_axis(beams.log_probability, is_gold.argmax(1)[:, None], 1)[:, 0]
+            confidence *= np.exp(log_probability[:, 0])
+            found = np.take_along_axis(log_probability, is_gold.argmax(1)[:, None], 1)[:, 0]
             log_gold += np.where(is_gold.any(1), found, LOG_FLOOR)
         log_gold = np.maximum(log_gold, LOG_FLOOR)
         for model, *row in zip(models, right, confidence, log_gold, strict=True):
@@ -295,16 +278,9 @@ def _count_world(
 
 
 def calibration_error(scores: Scores, num_bins: int = 10) -> float:
-    """Compute the expected calibration error.
+    """Compute the expected calibration error, in [0, 1]; 0 is perfectly calibrated.
 
-        ECE = Σ_b n_b / n · |accuracy_b − confidence_b|      over bins of equal width
-
-    Args:
-        scores: results.
-        num_bins: bins of [0, 1].
-
-    Returns:
-        In [0, 1]; 0 is perfectly calibrated.
+    ECE = Σ_b n_b / n · |accuracy_b − confidence_b|      over ``num_bins`` of equal width
     """
     bins = np.minimum((scores.confidence * num_bins).astype(int), num_bins - 1)
     gap = scores.is_right.astype(float) - scores.confidence

@@ -56,11 +56,6 @@ class Judged:
     log_probability: tuple[float, ...]
     is_right: tuple[bool, ...]
 
-    @property
-    def tells(self) -> bool:
-        """Whether it says anything about the temperature."""
-        return any(self.is_right) and not all(self.is_right)
-
 
 @dataclasses.dataclass(frozen=True)
 class TemperatureFit:
@@ -89,7 +84,7 @@ def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
     Raises:
         ValueError: no sentence tells anything about it; one line.
     """
-    used = [one for one in sentences if one.tells]
+    used = [one for one in sentences if any(one.is_right) and not all(one.is_right)]
     if not used:
         raise ValueError(
             f"none of the {len(sentences)} sentences has both a right and a wrong rewriting that "
@@ -177,31 +172,25 @@ def train_models(
         base: where a model that is not trained comes from.
         on_progress: called with a line about each stage.
 
-    Returns:
-        The model and a report.
-
     Raises:
         ValueError: the corpus is unsound, or has no sentence to train on.
     """
     say = on_progress or (lambda line: None)
     say("reading the corpus")
-    examples = (
-        load_corpus()
-        if corpus is None
-        else read_corpus(corpus / "corpus.jsonl" if corpus.is_dir() else corpus)
-    )
+    if corpus is None:
+        examples = load_corpus()
+    else:
+        examples = read_corpus(corpus / "corpus.jsonl" if corpus.is_dir() else corpus)
     train = [example for example in examples if example.split == "train"]
-    test = [example for example in examples if example.split == "test"]
     if not train:
         raise ValueError("the corpus has no sentence marked 'train'")
-    templates = sorted({example.template for example in train})
-    kept = set(templates[::5])
+    kept = set(sorted({example.template for example in train})[::5])
     type_names = load_lexicon().type_names
     data = _Data(
         type_names,
         read_examples(train, type_names),
         np.array([example.template in kept for example in train]),
-        read_examples(test, type_names),
+        read_examples([one for one in examples if one.split == "test"], type_names),
     )
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
@@ -210,8 +199,7 @@ def train_models(
         models[name], report[name] = _train_one(name, data, models)
     if set(models) != set(MODELS):
         raise ValueError("to train one model alone, give the weights that the other comes from")
-    model = GroundingModel(models["annotation"], models["behavior"], data.type_names)
-    return Trained(model, report)
+    return Trained(GroundingModel(models["annotation"], models["behavior"], type_names), report)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -239,8 +227,10 @@ def _train_one(
     fitted = time.perf_counter() - begin
     tuning = [x for x, kept in zip(data.train, data.is_tuning, strict=True) if kept]
 
-    def score(model: CorrespondenceModel, which: Sequence[LabelledInstruction]) -> Scores:
-        judged = Models.of([model])
+    def score(
+        model: CorrespondenceModel, temperature: float, which: Sequence[LabelledInstruction]
+    ) -> Scores:
+        judged = Models.of([dataclasses.replace(model, temperature=temperature)])
         if name == "annotation":
             return score_annotations(which, judged, None, data.type_names).by_width[BEAM_WIDTH][0]
         if "annotation" not in models:
@@ -249,11 +239,7 @@ def _train_one(
         found = score_behaviors(which, ranks, judged, None, data.type_names)
         return found.by_width[BEAM_WIDTH][0]
 
-    def warm(temperature: float, model: CorrespondenceModel) -> CorrespondenceModel:
-        return dataclasses.replace(model, temperature=temperature)
-
-    temperature = fit_temperature(lambda t: score(warm(t, part), tuning)) if tuning else 1.0
-    model = warm(temperature, full)
+    temperature = fit_temperature(lambda t: score(part, t, tuning)) if tuning else 1.0
     report = {
         "examples": int(laid_out.sizes.sum()),
         "features": full.num_features,
@@ -264,11 +250,11 @@ def _train_one(
         "temperature": temperature,
     }
     if data.held_out:
-        before, after = score(full, data.held_out), score(model, data.held_out)
+        before, after = (score(full, t, data.held_out) for t in (full.temperature, temperature))
         report |= {
             "held_out": len(after.is_right),
             "accuracy": round(after.accuracy, 4),
             "calibration_error_before": round(calibration_error(before), 4),
             "calibration_error": round(calibration_error(after), 4),
         }
-    return model, report
+    return dataclasses.replace(full, temperature=temperature), report
