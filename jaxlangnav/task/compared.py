@@ -1,14 +1,12 @@
 """What a label means against what the trained graph makes of its sentence (section 4.1).
 
 They agree where the sentence says of the world what its label says, and where each of its commands
-asks for the same, nothing asked twice: that is tried in a world made of the things of the label,
-which are related as the label has it, and of one more of each type of which something is said,
-which is not.
+asks for the same, nothing asked twice. That is tried in a world of the label's things, related as
+the label has it, and of one more of each type of which something is said, which is not.
 """
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -59,7 +57,14 @@ def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...
         return f"speaks of {_listed(types)}, not of {_listed(own_types)}"
     meant = {_named(meaning, one) for one in reading.relations}
     if relations != meant:
-        return f"says {_listed(map(_worded, relations))}, not {_listed(map(_worded, meant))}"
+        said, wanted = (
+            _listed(
+                f"{figure} {name} {landmark}" + (f", rank {rank}" if rank else "")
+                for figure, name, landmark, rank in some
+            )
+            for some in (relations, meant)
+        )
+        return f"says {said}, not {wanted}"
     try:
         kinds = [names.index(meaning.type_of(one)) for one in _slots(meaning)]
     except ValueError:
@@ -98,13 +103,7 @@ def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], s
     return {noun_of(kind, names) for kind in kinds if kind >= 0}, relations
 
 
-def _worded(relation: Relation) -> str:
-    """Write a relation: "cone near car, rank 1"."""
-    figure, name, landmark, rank = relation
-    return f"{figure} {name} {landmark}" + (f", rank {rank}" if rank else "")
-
-
-def _listed(parts: Any) -> str:
+def _listed(parts: Iterable[str]) -> str:
     """Write some names in one order."""
     return "; ".join(sorted(parts)) or "nothing"
 
@@ -115,12 +114,11 @@ def _asked(instruction: Instruction, world: World) -> list[_Asked]:
     for clause, behavior in enumerate(infer_commands(instruction, world)):
         goal = behavior.goal
         least = max(LEAST, ALIKE * float(goal.max()))
-        kept_out = behavior.constraint.max(axis=0) > 0.5
         asked = _Asked(
             action=int(behavior.action.argmax()),
             mode=int(behavior.mode.argmax()),
-            ends=frozenset((int(r), int(slot)) for r, slot in np.argwhere(goal >= least)),
-            avoided=frozenset(int(slot) for slot in np.nonzero(kept_out)[0]),
+            ends=frozenset(map(tuple, np.argwhere(goal >= least).tolist())),
+            avoided=frozenset(np.flatnonzero(behavior.constraint.max(axis=0) > 0.5).tolist()),
             metres=float(instruction.metres[clause]),
             frame=tuple(np.asarray(instruction.frame)[clause].tolist()),
         )
@@ -177,19 +175,16 @@ def _fitting(meaning: Meaning, thing: int, world: World) -> set[int]:
         return {last}
     fitting = world.object_type == world.object_type[thing]
     for one in meaning.reading.relations:
-        if one.figure != thing:
-            continue
-        landmark = last if one.landmark == ROBOT else one.landmark
-        holds = world.is_ranked[min(one.rank, 2) - 1] if one.rank > 0 else world.is_related
-        fitting = fitting & holds[one.relation, :, landmark]
-    return {int(slot) for slot in np.nonzero(fitting)[0]}
+        if one.figure == thing:
+            landmark = last if one.landmark == ROBOT else one.landmark
+            holds = world.is_ranked[min(one.rank, 2) - 1] if one.rank > 0 else world.is_related
+            fitting = fitting & holds[one.relation, :, landmark]
+    return set(np.flatnonzero(fitting).tolist())
 
 
 def _ends(ends: Iterable[tuple[int, int]], meaning: Meaning, world: World) -> str:
     """Write goals: region and slot, with its type."""
-    written = []
-    for region, slot in sorted(ends):
-        is_robot = slot == len(world.object_type) - 1
-        kind = "robot" if is_robot else meaning.type_of(_slots(meaning)[slot])
-        written.append(f"{REGIONS[region]} {kind} ({slot})")
-    return ", ".join(written) or "nowhere"
+    kinds = [*map(meaning.type_of, _slots(meaning)), "robot"]
+    return (
+        ", ".join(f"{REGIONS[region]} {kinds[s]} ({s})" for region, s in sorted(ends)) or "nowhere"
+    )

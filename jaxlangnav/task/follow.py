@@ -106,15 +106,13 @@ def usual_engine(
 ) -> tuple[NavigatorParams, NavigatorConfig]:
     """Choose the navigator's numbers and sizes by what it has to hold.
 
+    In worlds drawn from their templates those of the paper's tables, in any other the numbers of
+    ``Navigator.pretrained``; its sizes too where more things stand than the tables' hold.
+
     Args:
         world: a template, a shipped world or a file.
         policy: "informed", "faithful", or a policy of somebody's own.
         particles: P.
-
-    Returns:
-        Those of the paper's tables in worlds drawn from their templates, and the numbers of
-        ``Navigator.pretrained``, for places as they are, in any other; its sizes too where more
-        things stand than the tables' hold.
 
     Raises:
         ValueError: no such world or policy, or a bad file.
@@ -186,30 +184,20 @@ def judged(recording: Recording, prepared: Prepared, *, has_person: bool = False
 
     To navigate is to stop within 1.5 m of the goal, which the episode has judged itself; to find
     is to stop with the goal in view. Where nothing fits, or several places do and nothing says
-    which is meant, there is nothing to judge: no success.
-
-    Args:
-        recording: the episode.
-        prepared: what was asked for.
-        has_person: whether a simulated person speaks, who has one of several places in mind.
-
-    Returns:
-        The recording, its result judged, and where it may have stopped.
+    which is meant, there is nothing to judge: no success. A simulated person who speaks
+    (``has_person``) has one of several places in mind.
     """
     result, scene = recording.result, recording.scene
-    radius = SUCCESS_RADIUS
-    if prepared.is_find:
-        radius = max(float(scene.sensor.range_max), SUCCESS_RADIUS)
+    in_view = float(scene.sensor.range_max) if prepared.is_find else 0.0
+    radius = max(in_view, SUCCESS_RADIUS)
     is_judged = prepared.is_meant and (has_person or not prepared.unjudged)
     is_arrived = (result.ending == Status.ARRIVED) & is_judged
     is_success = np.asarray(is_arrived & (result.goal_distance <= radius))
-    return dataclasses.replace(
-        recording,
-        scene=dataclasses.replace(
-            scene,
-            stop_radius=radius,
-            is_judged=is_judged,
-            unjudged=prepared.unjudged or scene.unjudged,
-        ),
-        result=replace(result, is_success=is_success),
+    scene = dataclasses.replace(
+        scene,
+        stop_radius=radius,
+        is_judged=is_judged,
+        unjudged=prepared.unjudged or scene.unjudged,
     )
+    result = replace(result, is_success=is_success)
+    return dataclasses.replace(recording, scene=scene, result=result)

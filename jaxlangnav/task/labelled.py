@@ -58,24 +58,25 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
     The goals that fit best, none where nothing fits; and whether finding is enough.
     """
     placed = place_scenario(scenario, understood.type_names)
-    behaviors = _infer_in(understood.instruction, placed, understood.type_names)
-    if not behaviors:
-        return [], False
-    last, told = behaviors[-1], understood.instruction
-    metres, frame = (np.asarray(one)[len(behaviors) - 1] for one in (told.metres, told.frame))
-    viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
-    best = float(last.goal.max())
+    told = understood.instruction
+    behaviors = _infer_in(told, placed, understood.type_names)
+    best = float(behaviors[-1].goal.max()) if behaviors else 0.0
     if best < LEAST:
         return [], False
+    last = behaviors[-1]
+    metres, frame = (np.asarray(one)[len(behaviors) - 1] for one in (told.metres, told.frame))
+    viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
     kept = np.flatnonzero(np.asarray(scenario.is_object))
-    goals = [
-        Goal(
-            region=int(region),
-            index=int(kept[slot]) if slot < len(kept) else NONE,
-            position=_position(placed, int(region), int(slot), viewer, metres),
-        )
-        for region, slot in zip(*np.nonzero(last.goal >= ALIKE * best), strict=True)
-    ]
+    goals = []
+    for region, slot in np.argwhere(last.goal >= ALIKE * best).tolist():
+        is_robot = slot == len(kept)
+        x, y = viewer[:2].tolist() if is_robot else placed.objects[slot][1:]
+        if region != AT:
+            at = np.int32(region), np.float32(x), np.float32(y)
+            offset = _offset(*at, viewer, np.bool_(is_robot), metres)
+            x, y = x + float(offset[0]), y + float(offset[1])
+        index = NONE if is_robot else int(kept[slot])
+        goals.append(Goal(region=region, index=index, position=(x, y)))
     return goals, bool(last.action.argmax() == 1)
 
 
@@ -99,19 +100,6 @@ def with_goal(scenario: Scenario, goal: Goal) -> Scenario:
     return replace(
         scenario, goal=jnp.asarray(goal.position, jnp.float32), goal_index=jnp.int32(index)
     )
-
-
-def _position(
-    placed: PlacedWorld, region: int, slot: int, viewer: np.ndarray, metres: np.float32
-) -> tuple[float, float]:
-    """Compute the place that a region means."""
-    is_robot = slot == len(placed.objects)
-    x, y = viewer[:2].tolist() if is_robot else placed.objects[slot][1:]
-    if region == AT:
-        return x, y
-    place = np.int32(region), np.float32(x), np.float32(y), viewer, np.bool_(is_robot), metres
-    offset = _offset(*place)
-    return x + float(offset[0]), y + float(offset[1])
 
 
 @jax.jit
@@ -155,13 +143,7 @@ class LabelledSentence:
 
 
 def read_sentences(path: Path) -> list[LabelledSentence]:
-    """Read a file of labelled sentences.
-
-    Args:
-        path: of a file in the format above; empty lines are left out.
-
-    Returns:
-        Its sentences, in order.
+    """Read a file of labelled sentences, in order; empty lines are left out.
 
     Raises:
         ValueError: no such file, or a line cannot be; one line that names file, line and remedy.
@@ -197,33 +179,22 @@ def _read_line(number: int, document: Any) -> LabelledSentence:
     for name in ("text", "label"):
         if name not in document:
             raise ValueError(f"{name} is missing: every line needs text and label")
-    construction, part = (document.get(name, "") for name in ("construction", "set"))
-    texts = {"text": document["text"], "construction": construction, "set": part}
+    texts = {name: document.get(name, "") for name in ("text", "construction", "set")}
     for name, value in texts.items():
         if not isinstance(value, str):
             raise ValueError(f"{name} is {quote(value)}, but must be a string")
-    if len(construction) > _LONGEST_NAME:
+    if len(texts["construction"]) > _LONGEST_NAME:
         raise ValueError(
-            f"construction has {len(construction)} characters, but at most {_LONGEST_NAME} are "
-            "held: shorten it"
+            f"construction has {len(texts['construction'])} characters, but at most "
+            f"{_LONGEST_NAME} are held: shorten it"
         )
-    return LabelledSentence(
-        line=number,
-        text=document["text"],
-        construction=construction,
-        set=part,
-        meaning=_read_label(document["label"]),
-    )
-
-
-def _read_label(label: Any) -> Meaning | None:
-    """Read what a sentence means."""
-    if label == REFUSE:
-        return None
-    if isinstance(label, str):
-        raise ValueError(f"label is {quote(label)}, but must be 'refuse' or an object")
-    reading, names = read_meaning(label, path="label")
-    return Meaning(reading, tuple(type_called(name.lower()) or name for name in names))
+    label, meaning = document["label"], None
+    if label != REFUSE:
+        if isinstance(label, str):
+            raise ValueError(f"label is {quote(label)}, but must be 'refuse' or an object")
+        reading, types = read_meaning(label, path="label")
+        meaning = Meaning(reading, tuple(type_called(name.lower()) or name for name in types))
+    return LabelledSentence(line=number, **texts, meaning=meaning)
 
 
 _RAREST = 1e-3
@@ -233,20 +204,13 @@ _RAREST = 1e-3
 def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     """Reveal a scenario: its objects in the order of their slots, and the robot at its start."""
     kept = np.flatnonzero(np.asarray(scenario.is_object))
-    types, xs, ys = (
-        np.asarray(one)[kept]
-        for one in (scenario.object_type, scenario.object_x, scenario.object_y)
-    )
-    x, y, heading = (float(one) for one in np.asarray(scenario.start))
-    return PlacedWorld(
-        objects=tuple(
-            (names[int(kind)], float(x), float(y)) for kind, x, y in zip(types, xs, ys, strict=True)
-        ),
-        robot=(x, y, heading),
-        attributes=()
-        if scenario.object_attribute is None
-        else tuple(np.asarray(scenario.object_attribute)[kept].tolist()),
-    )
+    fields = (scenario.object_type, scenario.object_x, scenario.object_y)
+    types, xs, ys = (np.asarray(one)[kept].tolist() for one in fields)
+    x, y, heading = np.asarray(scenario.start).tolist()
+    attributes = scenario.object_attribute
+    codes = [] if attributes is None else np.asarray(attributes)[kept].tolist()
+    objects = zip((names[kind] for kind in types), xs, ys, strict=True)
+    return PlacedWorld(tuple(objects), (x, y, heading), attributes=tuple(codes))
 
 
 def _infer_in(
@@ -281,8 +245,8 @@ def list_behaviors(
             * behavior.mode[None, :, None, None]
             * behavior.goal[None, None]
         )
-        for index in zip(*np.nonzero(joint >= _RAREST), strict=True):
-            action, mode, region, slot = map(int, index)
+        for index in map(tuple, np.argwhere(joint >= _RAREST).tolist()):
+            action, mode, region, slot = index
             is_robot = slot == len(placed.objects)
             name, x, y = ("robot", *placed.robot[:2]) if is_robot else placed.objects[slot]
             goal = {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}

@@ -4,8 +4,8 @@ A world is drawn from a template so that the sentence is true in it, or is someb
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence, Set
-from typing import Any, TypeVar
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,6 @@ from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
 from jaxlangnav.world.state import NUM_SLOTS, Scenario
 from jaxlangnav.world.templates import Template
 
-_T = TypeVar("_T")
 AnnotationDocument = Mapping[str, Any]
 """An annotation: ``figure``, ``relation``, ``landmark``, ``superlative``, ``probability``."""
 _NUM_TRIES = 64
@@ -34,15 +33,11 @@ _NUM_TRIES = 64
 class Prepared:
     """An episode to run, and what a person means in its world."""
 
-    world: str
-    """The world's name."""
+    world: str  # its name
     task: Task
-    is_find: bool
-    """Whether having the goal in view is enough."""
-    is_meant: bool
-    """Whether anything there fits the sentence."""
-    is_drawn: bool
-    """Whether the world has been drawn from a template."""
+    is_find: bool  # having the goal in view is enough
+    is_meant: bool  # something there fits the sentence
+    is_drawn: bool  # the world has been drawn from a template
     num_alike: int = 1
     """Places there that fit the sentence alike, where nothing says which of them is meant."""
     missing: tuple[str, ...] = ()
@@ -59,17 +54,6 @@ class Prepared:
         return f"{self.num_alike} places fit the sentence alike, and nothing says which is meant"
 
 
-def _relation_said(annotations: Iterable[AnnotationDocument]) -> str:
-    """Tell for which of Table 2's commands to draw a world, so that the sentence is true in it."""
-    for said in annotations:
-        if (said["figure"], said["landmark"]) == ("hydrant", "cone"):
-            if said["relation"] == "behind":
-                return "behind"
-            if said["relation"] == "near" and said["superlative"]:
-                return "nearest"
-    return "null"
-
-
 def open_task(
     world: str, understood: Understanding, *, sensing_range: float | None, seed: int
 ) -> Prepared:
@@ -80,9 +64,6 @@ def open_task(
         understood: the sentence; a template's world is drawn so that it is true there.
         sensing_range: metres; that of the world, 3 m for a template, where None.
         seed: of world and noise.
-
-    Returns:
-        The world's name and the task, with the goal that the sentence means.
 
     Raises:
         ValueError: no such world, a bad file, or a template that has nothing of what is asked.
@@ -100,9 +81,7 @@ def open_task(
         own, said = (" ".join(one.lower().split()).rstrip(".!") for one in words)
         # Whether it is the sentence that the world's goal has been written for.
         is_own = place.has_goal and own == said
-        return _judge(
-            place.name, task, understood, is_own=is_own, is_drawn=False, has_goal=place.has_goal
-        )
+        return _judge(place.name, task, understood, is_own=is_own, has_goal=place.has_goal)
     return _draw(place, understood, sensing_range or 3.0, seed)
 
 
@@ -117,8 +96,7 @@ def refuse_what_it_lacks(world: str, understood: Understanding) -> None:
         return
     counts = [("hydrant", place.num_hydrants), ("cone", place.num_cones)]
     there = [(name, number) for name, number in counts if number]
-    types = understood.type_names
-    missing = _lacking({name for name, _ in there}, understood.annotations, types)
+    missing = _lacking(there, understood.annotations, understood.type_names)
     if missing:
         raise ValueError(nothing_there(place.name, there, missing))
 
@@ -176,16 +154,18 @@ def absent_types(
     scenario: Scenario, annotations: Iterable[AnnotationDocument], names: Sequence[str]
 ) -> list[str]:
     """List the types that annotations speak of and a world lacks, in their order."""
-    return _lacking({name for name, _ in count_types(scenario, names)}, annotations, names)
+    return _lacking(count_types(scenario, names), annotations, names)
 
 
 def _lacking(
-    there: Set[str], annotations: Iterable[AnnotationDocument], names: Sequence[str]
+    counts: Sequence[tuple[str, int]],
+    annotations: Iterable[AnnotationDocument],
+    names: Sequence[str],
 ) -> list[str]:
     """List what the sentence speaks of and is not among what is there."""
     likely = [said for said in annotations if said["probability"] >= 0.5]
     spoken = dict.fromkeys(said[role] for said in likely for role in ("figure", "landmark"))
-    return [name for name in spoken if name in names and name not in there]
+    return [name for name in spoken if name in names and name not in dict(counts)]
 
 
 def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int]]:
@@ -200,14 +180,19 @@ def _judge(
     task: Task,
     understood: Understanding,
     *,
-    is_own: bool,
-    is_drawn: bool,
+    is_drawn: bool = False,
+    is_own: bool = False,
     has_goal: bool = True,
 ) -> Prepared:
     """Set the goal that the sentence means; that of the world where it is as good as any."""
     goals, is_find = meant_goals(understood, task.scenario)
     is_given = is_own or (has_goal and is_among(task.scenario, goals))
     is_meant = is_own or bool(goals)
+    missing: Sequence[str] = ()
+    if not is_meant:
+        types = understood.type_names
+        placed = place_scenario(task.scenario, types)
+        missing = why_nothing_fits(placed, types, understood.instruction.readings)
     if goals and not is_given:
         task = replace(task, scenario=with_goal(task.scenario, goals[0]))
     return Prepared(
@@ -217,15 +202,7 @@ def _judge(
         is_meant=is_meant,
         is_drawn=is_drawn,
         num_alike=1 if is_given else max(len(goals), 1),
-        missing=()
-        if is_meant
-        else tuple(
-            why_nothing_fits(
-                place_scenario(task.scenario, understood.type_names),
-                understood.type_names,
-                understood.instruction.readings,
-            )
-        ),
+        missing=tuple(missing),
     )
 
 
@@ -236,15 +213,23 @@ def _draw(
 
     The first one tried is that of the first episode of the tables with this seed.
     """
-    relation = _relation_said(understood.annotations) if template.num_cones else "null"
+    # Table 2's commands have worlds of their own in which they are true.
+    relations = {"behind": "behind", "near": "nearest"}
+    said = (
+        relations[one["relation"]]
+        for one in understood.annotations
+        if (one["figure"], one["landmark"]) == ("hydrant", "cone")
+        and (one["relation"] == "behind" or (one["relation"] == "near" and one["superlative"]))
+    )
+    relation = next(said, "null")
     tasks = _tasks_of(template, relation, sensing_range, seed, 1)
-    prepared = _judge(template.name, tasks[0], understood, is_own=False, is_drawn=True)
+    prepared = _judge(template.name, tasks[0], understood, is_drawn=True)
     absent = absent_types(tasks[0].scenario, understood.annotations, understood.type_names)
     if prepared.is_meant or absent:
         return prepared
     # Here each cone stands anywhere around its hydrant: the sentence may be true in some of them.
     for task in _tasks_of(template, "nearest", sensing_range, seed, _NUM_TRIES):
-        other = _judge(template.name, task, understood, is_own=False, is_drawn=True)
+        other = _judge(template.name, task, understood, is_drawn=True)
         if other.is_meant:
             return other
     return prepared
@@ -254,24 +239,20 @@ def _tasks_of(
     template: Template, relation: str, sensing_range: float, seed: int, number: int
 ) -> list[Task]:
     """Draw the first episodes of a row of the tables, leaf by leaf on the host."""
-    if not template.num_cones:
-        relation = "null"
+    relation = relation if template.num_cones else "null"
     tasks = make_tasks(cell(template.name, relation, 0, sensing_range, number, seed))
     # On the host: taken apart on the device, each leaf would be a small program of its own.
     keys = np.asarray(jax.random.key_data(tasks.key))
-    scenarios, sensors, motions = jax.device_get((tasks.scenario, tasks.sensor, tasks.motion))
-    return [
-        Task(
+    batch = jax.device_get((tasks.scenario, tasks.sensor, tasks.motion))
+    found = []
+    for index in range(number):
+        scenario, sensor, motion = jax.tree.map(lambda leaf, i=index: leaf[i], batch)
+        task = Task(
             key=jax.random.wrap_key_data(keys[index]),
-            scenario=_at(scenarios, index),
+            scenario=scenario,
             instruction_index=jax.device_put(np.int32(0)),
-            sensor=_at(sensors, index),
-            motion=_at(motions, index),
+            sensor=sensor,
+            motion=motion,
         )
-        for index in range(number)
-    ]
-
-
-def _at(record: _T, index: int) -> _T:
-    """Take one of the records out of a batch."""
-    return jax.tree.map(lambda leaf: leaf[index], record)
+        found.append(task)
+    return found
