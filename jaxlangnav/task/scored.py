@@ -46,7 +46,7 @@ def score_sentences(
     arm: Wrapping = lambda graph: graph,
     least_probability: float = LEAST_PROBABILITY,
 ) -> list[Score]:
-    """Score labelled sentences.
+    """Score labelled sentences, in order.
 
     Args:
         sentences: with what they mean. The detector tells apart all types that these name, and
@@ -55,9 +55,6 @@ def score_sentences(
         on_progress: told after each sentence.
         arm: what reads them; the trained graph by default.
         least_probability: of what the trained reader makes of them, in [0, 1]; see ``parse``.
-
-    Returns:
-        Their scores, in order.
     """
     scores, labels = [], _labels_of(sentences, model)
     for sentence in sentences:
@@ -69,17 +66,14 @@ def score_sentences(
 
 
 def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count scores.
+    """Count scores of ``score_sentences`` in a JSON document.
 
-    Args:
-        scores: of ``score_sentences``.
-
-    Returns:
-        A JSON document: counts of all and by construction, and what is not right, worst first: a
-        wrong reading before a refusal, the surer the worse.
+    Counts of all and by construction, and what is not right, worst first: a wrong reading before a
+    refusal, the surer the worse.
     """
-    names = dict.fromkeys(score.sentence.construction for score in scores)
-    by_name = {n: [one for one in scores if one.sentence.construction == n] for n in names}
+    by_name: dict[str, list[Score]] = {}
+    for one in scores:
+        by_name.setdefault(one.sentence.construction, []).append(one)
     missed = [score for score in scores if score.outcome != CORRECT]
     missed.sort(key=lambda one: (one.outcome != WRONG, -one.confidence, one.sentence.line))
     return {
@@ -186,14 +180,10 @@ def compare_arms(
     temperature: float,
     on_progress: Callable[[int], None] | None = None,
 ) -> dict[str, Any]:
-    """Score sentences as the graph reads them, as rewritings say, and both.
+    """Score labelled sentences as the graph reads them, as their rewritings say, and both.
 
-    Args:
-        sentences: labelled.
-        recorded: their rewritings.
-        model: the trained models.
-        temperature: of the weights of rewritings.
-        on_progress: told after each sentence of each arm.
+    ``temperature`` is of the weights of rewritings; ``on_progress`` is told after each sentence of
+    each arm.
 
     Returns:
         A JSON document: ``temperature``; ``arms``, by name as ``summarize_scores`` counts, and
@@ -209,24 +199,15 @@ def compare_arms(
         REWRITES: rewritten,
         BOTH: lambda graph: FirstGrounder(graph, rewritten(graph)),
     }
-    return {
-        "temperature": temperature,
-        "arms": {
-            name: _summary(score_sentences(sentences, model, on_progress, builds[name]))
-            for name in ARMS
-        },
-    }
-
-
-def _summary(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count scores, those of sentences that mean something and of others apart."""
-    meant = [one for one in scores if one.sentence.meaning is not None]
-    others = [one for one in scores if one.sentence.meaning is None]
-    return {
-        **summarize_scores(scores),
-        "meant": _count_scores(meant),
-        "to_refuse": _count_scores(others),
-    }
+    arms = {}
+    for name in ARMS:
+        scores = score_sentences(sentences, model, on_progress, builds[name])
+        arms[name] = {
+            **summarize_scores(scores),
+            "meant": _count_scores([one for one in scores if one.sentence.meaning is not None]),
+            "to_refuse": _count_scores([one for one in scores if one.sentence.meaning is None]),
+        }
+    return {"temperature": temperature, "arms": arms}
 
 
 def fit_recorded(
@@ -237,21 +218,17 @@ def fit_recorded(
     Raises:
         ValueError: they say nothing about it; one line.
     """
-    labels = _labels_of(sentences, model)
-    return fit_source_temperature(
-        [_judge(one, recorded, GraphGrounder(model, labels)) for one in sentences if one.meaning]
-    )
-
-
-def _judge(sentence: LabelledSentence, recorded: RecordedRewrites, graph: GraphGrounder) -> Judged:
-    """Judge each rewriting that can be read by the label."""
-    found, _ = verify_rewrites(graph, recorded(sentence.text), _context_of(sentence))
-    is_right = [
-        sentence.meaning is not None
-        and not difference(sentence.meaning, one.grounded.instruction, graph.names)
-        for one in found
-    ]
-    return Judged(tuple(one.log_probability for one in found), tuple(is_right))
+    labels, judged = _labels_of(sentences, model), []
+    for one in sentences:
+        if one.meaning is None:
+            continue
+        graph = GraphGrounder(model, labels)
+        found, _ = verify_rewrites(graph, recorded(one.text), _context_of(one))
+        is_right = [
+            not difference(one.meaning, read.grounded.instruction, graph.names) for read in found
+        ]
+        judged.append(Judged(tuple(read.log_probability for read in found), tuple(is_right)))
+    return fit_source_temperature(judged)
 
 
 def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[Any, list[str]]:

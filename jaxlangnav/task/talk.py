@@ -1,8 +1,8 @@
 """What is said to a robot while an episode runs: by step, by a person at hand, by a simulated one.
 
-The ear of ``recorder.play``: it holds every utterance against the state as it then is, and keeps
-what it was taken for and what it changed. What the state refuses is kept too: the robot goes on
-with what it was at.
+The ear of ``recorder.play`` holds every utterance against the state as it then is, and keeps what
+it was taken for and what it changed. What the state refuses is kept too: the robot goes on with
+what it was at.
 """
 
 import dataclasses
@@ -102,10 +102,8 @@ def check_words(grounder: Grounder, first: Understanding, text: str) -> None:
         return
     if opening_of(text) is not None or alarm_in(text, lambda words: False) is not None:
         return
-    named = (kind for kind in first.spoken.goals if kind not in (NONE, ANYTHING))
-    about = next(named, NONE)
-    is_at = about != NONE
-    grounder.ground(said.rest, Context(is_under_way=True, about=about, is_at=is_at))
+    about = next((kind for kind in first.spoken.goals if kind not in (NONE, ANYTHING)), NONE)
+    grounder.ground(said.rest, Context(is_under_way=True, about=about, is_at=about != NONE))
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -157,22 +155,20 @@ class Earshot:
     def _doubt(self, progress: EpisodeState) -> list[Candidate]:
         """List what may be meant, where the robot asks."""
         state = progress.navigator
-        if int(state.status) != Status.WHICH_ONE:
-            return []
-        return candidates(state, names_of(self.grounder))
+        is_asking = int(state.status) == Status.WHICH_ONE
+        return candidates(state, names_of(self.grounder)) if is_asking else []
 
     def _take(self, step: int, progress: EpisodeState, speaker: str, text: str) -> EpisodeState:
-        """Take in an utterance, or keep to the task where the state refuses it."""
+        """Take in an utterance, or keep to the task where the state refuses it, and tell of it."""
         before, names = progress.navigator, names_of(self.grounder)
         try:
             after, heard = Listener(self.grounder).take(before, text)
         except ValueError as refusal:
             why = str(refusal).removeprefix(f"{cut(text)!r}: ")
             line = " ".join(why.split()).rstrip(".")
-            self._keep(Remark(step=step, text=text, speaker=speaker, refusal=line))
-            return progress
-        self._keep(
-            Remark(
+            said = Remark(step=step, text=text, speaker=speaker, refusal=line)
+        else:
+            said = Remark(
                 step=step,
                 text=text,
                 kind=str(heard.kind),
@@ -181,13 +177,10 @@ class Earshot:
                 notes=heard.notes,
                 scene=self._scene_of(before, after),
             )
-        )
-        return replace(progress, navigator=after)
-
-    def _keep(self, said: Remark) -> None:
-        """Keep an utterance, and tell of it."""
+            progress = replace(progress, navigator=after)
         self.said.append(said)
         self.on_said(said)
+        return progress
 
     def _scene_of(self, before: NavigatorState, after: NavigatorState) -> StaticScene | None:
         """Set the scene anew where words have been joined with those before."""
@@ -195,28 +188,20 @@ class Earshot:
         told, earlier = jax.device_get((after.instruction, before.instruction))
         if jax.tree.all(jax.tree.map(np.array_equal, told, earlier)):
             return None
-        names = getattr(self.grounder, "names", self.grounder.type_names)
         return dataclasses.replace(
             self.scene,
             readings=told.readings,
             num_clauses=int(told.num_clauses),
             asks=tuple(asked(told)),
-            type_names=tuple(names),
+            type_names=tuple(names_of(self.grounder)),
         )
 
 
 def with_talk(recording: Recording, ear: Earshot) -> Recording:
-    """Add to an episode what was said in it.
+    """Add to an episode what was said in it, by the ear that has heard it.
 
     What a person at hand has said may mean another goal than the one the world was opened for, so
     it cannot be judged then; a simulated person has that goal in mind.
-
-    Args:
-        recording: the episode.
-        ear: that has heard it.
-
-    Returns:
-        The recording.
     """
     is_else = any(one.speaker == YOU and one.kind in CHANGE_WHAT_IS_MEANT for one in ear.said)
     scene, result = recording.scene, recording.result
@@ -224,11 +209,10 @@ def with_talk(recording: Recording, ear: Earshot) -> Recording:
         why = "what was said under way may mean another goal"
         scene = dataclasses.replace(scene, is_judged=False, unjudged=why)
         result = replace(result, is_success=np.asarray(False))
-    is_asking = int(result.ending) == Status.WHICH_ONE
     return dataclasses.replace(
         recording,
         scene=scene,
         result=result,
         said=tuple(ear.said),
-        candidates=ear.candidates if is_asking else (),
+        candidates=ear.candidates if int(result.ending) == Status.WHICH_ONE else (),
     )
