@@ -1,7 +1,7 @@
 """A grounder for annotations that others give: a form, a person, a language model (section 3.1).
 
-It reads no words. What the robot is to do with the annotations is what it does with those of the
-trained graph: they are evidence for the map, and their doubt is doubt about the map.
+It reads no words. The annotations are evidence for the map, like those of the trained graph, and
+their doubt is doubt about the map.
 """
 
 import dataclasses
@@ -41,10 +41,10 @@ class AnnotationGrounder:
 
     def __post_init__(self) -> None:
         """Refuse types that the programs cannot tell apart."""
-        names = self.type_names
-        if not 0 < len(names) <= MOST_LABELS or len(set(names)) < len(names):
+        number, different = len(self.type_names), len(set(self.type_names))
+        if not 0 < different == number <= MOST_LABELS:
             raise ValueError(
-                f"type_names has {len(names)} names, {len(set(names))} of them different; "
+                f"type_names has {number} names, {different} of them different; "
                 f"1 to {MOST_LABELS} are held, each once"
             )
 
@@ -85,19 +85,17 @@ def _to_instruction(form: Form) -> Instruction:
 
 def returning() -> Instruction:
     """Build the instruction to come to where the one who gives it stands."""
-    command = FormCommand(
-        action=ACTIONS.index("navigate"), mode=0, region=AT, thing=ROBOT, avoid=()
-    )
-    reading = FormReading(probability=1.0, types=(), relations=(), commands=(command,))
-    return _to_instruction(Form(readings=(reading,), notes=()))
+    action = ACTIONS.index("navigate")
+    command = FormCommand(action=action, mode=0, region=AT, thing=ROBOT, avoid=())
+    return _to_instruction(Form((FormReading(1.0, (), (), (command,)),), notes=()))
 
 
 def _reading(form: FormReading, path: str) -> Reading:
     """Turn one reading into mentions and relations, landmarks before the figures beside them."""
     said = in_order(form.relations, lambda one: (one.figure, one.landmark))
     touched = [end for one in said for end in (one.landmark, one.figure)]
-    things = list(dict.fromkeys((*touched, *range(len(form.types)))))
     alone = [thing for thing in range(len(form.types)) if thing not in touched]
+    things = list(dict.fromkeys((*touched, *range(len(form.types)))))
     place = {thing: mention for mention, thing in enumerate(things)}
     relations = [
         (place[one.figure], one.relation, place[one.landmark], one.rank)

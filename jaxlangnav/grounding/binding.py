@@ -50,11 +50,7 @@ class Detector:
     """
 
     def __init__(self, labels: Iterable[str], attribute_groups: Iterable[str] = ()) -> None:
-        """Check labels and groups.
-
-        Args:
-            labels: names of what it tells apart, in the order of its indices.
-            attribute_groups: groups of ``ATTRIBUTES`` that it reports.
+        """Check the labels, in the order of its indices, and the ``ATTRIBUTES`` that it reports.
 
         Raises:
             ValueError: no label, too many, one that is no name, twice, empty or a word of the
@@ -64,9 +60,12 @@ class Detector:
         self.attribute_groups = frozenset(
             names_in(attribute_groups, "attributes", at_most=MOST_LABELS)
         )
-        self._names = [_plain(label) for label in self.labels]
+        self._names = [  # as sentences write them: "Stop_Sign" is "stop sign"
+            " ".join(plainly(label).replace("_", " ").replace("-", " ").split())
+            for label in self.labels
+        ]
         self._beyond: list[str] = []
-        fault = _fault_of(self.labels, self._names)
+        fault = self._fault()
         if fault:
             raise ValueError(
                 f"the detector's labels have {fault}: give 1 to {MOST_LABELS - 1} names, none "
@@ -79,6 +78,19 @@ class Detector:
                 f"{', '.join(ATTRIBUTES)}"
             )
 
+    def _fault(self) -> str:
+        """Say what is wrong with the labels; empty: nothing."""
+        names = self._names
+        if not 0 < len(names) < MOST_LABELS:
+            return f"{len(names)} names"
+        if "" in names:
+            return f"an empty name at place {names.index('') + 1}"
+        twice = next((name for name, number in Counter(names).items() if number > 1), None)
+        if twice is not None:
+            return f"{twice!r} twice"
+        taken = next((name for name in names if is_of_grammar(name)), None)
+        return f"{taken!r}, which has a meaning of its own in every sentence" if taken else ""
+
     @property
     def names(self) -> tuple[str, ...]:
         """The labels, and after them nouns that there was no label for."""
@@ -90,10 +102,7 @@ class Detector:
         return frozenset().union(*(load_nouns().alike(name) for name in self._names))
 
     def find(self, noun: str) -> tuple[tuple[int, ...], bool]:
-        """Find the labels that a thing of a noun may have.
-
-        Args:
-            noun: a name in the singular, small letters.
+        """Find the labels that a thing of a noun may have, a name in the singular, small letters.
 
         Returns:
             Indices of the labels, none where it has none; and whether they mean the noun itself,
@@ -103,7 +112,6 @@ class Detector:
             found = self._with(names)
             if found:
                 return found, True
-        head = noun.split()[-1]
         foreign = load_lexicon().entries["foreign"]
         kinds = tuple(
             i
@@ -112,13 +120,14 @@ class Detector:
         )
         if kinds:
             return kinds, True  # "the sign": any of the detector's signs
-        broader = load_nouns().broader
-        wider = [names for one in (broader.get(noun), head) if one for names in _ways_to_say(one)]
-        # A mail box is no box, and a tree house no house.
-        if tuple(noun.split()) in foreign:
-            wider = []
-        found = next((found for names in wider if (found := self._with(names))), ())
-        return found, False
+        if tuple(noun.split()) in foreign:  # a mail box is no box, and a tree house no house
+            return (), False
+        for one in (load_nouns().broader.get(noun), noun.split()[-1]):
+            for names in _ways_to_say(one) if one else ():
+                found = self._with(names)
+                if found:
+                    return found, False
+        return (), False
 
     def _with(self, names: frozenset[str]) -> tuple[int, ...]:
         """List the labels that are one of the names, written as one word or several."""
@@ -136,24 +145,6 @@ class Detector:
                 raise ValueError(f"more than {MOST_LABELS} nouns and labels: start a new navigator")
             self._beyond.append(noun)
         return len(self.labels) + self._beyond.index(noun)
-
-
-def _fault_of(labels: Sequence[str], names: Sequence[str]) -> str:
-    """Say what is wrong with labels, given as sentences say them too; empty: nothing."""
-    if not 0 < len(labels) < MOST_LABELS:
-        return f"{len(labels)} names"
-    if "" in names:
-        return f"an empty name at place {names.index('') + 1}"
-    twice = next((name for name, number in Counter(names).items() if number > 1), None)
-    if twice is not None:
-        return f"{twice!r} twice"
-    taken = next((name for name in names if is_of_grammar(name)), None)
-    return "" if taken is None else f"{taken!r}, which has a meaning of its own in every sentence"
-
-
-def _plain(label: str) -> str:
-    """Write a label as sentences do: "Stop_Sign" is "stop sign"."""
-    return " ".join(plainly(label).replace("_", " ").replace("-", " ").split())
 
 
 def _ways_to_say(noun: str) -> Iterator[frozenset[str]]:
@@ -188,7 +179,7 @@ class Bound:
         """Put kinds in place of the sentence's types in a program's ``own``, i32[H, 4]."""
         rewritten = np.full_like(own, NONE)
         for row, named in zip(rewritten, own, strict=True):
-            kinds = [k for one in named if one != NONE for k in self.kinds_of(int(one))]
+            kinds = [kind for one in named[named != NONE] for kind in self.kinds_of(int(one))]
             row[: len(kinds)] = kinds[:NUM_OWN]
         return rewritten
 
@@ -315,15 +306,7 @@ def said_noun(phrase: Phrase) -> str:
 
 
 def bind(tree: Parse, type_names: Sequence[str], detector: Detector) -> Bound:
-    """Bind the types of a sentence.
-
-    Args:
-        tree: as the parser makes it.
-        type_names: types that the trained models know.
-        detector: what is told apart.
-
-    Returns:
-        The sentence with its own types.
+    """Bind the types of a sentence, as the parser makes it; ``type_names`` are those of the models.
 
     Raises:
         UnknownObjectError: the goal of a command has no label, or a noun far too many.

@@ -1,7 +1,7 @@
 """A form of annotations: what an instruction says and asks for, without its words (section 3.1).
 
-Whoever can read an instruction fills it in: a person, a program, a language model. It is JSON,
-described by ``annotation_schema()``, and refused field by field.
+A person, a program or a language model fills it in. It is JSON, described by
+``annotation_schema()``, and refused field by field.
 """
 
 import dataclasses
@@ -57,22 +57,24 @@ def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str =
     if error is None:
         return
     place, found, limit = f"{path}{error.json_path[1:]}", error.instance, error.validator_value
-    if error.validator == "required":
-        missing = next(name for name in limit if name not in found)
-        raise ValueError(f"{place}.{missing} is missing: add it")
-    if error.validator == "additionalProperties":
-        known = error.schema["properties"]
-        name = quote(next(name for name in found if name not in known))
-        raise ValueError(
-            f"{place} has a field {name}, but may only have {', '.join(known)}: leave it out"
-        )
-    if error.validator == "maxItems":
-        raise ValueError(f"{place} has {len(found)} entries, but at most {limit} are held")
-    wanted = error.schema["description"]
-    if error.validator == "enum":
-        wanted = f"one of {', '.join(limit)}"
-    elif error.validator == "type":
-        wanted = f"of type {limit}: {wanted}"
+    match error.validator:
+        case "required":
+            missing = next(name for name in limit if name not in found)
+            raise ValueError(f"{place}.{missing} is missing: add it")
+        case "additionalProperties":
+            known = error.schema["properties"]
+            name = quote(next(name for name in found if name not in known))
+            raise ValueError(
+                f"{place} has a field {name}, but may only have {', '.join(known)}: leave it out"
+            )
+        case "maxItems":
+            raise ValueError(f"{place} has {len(found)} entries, but at most {limit} are held")
+        case "enum":
+            wanted = f"one of {', '.join(limit)}"
+        case "type":
+            wanted = f"of type {limit}: {error.schema['description']}"
+        case _:
+            wanted = error.schema["description"]
     raise ValueError(f"{place} is {quote(found)}, but must be {wanted}")
 
 
@@ -128,14 +130,7 @@ def annotation_schema() -> Mapping[str, Any]:
 
 
 def read_form(text: str, type_names: Sequence[str]) -> Form:
-    """Read a form.
-
-    Args:
-        text: JSON that fits ``annotation_schema()``.
-        type_names: object types that a thing may have.
-
-    Returns:
-        The form.
+    """Read JSON that fits ``annotation_schema()``; ``type_names`` are the types a thing may have.
 
     Raises:
         ValueError: it is no JSON, or a field cannot be; one line with the field's JSON path.
@@ -151,22 +146,20 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
             f"$.readings: the probabilities sum to {total:.3g}, but must sum to 1: divide each by "
             "their sum, or add the reading that is missing"
         )
+    asked = readings[0].commands
     for i, reading in enumerate(readings):
-        if len(reading.commands) != len(readings[0].commands):
+        if len(reading.commands) != len(asked):
             raise ValueError(
                 f"$.readings[{i}].commands has {len(reading.commands)} entries, but the first "
-                f"reading has {len(readings[0].commands)}: every reading needs as many"
+                f"reading has {len(asked)}: every reading needs as many"
             )
-        for j, (one, first) in enumerate(zip(reading.commands, readings[0].commands, strict=True)):
+        for j, (one, first) in enumerate(zip(reading.commands, asked, strict=True)):
             if one.metres != first.metres:
                 raise ValueError(
                     f"$.readings[{i}].commands[{j}].goal.metres is {one.metres:g}, but "
                     f"{first.metres:g} in the first reading: it must be the same in all"
                 )
-    shares = [
-        dataclasses.replace(reading, probability=reading.probability / total)
-        for reading in readings
-    ]
+    shares = [dataclasses.replace(one, probability=one.probability / total) for one in readings]
     return Form(tuple(shares), tuple(document.get("notes", ())))
 
 
@@ -226,7 +219,16 @@ def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> 
         _read_relation(one, index, f"{path}.relations[{i}]")
         for i, one in enumerate(document.get("relations", ()))
     )
-    _check_pairs(relations, tuple(index), path)
+    ids = {thing: quote(name) for name, thing in index.items()}
+    for figure in dict.fromkeys(one.figure for one in relations if one.rank == BETWEEN):
+        its = [one for one in relations if one.rank == BETWEEN and one.figure == figure]
+        landmarks = sorted({one.landmark for one in its})
+        if len(landmarks) != 2:
+            raise ValueError(
+                f"{path}.relations has {ids[figure]} between "
+                f"{', '.join(ids[one] for one in landmarks)}, but a thing lies "
+                "between two: one entry for each of its two landmarks"
+            )
     commands = tuple(
         _read_command(one, index, f"{path}.commands[{i}]")
         for i, one in enumerate(document.get("commands", ()))
@@ -235,29 +237,23 @@ def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> 
     return FormReading(float(document["probability"]), types, relations, commands)
 
 
-def _look_up(name: str, index: Mapping[str, int], path: str) -> int:
+def _look_up(name: str, index: Mapping[str, int], path: str, *, may_be_robot: bool = True) -> int:
     """Find the thing of an id."""
     if name not in index:
         raise ValueError(
             f"{path} is {quote(name)}, but this reading has no such thing: use one of "
             f"{', '.join(index)}, or add it to things"
         )
-    return index[name]
-
-
-def _look_up_thing(name: str, index: Mapping[str, int], path: str) -> int:
-    """Find the thing of an id that must not be the robot."""
-    found = _look_up(name, index, path)
-    if found == ROBOT:
+    if index[name] == ROBOT and not may_be_robot:
         raise ValueError(f"{path} is 'robot', but must be a thing of this reading")
-    return found
+    return index[name]
 
 
 def _read_relation(
     document: Mapping[str, Any], index: Mapping[str, int], path: str
 ) -> FormRelation:
     """Read one relation."""
-    figure = _look_up_thing(document["figure"], index, f"{path}.figure")
+    figure = _look_up(document["figure"], index, f"{path}.figure", may_be_robot=False)
     landmark = _look_up(document["landmark"], index, f"{path}.landmark")
     if figure == landmark:
         raise ValueError(
@@ -283,21 +279,6 @@ def _read_relation(
     return FormRelation(figure, relation, landmark, rank)
 
 
-def _check_pairs(relations: Sequence[FormRelation], ids: Sequence[str], path: str) -> None:
-    """Refuse what lies between other than two things; of things the ids, the robot's first."""
-    landmarks: dict[int, set[int]] = {}
-    for one in relations:
-        if one.rank == BETWEEN:
-            landmarks.setdefault(one.figure, set()).add(one.landmark)
-    for figure, found in landmarks.items():
-        if len(found) != 2:
-            raise ValueError(
-                f"{path}.relations has {quote(ids[figure + 1])} between "
-                f"{', '.join(quote(ids[one + 1]) for one in sorted(found))}, but a thing lies "
-                "between two: one entry for each of its two landmarks"
-            )
-
-
 def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> FormCommand:
     """Read one command."""
     goal = document["goal"]
@@ -313,7 +294,7 @@ def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: s
             f"{path}.goal.thing is 'robot', but the robot is always at itself: name a region"
         )
     avoid = tuple(
-        _look_up_thing(name, index, f"{path}.avoid[{i}]")
+        _look_up(name, index, f"{path}.avoid[{i}]", may_be_robot=False)
         for i, name in enumerate(document.get("avoid", ()))
     )
     if thing in avoid and region == AT:
@@ -331,7 +312,7 @@ def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: s
 def read_meaning(document: Any, *, path: str) -> tuple[FormReading, tuple[str, ...]]:
     """Read one reading by itself, without a probability: what a labelled sentence means.
 
-    Returned are the reading, and the object types that it names, in the order of its indices.
+    Also the object types that it names, in the order of its indices.
 
     Raises:
         ValueError: a field cannot be; one line that begins with the JSON ``path`` of the document.
