@@ -1,11 +1,9 @@
 """The Distributed Correspondence Graph over any symbol space (section 3.1, eq. 4).
 
 A ``SymbolSpace`` says which symbols a phrase may express in a world, and what is seen of each. The
-engine's annotations and behaviors are two spaces (``properties``); whoever brings symbols, trees
-and worlds of their own writes another. Model, training and search are the same for all.
-
-Symbols are of one or several kinds, each with weights of its own, of which a phrase may lack some.
-A phrase may also give its region a rank by its words alone ("the second").
+engine's annotations and behaviors are two (``properties``); bring your own symbols, trees and
+worlds with another. Symbols are of one or several kinds, each with weights of its own, of which a
+phrase may lack some. A phrase may also give its region a rank by its words alone ("the second").
 """
 
 import dataclasses
@@ -66,13 +64,7 @@ class SymbolSpace(Protocol[World_contra]):
     def describe(self, phrase: Phrase, path: Path, world: World_contra) -> Described:
         """Describe a phrase's symbols; what does not depend on its children is worked out once.
 
-        Args:
-            phrase: the phrase; the words below it count through the children alone.
-            path: where it stands.
-            world: the world.
-
-        Returns:
-            What is seen of them.
+        The words below the phrase count through the children alone; ``path`` says where it stands.
         """
         ...
 
@@ -242,12 +234,8 @@ _TOKEN = re.compile(r"\s*(?:([A-Z]+)\[([^\]]*)\]|([{},]))")
 def read_tree(text: str) -> Phrase:
     """Read a tree as ``str(phrase)`` writes it: ``VP[go to]{NP[the cone], PP[behind]{NP[it]}}``.
 
-    Args:
-        text: the tree; labels are capitals, a phrase's own words stand in brackets, its children
-            in braces.
-
-    Returns:
-        The tree of plain words, counted in the order of the text.
+    Labels are capitals, a phrase's own words stand in brackets, its children in braces. The words
+    are plain, and counted in the order of the text.
 
     Raises:
         ValueError: the text is no tree; the message says where.

@@ -125,6 +125,7 @@ class Instruction:
     metres: Array  # f32[C] told, from the landmark to the goal place; 0: what the relation suggests
     frame: Array  # f32[C, 3] from where a command is meant: x, y, heading; metres, radians, frame
     # of the robot as it hears the sentence
+    # of the robot as it hears the sentence
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,12 +152,9 @@ class Understanding:
     def check_task(self, *, is_first: bool = True) -> None:
         """Refuse a sentence that asks for nothing to be done, or for another where there is none.
 
-        Args:
-            is_first: nothing has been said before it.
-
         Raises:
-            ValueError: it only informs, or only says what to keep away from, or speaks of "the
-                other one" before any has been spoken of; one line.
+            ValueError: it only informs, or only says what to keep away from, or, where nothing has
+                been said before (``is_first``), speaks of "the other one"; one line.
         """
         if is_first:
             self._check_others()
@@ -225,9 +223,6 @@ def understand(
         earlier: what earlier utterances have been about.
         least_probability: of what the trained reader makes of it, in [0, 1]; see ``parse``.
 
-    Returns:
-        What was understood; ``instruction`` is what the navigator takes.
-
     Raises:
         LanguageError: the text is refused by the parser.
         UnknownObjectError: its goal is nothing that the detector has a label for.
@@ -295,11 +290,11 @@ def pack_instruction(
     commands: Sequence[dict[str, np.ndarray]],
     measures: Sequence[Measure] = (),
 ) -> Instruction:
-    """Put readings and the programs of commands together, padded.
+    """Put readings and the programs of commands together, padded to ``NUM_CLAUSES``.
 
     Args:
         readings: what is said of the world.
-        commands: fields of a program for each, in order, host arrays; at most ``NUM_CLAUSES``.
+        commands: fields of a program for each, in order, host arrays.
         measures: how far each goes; by default as far as its words suggest.
     """
     fields = [*commands, *[empty_program()] * (NUM_CLAUSES - len(commands))]

@@ -142,7 +142,6 @@ class _Reader:
                         self.relations.append((index, NONE, NONE, 0))
 
     def _say(self, edges: Sequence[tuple[int, int, int, int]]) -> None:
-        """Enter relations that have not been said before."""
         self.relations += [edge for edge in edges if edge not in self.relations]
 
     def _lie_between(
@@ -150,20 +149,18 @@ class _Reader:
     ) -> None:
         """Say that a thing lies between two others; of one type alone there are two of it."""
         first, second = (sides * 2)[:2]
-        if symbol.figure in (first, second) and self._is_said(symbol.figure, {first, second}):
-            return  # in an earlier clause: which of its type is which has been settled there
+        if symbol.figure in (first, second):
+            # In an earlier clause it has been settled which of its type is which.
+            said: dict[int, set[int]] = {}
+            for own, _, landmark, rank in self.relations:
+                if rank == BETWEEN and self.mentions[own] == symbol.figure:
+                    said.setdefault(own, set()).add(self.mentions[landmark])
+            if {first, second} in said.values():
+                return
         one = mention(first)
         other = mention(second, one, is_pair=first == second)
         figure = mention(symbol.figure, one, other)
         self._say([(figure, symbol.relation, side, BETWEEN) for side in (one, other)])
-
-    def _is_said(self, figure: int, sides: set[int]) -> bool:
-        """Whether something of a type has been said to lie between things of two types."""
-        found: dict[int, set[int]] = {}
-        for own, _, landmark, rank in self.relations:
-            if rank == BETWEEN and self.mentions[own] == figure:
-                found.setdefault(own, set()).add(self.mentions[landmark])
-        return sides in found.values()
 
     def _find(self, kind: int, description: Description, others: Sequence[int]) -> int:
         """Find a thing of an earlier clause that this may be: what is said of one is no less."""
@@ -176,18 +173,12 @@ class _Reader:
 
 
 def read(*clauses: RankedAnnotations) -> Reading:
-    """Turn sets of annotations into mentions and relations.
+    """Turn sets of annotations, those of each clause with their ranks, into mentions and relations.
 
     Things of one type in a clause are one thing, unless a relation needs two or they have different
     ranks. In a later clause they are the same thing again unless something else is said of each:
     "go to the cone on your left, then to the cone on your right" speaks of two. A region without
     a figure ("move behind the cone") says that its landmark exists.
-
-    Args:
-        *clauses: annotations of each clause with their ranks.
-
-    Returns:
-        The reading.
     """
     reader = _Reader()
     for said in clauses:
@@ -204,15 +195,10 @@ def _fits(reading: Reading) -> bool:
 def to_readings(
     belief: Belief, kinds_of: Callable[[int], tuple[int, ...]] = lambda kind: (kind,)
 ) -> Readings:
-    """Pack the likeliest readings of a sentence.
+    """Pack the likeliest readings of a sentence, padded to K; their probabilities sum to one.
 
-    Args:
-        belief: distribution over sets of annotations.
-        kinds_of: the kinds that each type of the sentence may be. Where there are several, each
-            way to choose is a reading of its own. By default a type is a kind.
-
-    Returns:
-        K readings, padded; their probabilities sum to one.
+    ``kinds_of`` lists the kinds that each type of the sentence may be; by default a type is a kind.
+    Each way to choose among several is a reading of its own.
 
     Raises:
         CapacityError: the best reading has more mentions or relations than the arrays hold.

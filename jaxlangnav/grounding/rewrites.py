@@ -1,8 +1,8 @@
 """A grounder for rewritings: what others put into the controlled language (sections 3.1, 3.3).
 
 A source, such as a language model, gives a sentence in other words, several times, with
-log-probabilities. The parser verifies: what it cannot read is dropped and counted, and the trained
-graph grounds the rest. Their readings are mixed by weight, as evidence for the map.
+log-probabilities. What the parser cannot read is dropped and counted, and the trained graph grounds
+the rest. Their readings are mixed by weight, as evidence for the map.
 
 Commands are not mixed: a behavior program is log-linear in the phrases of one sentence, and no
 program has as its behaviors the weighted sum of those of two. Rewritings that mean the same put
@@ -40,14 +40,7 @@ class RewriteSource(Protocol):
     """What puts sentences into the controlled language."""
 
     def __call__(self, text: str) -> Sequence[Rewrite]:
-        """Rewrite a sentence.
-
-        Args:
-            text: what was said.
-
-        Returns:
-            Rewritings with log-probabilities, in any order; none where it knows of none.
-        """
+        """Rewrite a sentence: with log-probabilities, in any order; none where it knows of none."""
         ...
 
 
@@ -61,11 +54,7 @@ class RewriteParams:
 def default_rewrite_params(temperature: float = 1.0) -> RewriteParams:
     """Build parameters; ``fit_source_temperature`` finds a temperature for a source.
 
-    Args:
-        temperature: 1 believes the source; above 1 it is taken to be too sure of itself.
-
-    Returns:
-        The parameters.
+    1 believes the source; above 1 it is taken to be too sure of itself.
 
     Raises:
         ValueError: the temperature is none; one line.
@@ -255,10 +244,7 @@ class RecordedRewrites:
     """
 
     def __init__(self, path: Path) -> None:
-        """Read a file.
-
-        Args:
-            path: of a file in the format above; empty lines are left out.
+        """Read a file in the format above; empty lines are left out.
 
         Raises:
             ValueError: no such file, or a line cannot be; one line that names file and line.

@@ -185,17 +185,9 @@ def search(
     width: int = BEAM_WIDTH,
     path: tuple[int, ...] = (),
 ) -> Beams:
-    """Infer the distribution of what a phrase expresses, by each of K models.
+    """Infer the distribution of what a phrase at ``path`` expresses, by each of K models.
 
-    Args:
-        root: phrase; its children are searched first.
-        log_odds: the models.
-        num_models: K.
-        width: beam width.
-        path: where the phrase stands, as ``symbols.Node.path``.
-
-    Returns:
-        Up to ``width`` sets of each; probabilities are not renormalised.
+    Children are searched first. Up to ``width`` sets of each; probabilities are not renormalised.
     """
     children = tuple(
         search(child, log_odds, num_models, width=width, path=(*path, i))

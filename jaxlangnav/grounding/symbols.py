@@ -36,11 +36,7 @@ class Symbols(Generic[Symbol]):
     def __init__(self, symbols: Sequence[Symbol]) -> None:
         """Take S symbols."""
         self.symbols = symbols
-
-    @property
-    def size(self) -> int:
-        """S, how many symbols there are."""
-        return len(self.symbols)
+        self.size = len(symbols)
 
     @cached_property
     def index(self) -> dict[Symbol, int]:
@@ -102,13 +98,9 @@ class AnnotationSpace(Symbols[Annotation]):
         self.num_types, self.num_landmarks = num_types, num_types + 1
         landmarks = (*range(num_types), ROBOT)
         regions = [(r, m) for r in range(NUM_RELATIONS) for m in landmarks]
-        super().__init__(
-            [
-                *(object_symbol(t) for t in range(num_types)),
-                *(region_symbol(r, m) for r, m in regions),
-                *(relation_symbol(f, r, m) for f in range(num_types) for r, m in regions),
-            ]
-        )
+        objects = [object_symbol(t) for t in range(num_types)]
+        relations = [relation_symbol(f, r, m) for f in range(num_types) for r, m in regions]
+        super().__init__([*objects, *itertools.starmap(region_symbol, regions), *relations])
 
     def parts(self, expressed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """View a set as objects bool[T], regions bool[6, L] and relations bool[T, 6, L]."""
@@ -194,15 +186,11 @@ def bottom_up(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
 
 
 def count_graph(clauses: Sequence[Phrase], symbols: Symbols) -> dict[str, int]:
-    """Count the factor graph of a sentence (section 3.1, Figure 3).
+    """Count the factor graph of a sentence whose clauses share no factor (section 3.1, Figure 3).
 
     Every phrase λ has one factor per symbol; a factor joins the phrase, the grounding γ, its
     correspondence φ and the groundings of the child phrases. So a phrase with S symbols adds S
     factors, S groundings, S correspondences and itself: 2 S + 1 random variables.
-
-    Args:
-        clauses: roots of the sentence; its clauses share no factor.
-        symbols: what its phrases may express.
 
     Returns:
         ``phrases``, ``factors`` and ``variables``; the six-phrase sentence of the paper has 2,964
