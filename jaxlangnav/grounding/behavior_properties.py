@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation_properties import PropertyColumns, stack_columns
-from jaxlangnav.grounding.model import Senses
+from jaxlangnav.grounding.model import PropertyColumns, Senses, stack_columns
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, REGIONS, ROBOT

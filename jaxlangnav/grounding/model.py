@@ -4,7 +4,7 @@
 
 A feature of the paper is a product of a correspondence value, a property of the words and a
 property of the grounding, so the score is bilinear. Here is the word side, names with values; the
-grounding side stands in ``annotation_properties`` and ``behavior_properties``. Contracting the
+grounding side stands in ``properties`` and ``behavior_properties``. Contracting the
 words leaves a few coefficients per phrase and kind of symbol, once per sentence.
 
 A word carries its identity (lemma), part of speech and lexicon senses; a word without senses also
@@ -15,6 +15,7 @@ shape and n-grams: properties of agreement ("the type that the words name") need
 
 import dataclasses
 import zlib
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +23,8 @@ import numpy as np
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS
 
+PropertyColumns = Mapping[str, np.ndarray | bool]
+"""Name of a property → what it says of the symbols of one kind; arrays that broadcast to them."""
 ANNOTATION_KINDS = ("symbol", "rank")
 BEHAVIOR_KINDS = ("object", "region", "goal", "constraint", "action", "mode")
 NUM_GRAMS = 128
@@ -158,6 +161,14 @@ class CorrespondenceModel:
         """Copy the model with every weight zero: it knows nothing."""
         zeros = {kind: np.zeros_like(weight) for kind, weight in self.weights.items()}
         return dataclasses.replace(self, weights=zeros)
+
+
+def stack_columns(shape: tuple[int, ...], columns: PropertyColumns) -> np.ndarray:
+    """Stack properties of the symbols of one kind, broadcast to their shape, f32[S, F]."""
+    values = np.empty((*shape, len(columns)), np.float32)
+    for i, column in enumerate(columns.values()):
+        values[..., i] = column
+    return values.reshape(-1, len(columns))
 
 
 def build_vocabulary(phrases: list[Phrase], without: frozenset[str] = frozenset()) -> Vocabulary:

@@ -39,6 +39,7 @@ MOVED = {
     "relations.frames": "relations.table",
     "world.errors": "world.sensor",
     "world.known": "world.simulator",
+    "grounding.annotation_properties": "grounding.properties",
     "grounding.beam": "grounding.behavior",
     "grounding.choosing": "grounding.grounder",
     "grounding.graph": "grounding.symbols",
