@@ -78,11 +78,7 @@ def describe_annotation(
 ) -> dict[str, object]:
     """Name an annotation for people and for ``ground --json``.
 
-    Args:
-        symbol: the annotation.
-        rank: 1 where the extreme is meant, 2 where the second is, ``BETWEEN``, 0 otherwise.
-        probability: its marginal probability.
-        type_names: object types.
+    ``rank`` is 1 where the extreme is meant, 2 where the second is, ``BETWEEN``, 0 otherwise.
 
     Returns:
         figure ("thing" of any type), relation, landmark (None where it has none), superlative,
@@ -146,14 +142,6 @@ def _by_rank(
     return [[path for path in paths if likeliest[path] == one] for one in ranks]
 
 
-def _silent(hypothesis: Hypothesis, path: Path) -> Iterator[Path]:
-    """Yield the phrases that express nothing."""
-    if not hypothesis.expressed.any():
-        yield path
-    for i, child in enumerate(hypothesis.children):
-        yield from _silent(child, (*path, i))
-
-
 def _said_of_things(phrase: Phrase, path: Path, *, is_of_thing: bool) -> Iterator[Path]:
     """Yield the phrases that say where "the thing" is."""
     if is_of_thing:
@@ -173,7 +161,7 @@ def clause_belief(
     between: frozenset[Path] = frozenset(),
     things: frozenset[Path] = frozenset(),
 ) -> Belief:
-    """Read a beam as annotations, each with its rank.
+    """Read a beam as annotations, each with its rank: up to ``width`` sets and their probabilities.
 
     Args:
         space: annotation symbols.
@@ -183,9 +171,6 @@ def clause_belief(
         width: how many sets to keep.
         between: the phrases that say "between".
         things: the phrases that say where a thing called by no type is.
-
-    Returns:
-        Up to ``width`` sets and their probabilities.
     """
     likeliest = {path: int(np.argmax(chances)) for path, chances in rank.items()}
     found: list[tuple[tuple[RankedAnnotations, ...], float]] = []
@@ -197,18 +182,18 @@ def clause_belief(
                 region = region_symbol(symbol.relation, symbol.landmark)
                 wanted = space.index[symbol], space.index[region]
                 paths = list(_origins(hypothesis, (clause,), wanted))
+            of_thing = symbol._replace(kind=RELATION, figure=ANYTHING)
             for own in _by_rank(paths, likeliest, between):
                 is_of_thing = symbol.kind == REGION and things.intersection(own)
-                symbols.append(
-                    symbol._replace(kind=RELATION, figure=ANYTHING) if is_of_thing else symbol
-                )
+                symbols.append(of_thing if is_of_thing else symbol)
                 chances.append(_rank_chances(own, rank, between))
         for choice in itertools.product(*chances):
             said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
             score = hypothesis.log_probability + sum(log_chance for _, log_chance in choice)
             found.append(((said,), score))
     found = sorted(found, key=lambda one: -one[1])[:width]
-    return Belief(tuple(found), likeliest, frozenset(_silent(beam[0], (clause,))))
+    silent = (path for path, one in beam[0].walk((clause,)) if not one.expressed.any())
+    return Belief(tuple(found), likeliest, frozenset(silent))
 
 
 def infer_annotations(

@@ -147,15 +147,10 @@ _DECLARED = {
 
 
 def contract(kind: str, words: PhraseWords, coefficients: np.ndarray) -> dict[str, np.ndarray]:
-    """Add up the coefficients of the properties that hold under one condition.
+    """Add up the coefficients, f32[F] log-odds, of the properties that hold under one condition.
 
-    Args:
-        kind: "object", "region", "goal" or "constraint".
-        words: of the phrase.
-        coefficients: f32[F], log-odds per property.
-
-    Returns:
-        Condition → f32[7] by relation; of objects all seven are the same.
+    Of a kind, "object", "region", "goal" or "constraint": condition → f32[7] by relation; of
+    objects all seven are the same.
     """
     columns, conditions = _DECLARED[kind]
     # Of as many things each of which meets one condition alone.
@@ -219,8 +214,8 @@ def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
     return lies & world.is_object
 
 
-def _conditions(world: World, senses: Senses, child: ChildGroundings) -> dict[str, Conditions]:
-    """Evaluate the conditions of every kind of symbol, bool[7, N] and what broadcasts to it."""
+def _conditions(world: World, senses: Senses, child: ChildGroundings) -> Conditions:
+    """Evaluate all conditions, bool[7, N] and what broadcasts to it."""
     is_type = np.isin(world.object_type, sorted(senses.types))
     is_robot = world.object_type == ROBOT
     own = (is_type | (is_robot & senses.is_robot)) & world.is_object
@@ -229,11 +224,13 @@ def _conditions(world: World, senses: Senses, child: ChildGroundings) -> dict[st
     has_previous = bool(is_previous.any())
     alike = np.isin(world.object_type, world.object_type[is_previous])
     inside, same, lies = child.objects, child.regions, child.lies
-    touched = inside[None] | same.any(0, keepdims=True)
-    of_object = {
+    touched = inside | same.any(0)
+    return {
         "always": True,
+        "base": True,
         "own": own,
         "other": ~own,
+        "robot": is_robot,
         "inside": inside,
         "inside_lies": inside & lies,
         "inside_elsewhere": inside & ~lies,
@@ -244,29 +241,12 @@ def _conditions(world: World, senses: Senses, child: ChildGroundings) -> dict[st
         "alike": alike & ~is_previous,
         "unlike": ~alike & has_previous,
         "no_previous": not has_previous,
-    }
-    of_region = {
-        "base": True,
-        "inside": inside[None],
         "same": same,
-        "absent": ~inside[None] & ~same,
-        "own": own[None],
-        "robot": is_robot[None],
-    }
-    of_constraint = {
-        "base": True,
-        "same": same,
-        "inside": inside[None],
+        "absent": ~inside & ~same,
         "touched": touched,
         "untouched": ~touched,
         "kept": child.constraints,
         "new": touched & ~child.constraints,
-    }
-    return {
-        "object": of_object,
-        "region": of_region,
-        "goal": of_region,
-        "constraint": of_constraint,
     }
 
 
@@ -278,9 +258,8 @@ def behavior_tables(
     A verb phrase expresses goals and constraints, any other objects and regions.
     """
     words = PhraseWords.of(senses, child.has_children, child.is_restricted)
-    met = _conditions(world, senses, child)
-    tables = {}
+    met, tables = _conditions(world, senses, child), {}
     for kind in ("goal", "constraint") if is_verb else ("object", "region"):
         shape = child.objects.shape if kind == "object" else child.regions.shape
-        tables[kind] = stack_columns(shape, _DECLARED[kind][0](words, met[kind]))
+        tables[kind] = stack_columns(shape, _DECLARED[kind][0](words, met))
     return tables | (choice_tables(senses) if is_verb else {})

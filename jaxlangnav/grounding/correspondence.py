@@ -8,7 +8,7 @@ phrase may lack some. A phrase may also give its region a rank by its words alon
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -192,17 +192,16 @@ class WeighedTree(Generic[AnyWorld]):
         Each phrase is given what its children express in the likeliest reading of the first model.
         """
         ranks = {path: int(np.argmax(chances[0])) for path, chances in self.log_ranks().items()}
-
-        def below(phrase: Phrase, path: Path, best: Hypothesis) -> Iterator[PhraseBelief]:
+        phrases = {node.path: node.phrase for node in bottom_up(self.root, *self.path)}
+        found = []
+        for path, best in self.search()[0].walk(self.path):
             children = tuple(child.expressed for child in best.children)
             chance = np.exp(-np.logaddexp(0.0, -self.log_odds(path, children, np.array([0]))[0]))
-            yield PhraseBelief(
-                phrase=phrase, path=path, probability=chance, rank=ranks.get(path, 0)
+            one = PhraseBelief(
+                phrase=phrases[path], path=path, probability=chance, rank=ranks.get(path, 0)
             )
-            for i, (child, own) in enumerate(zip(phrase.children, best.children, strict=True)):
-                yield from below(child, (*path, i), own)
-
-        return list(below(self.root, self.path, self.search()[0]))
+            found.append(one)
+        return found
 
 
 @dataclasses.dataclass(frozen=True)

@@ -207,12 +207,6 @@ def _check_sizes(nodes: tuple[Node, ...]) -> None:
             "say less at once"
         )
     depth = 0
-    for node in nodes[:-1]:
-        if len(node.children) > NUM_CHILDREN:
-            break
-        depth += 1 - len(node.children)
-        if depth > MAX_DEPTH:
-            raise ValueError(f"the command nests more than {MAX_DEPTH} phrases: say less at once")
     for node in nodes:
         if len(node.children) > NUM_CHILDREN:
             text = " ".join(word.text for word in node.phrase.all_words())
@@ -220,6 +214,9 @@ def _check_sizes(nodes: tuple[Node, ...]) -> None:
                 f"'{text}' has {len(node.children)} parts; at most {NUM_CHILDREN} are held: "
                 "say less at once"
             )
+        depth += 1 - len(node.children)
+        if depth > MAX_DEPTH:
+            raise ValueError(f"the command nests more than {MAX_DEPTH} phrases: say less at once")
 
 
 def compile_clause(
@@ -229,7 +226,7 @@ def compile_clause(
     rank: Mapping[Path, int],
     type_names: tuple[str, ...],
 ) -> dict[str, np.ndarray]:
-    """Contract the words of a clause.
+    """Contract the words of a clause: the fields of its ``BehaviorProgram``, host arrays.
 
     Args:
         root: the clause; its root is a verb phrase.
@@ -237,9 +234,6 @@ def compile_clause(
         model: behavior model.
         rank: of each phrase: 0, 1 nearest, 2 second, ... (annotation model).
         type_names: object types.
-
-    Returns:
-        The fields of its ``BehaviorProgram``, host arrays.
 
     Raises:
         ValueError: the clause has more phrases, or nests deeper, than a program holds.

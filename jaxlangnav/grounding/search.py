@@ -10,7 +10,7 @@ are like does not depend on the model, so each distinct choice of child sets is 
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -35,6 +35,12 @@ class Hypothesis:
     expressed: np.ndarray  # bool[S]
     log_probability: float  # of it and of all below it
     children: tuple["Hypothesis", ...] = ()
+
+    def walk(self, path: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], "Hypothesis"]]:
+        """Yield it and all below it with the paths of their phrases, parents first."""
+        yield path, self
+        for i, child in enumerate(self.children):
+            yield from child.walk((*path, i))
 
 
 @dataclasses.dataclass(frozen=True)

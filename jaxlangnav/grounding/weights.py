@@ -1,8 +1,7 @@
 """The shipped weights: saving, loading, and where they came from.
 
 A file holds both models, the object types, the command that made it and a hash of the corpus. It
-may come from anybody: what is loaded has the names, shapes and types that the engine works with,
-or is refused before anything large is made of it.
+may come from anybody: names, shapes and types are checked before anything large is made of it.
 """
 
 import json
@@ -59,7 +58,7 @@ _Document = TypeVar("_Document", bound=Schema)
 
 
 def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
-    """Flatten a model to named arrays; weights too small to matter are dropped."""
+    """Flatten a model to named arrays."""
     arrays = {f"{name}/{kind}": weight.astype(np.float32) for kind, weight in model.weights.items()}
     header = {
         "names": model.vocabulary.names,
@@ -105,15 +104,10 @@ def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -
 
 
 def load(path: Path | None) -> GroundingModel:
-    """Read weights.
+    """Read weights that ``save`` has written; those of the package where ``path`` is None.
 
     Object types come from the lexicon, which may have more than the weights were trained with.
-
-    Args:
-        path: file written by ``save``; None: the shipped one.
-
-    Returns:
-        Both models: names, shapes and types are those the engine works with, numbers are finite.
+    Names, shapes and types are those the engine works with, and numbers are finite.
 
     Raises:
         ValueError: the file is not readable as weights, or its types disagree with the lexicon.

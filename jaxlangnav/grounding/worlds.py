@@ -32,15 +32,12 @@ class World:
         related: Iterable[Sequence[int]],
         ranked: Iterable[Sequence[int]] = (),
     ) -> "World":
-        """Build a world in which these edges hold and no others.
+        """Build a world in which these edges hold and no others; all slots filled, none previous.
 
         Args:
             object_type: types of the N slots, ``ROBOT`` last.
             related: (relation, figure, landmark).
             ranked: (rank, relation, figure, landmark), the extreme of its type is rank 0.
-
-        Returns:
-            The world; every slot is filled, none is the previous goal.
         """
         size = len(object_type)
         is_related = np.zeros((NUM_RELATIONS, size, size), bool)
@@ -86,16 +83,9 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
     """Describe placed objects as a sentence orders them, and says what lies between which.
 
     "The second cone on your left" is the second of those on the left. The device knows one rank
-    beyond the first, so the second table holds whichever the sentence means. What is said to lie
-    between two things is near either of them to the device, and so nothing else of its type is.
-
-    Args:
-        placed: objects whose places are known.
-        type_names: object types.
-        readings: of the sentence; the likeliest counts.
-
-    Returns:
-        A world of n + 1 slots.
+    beyond the first, so the second table holds whichever the sentence means, by its likeliest
+    reading. What is said to lie between two things is near either of them to the device, and so
+    nothing else of its type is.
     """
     world = place(placed, type_names, side_range=np.inf)
     if not placed.objects or not np.asarray(readings.rank[0]).any():
