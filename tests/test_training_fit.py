@@ -18,8 +18,13 @@ from jaxlangnav.grounding.model import (
     feature_group,
     word_features,
 )
-from jaxlangnav.training.design import Design, Factors, pool
-from jaxlangnav.training.examples import annotation_examples, behavior_examples
+from jaxlangnav.training.examples import (
+    Design,
+    Factors,
+    annotation_examples,
+    behavior_examples,
+    pool,
+)
 from jaxlangnav.training.fit import (
     TrainingConfig,
     build_design,

@@ -48,6 +48,7 @@ MOVED = {
     "grounding.space": "grounding.correspondence",
     "grounding.spoken": "grounding.instruction",
     "grounding.weighed": "grounding.correspondence",
+    "training.design": "training.examples",
     "planner.asking": "planner.questions",
     "planner.drafts": "planner.tour_proposals",
     "planner.endings": "planner.termination",

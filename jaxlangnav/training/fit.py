@@ -31,8 +31,7 @@ from jaxlangnav.grounding.model import (
     build_vocabulary,
     feature_group,
 )
-from jaxlangnav.training.design import Design, flatten, pool
-from jaxlangnav.training.examples import PhraseExample, examples_of
+from jaxlangnav.training.examples import Design, PhraseExample, examples_of, flatten, pool
 from jaxlangnav.training.optimum import Problem, Search, data_loss, minimise
 
 SPLITS_AT_ONCE = 8

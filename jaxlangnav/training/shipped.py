@@ -26,8 +26,8 @@ from jaxlangnav.grounding.model import (
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.training.design import Design
 from jaxlangnav.training.examples import (
+    Design,
     LabelledInstruction,
     annotation_examples,
     behavior_examples,
