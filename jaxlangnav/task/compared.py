@@ -117,7 +117,7 @@ def _asked(instruction: Instruction, world: World) -> list[_Asked]:
         asked = _Asked(
             action=int(behavior.action.argmax()),
             mode=int(behavior.mode.argmax()),
-            ends=frozenset(map(tuple, np.argwhere(goal >= least).tolist())),
+            ends=frozenset((region, slot) for region, slot in np.argwhere(goal >= least).tolist()),
             avoided=frozenset(np.flatnonzero(behavior.constraint.max(axis=0) > 0.5).tolist()),
             metres=float(instruction.metres[clause]),
             frame=tuple(np.asarray(instruction.frame)[clause].tolist()),

@@ -205,12 +205,15 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     """Reveal a scenario: its objects in the order of their slots, and the robot at its start."""
     kept = np.flatnonzero(np.asarray(scenario.is_object))
     fields = (scenario.object_type, scenario.object_x, scenario.object_y)
-    types, xs, ys = (np.asarray(one)[kept].tolist() for one in fields)
+    objects = zip(*(np.asarray(one)[kept].tolist() for one in fields), strict=True)
     x, y, heading = np.asarray(scenario.start).tolist()
     attributes = scenario.object_attribute
     codes = [] if attributes is None else np.asarray(attributes)[kept].tolist()
-    objects = zip((names[kind] for kind in types), xs, ys, strict=True)
-    return PlacedWorld(tuple(objects), (x, y, heading), attributes=tuple(codes))
+    return PlacedWorld(
+        objects=tuple((names[kind], x, y) for kind, x, y in objects),
+        robot=(x, y, heading),
+        attributes=tuple(codes),
+    )
 
 
 def _infer_in(
