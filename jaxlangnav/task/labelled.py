@@ -210,7 +210,7 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     attributes = scenario.object_attribute
     codes = [] if attributes is None else np.asarray(attributes)[kept].tolist()
     return PlacedWorld(
-        objects=tuple((names[kind], x, y) for kind, x, y in objects),
+        objects=tuple((names[int(kind)], x, y) for kind, x, y in objects),
         robot=(x, y, heading),
         attributes=tuple(codes),
     )
