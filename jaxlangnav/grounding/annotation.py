@@ -105,17 +105,6 @@ def annotation_document(
     return document | ({"rank": rank} if rank > 1 else {})
 
 
-def _origins(hypothesis: Hypothesis, path: Path, wanted: Sequence[int]) -> Iterator[Path]:
-    """Find the phrases that first express one of the symbols, by their places in the space."""
-    below = False
-    for i, child in enumerate(hypothesis.children):
-        for origin in _origins(child, (*path, i), wanted):
-            below = True
-            yield origin
-    if not below and any(hypothesis.expressed[symbol] for symbol in wanted):
-        yield path
-
-
 def _rank_chances(
     paths: list[Path], rank: dict[Path, np.ndarray], between: frozenset[Path]
 ) -> list[tuple[int, float]]:
@@ -180,8 +169,15 @@ def clause_belief(
             paths = []
             if symbol.kind != OBJECT:
                 region = region_symbol(symbol.relation, symbol.landmark)
-                wanted = space.index[symbol], space.index[region]
-                paths = list(_origins(hypothesis, (clause,), wanted))
+                wanted = [space.index[symbol], space.index[region]]
+                saying = [
+                    path for path, one in hypothesis.walk((clause,)) if one.expressed[wanted].any()
+                ]
+                paths = [
+                    path
+                    for path in saying  # those that first express it: none below does
+                    if not any(path == below[: len(path)] != below for below in saying)
+                ]
             of_thing = symbol._replace(kind=RELATION, figure=ANYTHING)
             for own in _by_rank(paths, likeliest, between):
                 is_of_thing = symbol.kind == REGION and things.intersection(own)
