@@ -270,17 +270,14 @@ def _infer_episodes(
 ) -> tuple[Behavior, Behavior]:
     """Infer behaviors of a batch of episodes, whose axis becomes a lane axis."""
 
-    def lane(leaf: Array, is_batched: bool, place: int) -> Array:
-        if is_batched:
-            return jnp.moveaxis(leaf, 0, place)
-        return jnp.expand_dims(leaf, leaf.ndim + 1 + place)
+    def of_program(leaf: Array, is_batched: bool) -> Array:
+        return (jnp.moveaxis(leaf, 0, -1) if is_batched else leaf[..., None])[..., None]
 
-    program = jax.tree.map(
-        lambda leaf, is_batched: lane(leaf, is_batched, -1)[..., None], program, in_batched[0]
-    )
-    worlds = jax.tree.map(
-        lambda leaf, is_batched: lane(leaf, is_batched, -2), worlds, in_batched[1]
-    )
+    def of_worlds(leaf: Array, is_batched: bool) -> Array:
+        return jnp.moveaxis(leaf, 0, -2) if is_batched else leaf[..., None, :]
+
+    program = jax.tree.map(of_program, program, in_batched[0])
+    worlds = jax.tree.map(of_worlds, worlds, in_batched[1])
     shape = (axis_size, max(leaf.shape[-1] for leaf in jax.tree.leaves(worlds)))
     worlds = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*leaf.shape[:-2], *shape)), worlds)
     with jax.numpy_rank_promotion("allow"):
@@ -292,7 +289,7 @@ def _infer_episodes(
 def infer_behaviors(
     program: BehaviorProgram, worlds: BehaviorWorld, *, num_phrases: Array | int
 ) -> Behavior:
-    """Infer the distribution over behaviors in every particle (section 3.3).
+    """Infer the distribution over behaviors in every particle (section 3.3), leaves [..., P].
 
     Limits: a program of no phrases has no goal; a world without the object has goals that sum to
     nearly nothing. Empty object slots and padded phrases change nothing.
@@ -302,9 +299,6 @@ def infer_behaviors(
         worlds: the particles' objects, leaves [..., P]; at most ``MAX_SLOTS`` with the robot's.
         num_phrases: how many phrases to infer, at least those of the program. It is a trip
             count, so padding costs nothing; a batch of episodes takes the largest.
-
-    Returns:
-        The behaviors, leaves [..., P].
 
     Raises:
         ValueError: there are more object slots than the bit masks hold.

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.model import PropertyColumns, Senses, stack_columns
+from jaxlangnav.grounding.model import PropertyColumns, Senses, of_each, stack_columns
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, REGIONS, ROBOT
 
 _AT = (np.arange(NUM_REGIONS) == AT).astype(np.float32)[:, None]
+_EACH = np.eye(NUM_REGIONS, dtype=np.float32)[:, :, None]
 _NEAR = (np.arange(NUM_REGIONS) == NEAR).astype(np.float32)[:, None]
 Conditions = Mapping[str, Any]
 """Name of a condition → bool[7, n] where it is met, and what broadcasts to it."""
@@ -49,12 +50,6 @@ class PhraseWords(NamedTuple):
             has_children=has_children,
             is_restricted=is_restricted,
         )
-
-
-def _each(prefix: str, condition: Any) -> dict[str, Any]:
-    """Give every relation a property of its own."""
-    rows = np.eye(NUM_REGIONS, dtype=np.float32)[:, :, None]
-    return {f"{prefix}{name}": row * condition for name, row in zip(REGIONS, rows, strict=True)}
 
 
 def _object_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
@@ -91,8 +86,8 @@ def _region_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
         "named, relation named": words.named * met["own"],
         "lone relation to the robot": words.named * words.is_lone * met["robot"],
         "robot": met["robot"],
-        **_each("is ", met["base"]),
-        **_each("inside, is ", inside),
+        **of_each("is", REGIONS, _EACH * met["base"]),
+        **of_each("inside, is", REGIONS, _EACH * inside),
     }
 
 
@@ -108,8 +103,8 @@ def _goal_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
         "inside, relation named": words.named * met["inside"],
         "same, relation named": words.named * met["same"],
         "relation to the robot named": words.named * met["robot"],
-        **_each("is ", met["base"]),
-        **_each("same, is ", met["same"]),
+        **of_each("is", REGIONS, _EACH * met["base"]),
+        **of_each("same, is", REGIONS, _EACH * met["same"]),
     }
 
 
@@ -128,7 +123,7 @@ def _constraint_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
         "touched, not kept": met["new"],
         "near, inside": _NEAR * met["inside"],
         "at, inside": _AT * met["inside"],
-        **_each("is ", met["base"]),
+        **of_each("is", REGIONS, _EACH * met["base"]),
     }
 
 
@@ -165,8 +160,7 @@ def choice_columns(named: frozenset[int], names: Sequence[str]) -> PropertyColum
     """Describe the symbols of actions or modes, of which the words name some, bool[n] each."""
     own, is_named = np.isin(np.arange(len(names)), sorted(named)), bool(named)
     given = {"bias": True, "named": own, "another named": ~own & is_named, "none named": not named}
-    is_each = np.eye(len(names), dtype=bool)
-    return given | {f"is {name}": row for name, row in zip(names, is_each, strict=True)}
+    return given | of_each("is", names, np.eye(len(names)))
 
 
 def choice_tables(senses: Senses) -> dict[str, np.ndarray]:

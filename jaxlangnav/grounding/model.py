@@ -15,8 +15,9 @@ shape and n-grams: properties of agreement ("the type that the words name") need
 
 import dataclasses
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -169,6 +170,11 @@ def stack_columns(shape: tuple[int, ...], columns: PropertyColumns) -> np.ndarra
     for i, column in enumerate(columns.values()):
         values[..., i] = column
     return values.reshape(-1, len(columns))
+
+
+def of_each(prefix: str, names: Iterable[Any], rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Give every row a property of its own, named after what it is of."""
+    return {f"{prefix} {name}": row for name, row in zip(names, rows, strict=True)}
 
 
 def build_vocabulary(phrases: list[Phrase], without: frozenset[str] = frozenset()) -> Vocabulary:

@@ -25,6 +25,7 @@ from jaxlangnav.grounding.model import (
     RESTRICTORS,
     PropertyColumns,
     Senses,
+    of_each,
     senses_of,
     stack_columns,
 )
@@ -48,10 +49,6 @@ from jaxlangnav.relations.table import NUM_RANKS
 
 NUM_IDENTITY = 8
 """Object types with a property of their own; further types are carried by agreement alone."""
-_IS_TYPE = tuple(f"is type {i}" for i in range(NUM_IDENTITY))
-_IS_LANDMARK = (*(f"landmark is type {i}" for i in range(NUM_IDENTITY)), "landmark is the robot")
-_IS_RELATION = tuple(f"is {name}" for name in RELATIONS)
-_IS_RANK = tuple(f"is {rank}" for rank in range(1, NUM_RANKS + 1))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,11 +85,6 @@ def _members(indices: frozenset[int], size: int) -> np.ndarray:
     return np.isin(np.arange(size), list(indices))
 
 
-def _identities(names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Give every row a property of its own."""
-    return dict(zip(names, rows, strict=True))
-
-
 def _object_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> PropertyColumns:
     """Describe the object symbols, bool[T] each."""
     own = _members(senses.types, space.num_types)
@@ -106,7 +98,7 @@ def _object_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
         "of a child, in a relation": child.objects & bool(child.relations.any()),
         "not of a child": bool(child.number) & ~child.objects,
         "named, in a region": own & has_region,
-        **_identities(_IS_TYPE, np.eye(NUM_IDENTITY, space.num_types, dtype=bool)),
+        **of_each("is type", range(NUM_IDENTITY), np.eye(NUM_IDENTITY, space.num_types)),
     }
 
 
@@ -119,9 +111,7 @@ def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
     own = np.append(_members(senses.types, types), senses.is_robot)[None, :]
     has_object = bool(child.heads.any())
     is_lone = not has_children and not senses.types
-    landmarks = np.zeros((NUM_IDENTITY + 1, 1, types + 1), bool)
-    landmarks[:NUM_IDENTITY, 0, :types] = np.eye(NUM_IDENTITY, types, dtype=bool)
-    landmarks[NUM_IDENTITY, 0, types] = True
+    is_type = np.eye(NUM_IDENTITY, types + 1) * ~is_robot
     return {
         "bias": True,
         "relation named": relation,
@@ -137,8 +127,9 @@ def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
         "of a child, of no object": child.regions & (not has_object),
         "not of a child, not head": has_children & ~child.regions & ~head,
         "relation named, of nothing": relation & ~head & ~own & ~(is_robot & is_lone),
-        **_identities(_IS_RELATION, np.eye(NUM_RELATIONS, dtype=bool)[:, :, None]),
-        **_identities(_IS_LANDMARK, landmarks),
+        **of_each("is", RELATIONS, np.eye(NUM_RELATIONS)[:, :, None]),
+        **of_each("landmark is type", range(NUM_IDENTITY), is_type[:, None]),
+        "landmark is the robot": is_robot,
     }
 
 
@@ -177,9 +168,10 @@ def _shared_columns(senses: Senses, child: _ChildSets) -> PropertyColumns:
 
 def rank_columns(senses: Senses) -> PropertyColumns:
     """Describe the ranks 1 to 4 that a phrase may give its region, bool[4] each."""
-    own = np.isin(np.arange(1, NUM_RANKS + 1), sorted(senses.ranks))
+    ranks = range(1, NUM_RANKS + 1)
+    own = np.isin(ranks, sorted(senses.ranks))
     said = {"bias": True, "named": own, "another named": ~own & bool(senses.ranks)}
-    return said | _identities(_IS_RANK, np.eye(NUM_RANKS, dtype=bool))
+    return said | of_each("is", ranks, np.eye(NUM_RANKS))
 
 
 def annotation_table(
