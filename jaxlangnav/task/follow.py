@@ -71,15 +71,15 @@ def follow(
     Raises:
         ValueError: the sentence, the world or an option is refused; one line.
     """
-    model = load_shipped() if model is None else model
-    understood = understand(text, model, detector_of(str(world), model.type_names))
+    world, model = str(world), load_shipped() if model is None else model
+    understood = understand(text, model, detector_of(world, model.type_names))
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
-    refuse_what_it_lacks(str(world), understood)
-    usual, config = usual_engine(str(world), policy, particles)
+    refuse_what_it_lacks(world, understood)
+    usual, config = usual_engine(world, policy, particles)
     params = usual if params is None else params
-    prepared = open_task(str(world), understood, sensing_range=sensing_range, seed=seed)
+    prepared = open_task(world, understood, sensing_range=sensing_range, seed=seed)
     motion = prepared.task.motion
     if prepared.is_drawn and not prepared.is_meant:
         counts = count_types(prepared.task.scenario, understood.type_names)

@@ -1,6 +1,7 @@
 """An episode to run: a world opened for a sentence, with the goal that the sentence means there.
 
-A world is drawn from a template so that the sentence is true in it, or is somebody's own.
+A world is drawn from a template so that the sentence is true in it, or is somebody's own. One that
+does not exist, or whose file is bad, is refused by a ``ValueError`` wherever it is named.
 """
 
 import dataclasses
@@ -102,11 +103,7 @@ def refuse_what_it_lacks(world: str, understood: Understanding) -> None:
 
 
 def detector_of(world: str, type_names: Sequence[str]) -> Detector:
-    """Build the detector of a world: what it tells apart, and what it reports of things.
-
-    Raises:
-        ValueError: no such world, or a bad file.
-    """
+    """Build the detector of a world: what it tells apart, and what it reports of things."""
     place = open_world(world)
     if isinstance(place, WorldFile):
         return Detector(place.type_names, place.attribute_groups)
@@ -114,21 +111,13 @@ def detector_of(world: str, type_names: Sequence[str]) -> Detector:
 
 
 def slots_of(world: str) -> int:
-    """Tell how many object slots a world has: what its compiled programs go by.
-
-    Raises:
-        ValueError: no such world, or a bad file.
-    """
+    """Tell how many object slots a world has: what its compiled programs go by."""
     place = open_world(world)
     return place.scenario.is_object.size if isinstance(place, WorldFile) else NUM_SLOTS
 
 
 def sensor_of(world: str, sensing_range: float | None) -> SensorParams:
-    """Tell what a world says of the robot's detector; another range, metres, in place of its own.
-
-    Raises:
-        ValueError: no such world, or a bad file.
-    """
+    """Tell what a world says of the detector; another range, metres, in place of its own."""
     place = open_world(world)
     return _seen(place.sensor if isinstance(place, WorldFile) else default_sensor(), sensing_range)
 

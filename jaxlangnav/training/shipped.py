@@ -6,6 +6,7 @@ chosen on a fifth of those, left out of a first fit, so that the hold-out stays 
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 import time
@@ -111,6 +112,10 @@ def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
 
 
 MODELS = ("annotation", "behavior")
+_BUILDS = {
+    "annotation": (annotation_examples, ANNOTATION_KINDS),
+    "behavior": (behavior_examples, BEHAVIOR_KINDS),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,9 +134,8 @@ def lay_out(
     without: frozenset[str] = frozenset(),
 ) -> LaidOut:
     """Lay out the factors of one of ``MODELS``, without some groups of word features."""
-    build = annotation_examples if name == "annotation" else behavior_examples
+    build, kinds = _BUILDS[name]
     examples = build(instructions, type_names)
-    kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
     sizes = np.zeros(len(instructions))
     for example in examples:
         sizes[example.instruction] += sum(len(rows.labels) for rows in example.rows.values())
@@ -186,59 +190,50 @@ def train_models(
         raise ValueError("the corpus has no sentence marked 'train'")
     kept = set(sorted({example.template for example in train})[::5])
     type_names = load_lexicon().type_names
-    data = _Data(
-        type_names,
-        read_examples(train, type_names),
-        np.array([example.template in kept for example in train]),
-        read_examples([one for one in examples if one.split == "test"], type_names),
-    )
+    is_tuning = np.array([example.template in kept for example in train])
+    learned = read_examples(train, type_names)
+    held_out = read_examples([one for one in examples if one.split == "test"], type_names)
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
     for name in [name for name in MODELS if name in kinds]:
         say(f"fitting the {name} model")
-        models[name], report[name] = _train_one(name, data, models)
+        models[name], report[name] = _train_one(
+            name, learned, is_tuning, held_out, models, type_names
+        )
     if set(models) != set(MODELS):
         raise ValueError("to train one model alone, give the weights that the other comes from")
     return Trained(GroundingModel(models["annotation"], models["behavior"], type_names), report)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Data:
-    """A corpus made ready: what is trained on, tuned on and held out."""
-
-    type_names: tuple[str, ...]
-    train: list[LabelledInstruction]
-    is_tuning: np.ndarray  # bool, of those trained on
-    held_out: list[LabelledInstruction]
-
-
 def _train_one(
-    name: str, data: _Data, models: dict[str, CorrespondenceModel]
+    name: str,
+    train: Sequence[LabelledInstruction],
+    is_tuning: np.ndarray,
+    held_out: Sequence[LabelledInstruction],
+    models: dict[str, CorrespondenceModel],
+    type_names: tuple[str, ...],
 ) -> tuple[CorrespondenceModel, dict[str, Any]]:
-    """Fit, tune and test one model; the behavior model is tested with the annotation model.
-
-    It is fitted on all sentences, and on those not kept for tuning, in one go.
-    """
-    begin, number = time.perf_counter(), len(data.train)
-    laid_out = lay_out(name, data.train, data.type_names)
-    shares = np.stack([np.ones(number), ~data.is_tuning]).astype(np.float32)
+    """Fit, tune and test one model; the behavior model is tested with the annotation model."""
+    begin = time.perf_counter()
+    laid_out = lay_out(name, train, type_names)
+    # On all sentences, and on those not kept for tuning, in one go.
+    shares = np.stack([np.ones(len(train)), ~is_tuning]).astype(np.float32)
     weights, measured = fit(laid_out.design, shares)
     full, part = (CorrespondenceModel(laid_out.vocabulary, one) for one in weights)
     fitted = time.perf_counter() - begin
-    tuning = [x for x, kept in zip(data.train, data.is_tuning, strict=True) if kept]
 
     def score(
         model: CorrespondenceModel, temperature: float, which: Sequence[LabelledInstruction]
     ) -> Scores:
         judged = Models.of([dataclasses.replace(model, temperature=temperature)])
         if name == "annotation":
-            return score_annotations(which, judged, None, data.type_names).by_width[BEAM_WIDTH][0]
+            return score_annotations(which, judged, None, type_names).by_width[BEAM_WIDTH][0]
         if "annotation" not in models:
             raise ValueError("the behavior model needs an annotation model: give weights as base")
         ranks = Models.of([models["annotation"]])
-        found = score_behaviors(which, ranks, judged, None, data.type_names)
-        return found.by_width[BEAM_WIDTH][0]
+        return score_behaviors(which, ranks, judged, None, type_names).by_width[BEAM_WIDTH][0]
 
+    tuning = [*itertools.compress(train, is_tuning)]
     temperature = fit_temperature(lambda t: score(part, t, tuning)) if tuning else 1.0
     report = {
         "examples": int(laid_out.sizes.sum()),
@@ -249,8 +244,8 @@ def _train_one(
         "steps": int(measured.steps[0]),
         "temperature": temperature,
     }
-    if data.held_out:
-        before, after = (score(full, t, data.held_out) for t in (full.temperature, temperature))
+    if held_out:
+        before, after = (score(full, t, held_out) for t in (full.temperature, temperature))
         report |= {
             "held_out": len(after.is_right),
             "accuracy": round(after.accuracy, 4),
