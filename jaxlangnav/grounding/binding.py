@@ -253,9 +253,9 @@ class _Binder:
         """Name the type of the sentence that a noun with its attributes is."""
         said = said_noun(phrase) or noun
         labels, is_itself = self.detector.find(said)
-        if not labels or not is_itself:
-            by_type, is_type = self.detector.find(noun)
-            labels, is_itself = (by_type, is_type) if by_type else (labels, is_itself)
+        if not is_itself:
+            by_type = self.detector.find(noun)
+            labels, is_itself = by_type if by_type[0] else (labels, is_itself)
         if len(labels) > NUM_OWN:
             some = ", ".join(self.detector.labels[i] for i in labels[:_MOST_TOLD])
             raise UnknownObjectError(

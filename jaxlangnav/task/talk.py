@@ -34,8 +34,6 @@ from jaxlangnav.world.person import PERSONS, Person, PersonParams, Says, params_
 
 _PLACES = ("the first", "the second", "the third")
 _WORDS = {int(Says.OTHER): "no, the other one", int(Says.NONE_OF_THEM): "no"}
-
-
 _speak = cached_jit()(speak)
 
 
@@ -111,19 +109,15 @@ class Earshot:
     """The ear of an episode; ``said`` grows as it runs."""
 
     grounder: Grounder
-    first: Understanding
+    first: Understanding  # what the robot was told before the first step
     scene: StaticScene
-    script: Mapping[int, Sequence[str]] = dataclasses.field(default_factory=dict)
-    """What is said before which step."""
-    voices: Mapping[str, Voice] = dataclasses.field(default_factory=dict)
-    """Who else may speak, by name."""
+    script: Mapping[int, Sequence[str]] = dataclasses.field(default_factory=dict)  # by step
+    voices: Mapping[str, Voice] = dataclasses.field(default_factory=dict)  # who else may speak
     is_awaited: Callable[[EpisodeState], bool] = lambda progress: False
     """Whether somebody is there who may yet speak to a robot that stands still."""
-    on_said: Callable[[Remark], object] = lambda said: None
-    """Told of every utterance as it is heard."""
+    on_said: Callable[[Remark], object] = lambda said: None  # told of every utterance
     said: list[Remark] = dataclasses.field(default_factory=list)
-    candidates: tuple[Candidate, ...] = ()
-    """What may be meant, after the last step that asked."""
+    candidates: tuple[Candidate, ...] = ()  # what may be meant, after the last step that asked
     _step: int = 0
 
     def begin(self, progress: EpisodeState) -> EpisodeState:
