@@ -262,15 +262,8 @@ def test_derivative_by_every_strength_is_that_of_the_minimum():
     problem = separable(rng)
     times = jnp.asarray(rng.integers(0, 3, problem.times.shape), jnp.float32)
     held = jnp.asarray(rng.integers(0, 2, problem.times.shape), jnp.float32)
-    design = Design(
-        words=np.asarray(problem.words),
-        properties=np.asarray(problem.properties),
-        columns={"symbol": slice(0, 6)},
-        place=np.zeros(0, int),
-        instruction=np.zeros(0, int),
-        times=np.zeros(0),
-        num_instructions=1,
-    )
+    factors = np.asarray(problem.words), np.asarray(problem.properties)
+    design = Design(*factors, {"symbol": slice(0, 6)}, *[np.zeros(0, int)] * 3, num_instructions=1)
     factored, config = factorise(design), TrainingConfig(gap=1e-9, max_steps=200)
     at = np.log(np.linspace(0.5, 3.0, len(groups)))
 
