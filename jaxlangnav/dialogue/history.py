@@ -5,7 +5,7 @@ serves a whole batch that has heard the same: it says where in the old arrays ea
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -46,10 +46,15 @@ class Edge:
     heard: int
     source: int = NONE
 
-    def moved(self, place: Sequence[int]) -> "Edge":
+    def moved(self, places: Sequence[int]) -> "Edge":
         """Renumber its mentions."""
-        landmark = NONE if self.landmark == NONE else place[self.landmark]
-        return dataclasses.replace(self, figure=place[self.figure], landmark=landmark)
+        figure, landmark = moved((self.figure, self.landmark), places)
+        return dataclasses.replace(self, figure=figure, landmark=landmark)
+
+
+def moved(mentions: Sequence[int], places: Sequence[int]) -> list[int]:
+    """Renumber mentions; ``NONE`` stays."""
+    return [NONE if one == NONE else places[one] for one in mentions]
 
 
 @dataclasses.dataclass
@@ -86,15 +91,6 @@ class Account:
             for one in self.edges
             if one.relation != NONE
         )
-
-    def pinned_with(self, heard: int) -> list[bool]:
-        """Tell of each old command whether this utterance, or another, says which one is meant."""
-        told = (self.is_told(goal, heard, is_now=True) for goal in self.goals)
-        return [one or was for one, was in zip(told, self.pinned, strict=True)]
-
-    def new_pinned(self, heard: int) -> list[bool]:
-        """Tell of each new command whether earlier utterances say which one is meant."""
-        return [self.is_told(goal, heard, is_now=False) for goal in self.new_goals]
 
     def description(self, mention: int) -> frozenset[tuple[int, ...]]:
         """List what is said of a thing; what is said of the robot is so where it was said."""
@@ -134,17 +130,17 @@ def accounts_of(readings: Readings, words: Words) -> list[Account]:
 def _goals(reading: Account, spoken: Spoken | None, num_clauses: int) -> list[int]:
     """Find the mention that each command of a sentence is about."""
     told = spoken or Spoken()
-    kinds, may_be = told.goals, told.may_be
     landmarks = {one.landmark for one in reading.edges}
     goals: list[int] = []
     for index in range(num_clauses):
-        kind = kinds[index] if index < len(kinds) else None
-        if kind is None:
-            alike = [m for m, one in enumerate(reading.mentions) if one.kind != ROBOT]
-        else:
-            alike = [m for m, one in enumerate(reading.mentions) if one.label in may_be(kind)]
+        kind = told.goals[index] if index < len(told.goals) else None
+        alike = [
+            m
+            for m, one in enumerate(reading.mentions)
+            if (one.kind != ROBOT if kind is None else one.label in told.may_be(kind))
+        ]
         alike = [m for m in alike if m not in landmarks] or alike
-        before = sum(one == kind for one in kinds[:index])
+        before = sum(one == kind for one in told.goals[:index])
         goals.append(alike[min(before, len(alike) - 1)] if alike and kind != NONE else NONE)
     return goals
 
@@ -173,32 +169,6 @@ def new_accounts(
     return found
 
 
-_NO_MENTION = {"kind": NONE, "is_asked": False, "avoid": 0, "source": NONE}
-_NO_EDGE = dict.fromkeys(("figure", "relation", "landmark", "source"), NONE) | {
-    "rank": 0,
-    "heard": 0,
-}
-"""What is written where there is none."""
-
-
-def _rows(rows: Sequence[Sequence[Any]], shape: tuple[int, int], empty: Any) -> np.ndarray:
-    """Write rows of different lengths into one array; what they leave free is empty."""
-    found = np.full(shape, empty, bool if isinstance(empty, bool) else np.int32)
-    for place, row in enumerate(rows):
-        found[place, : len(row)] = row
-    return found
-
-
-def _columns(
-    rows: Sequence[Sequence[Any]], shape: tuple[int, int], empty: Mapping[str, Any]
-) -> dict[str, np.ndarray]:
-    """Write rows of records into an array for each of their fields."""
-    return {
-        name: _rows([[getattr(one, name) for one in row] for row in rows], shape, value)
-        for name, value in empty.items()
-    }
-
-
 def written(
     ranked: Sequence[Account],
     sizes: tuple[int, int, int, int],
@@ -210,34 +180,54 @@ def written(
     ``instruction`` is what has been said last, ``heard`` its number; probabilities sum to one.
     """
     number, num_mentions, num_edges, num_commands = sizes
-    mention = _columns([one.mentions for one in ranked], (number, num_mentions), _NO_MENTION)
-    edge = _columns([one.edges for one in ranked], (number, num_edges), _NO_EDGE)
-    log_probability = np.full(number, -np.inf, np.float32)
     log_all = [one.log_probability for one in ranked]
+    log_probability = np.full(number, -np.inf, np.float32)
     log_probability[: len(ranked)] = np.array(log_all) - np.logaddexp.reduce(log_all)
 
-    def of_commands(rows: list[list[Any]], empty: Any) -> np.ndarray:
-        return _rows(rows, (number, num_commands), empty)
+    def table(rows: list[list[Any]], width: int, empty: int | bool) -> np.ndarray:
+        found = np.full((number, width), empty, bool if isinstance(empty, bool) else np.int32)
+        for place, row in enumerate(rows):
+            found[place, : len(row)] = row
+        return found
 
+    def mentions(name: str, empty: int | bool) -> np.ndarray:
+        rows = [[getattr(one, name) for one in account.mentions] for account in ranked]
+        return table(rows, num_mentions, empty)
+
+    def edges(name: str, empty: int = NONE) -> np.ndarray:
+        rows = [[getattr(one, name) for one in account.edges] for account in ranked]
+        return table(rows, num_edges, empty)
+
+    pinned = [
+        [
+            one.is_told(goal, heard, is_now=True) or was
+            for goal, was in zip(one.goals, one.pinned, strict=True)
+        ]
+        for one in ranked
+    ]
+    new_pinned = [
+        [one.is_told(goal, heard, is_now=False) for goal in one.new_goals] for one in ranked
+    ]
     readings = {
-        "mention_type": mention["kind"],
-        **{name: edge[name] for name in ("figure", "relation", "landmark", "rank")},
+        "mention_type": mentions("kind", NONE),
+        **{name: edges(name) for name in ("figure", "relation", "landmark")},
+        "rank": edges("rank", 0),
         "log_probability": log_probability,
     }
     words = {
-        "is_asked": mention["is_asked"],
-        "avoid": mention["avoid"],
-        "goal": of_commands([one.goals for one in ranked], NONE),
-        "is_pinned": of_commands([one.pinned_with(heard) for one in ranked], False),
-        "heard": edge["heard"],
+        "is_asked": mentions("is_asked", False),
+        "avoid": mentions("avoid", 0),
+        "goal": table([one.goals for one in ranked], num_commands, NONE),
+        "is_pinned": table(pinned, num_commands, False),
+        "heard": edges("heard", 0),
         "num_heard": np.int32(heard + 1),
         "num_dropped": np.int32(ranked[0].num_dropped),
     }
     sources = {
-        "new_goal": of_commands([one.new_goals for one in ranked], NONE),
-        "new_pinned": of_commands([one.new_pinned(heard) for one in ranked], False),
-        "from_relation": edge["source"],
-        "from_mention": mention["source"],
+        "new_goal": table([one.new_goals for one in ranked], num_commands, NONE),
+        "new_pinned": table(new_pinned, num_commands, False),
+        "from_relation": edges("source"),
+        "from_mention": mentions("source", NONE),
     }
     return Joined(
         readings=Readings(**jax.device_put(readings)),

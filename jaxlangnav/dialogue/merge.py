@@ -10,7 +10,15 @@ How words are joined depends on the words alone, not on the robot.
 import dataclasses
 import itertools
 
-from jaxlangnav.dialogue.history import Account, Edge, Joined, accounts_of, new_accounts, written
+from jaxlangnav.dialogue.history import (
+    Account,
+    Edge,
+    Joined,
+    accounts_of,
+    moved,
+    new_accounts,
+    written,
+)
 from jaxlangnav.dialogue.memory import Words
 from jaxlangnav.grounding.instruction import Instruction, Spoken
 from jaxlangnav.grounding.readings import in_order, things_last
@@ -33,7 +41,10 @@ def _places(old: Account, new: Account, spoken: Spoken | None, *, is_loose: bool
         if one.kind != ROBOT and spoken is not None and one.label in spoken.others:
             alike = []
         elif one.kind != ROBOT and not (spoken is not None and one.label in spoken.known):
-            alike = [m for m in alike if _may_be(said, old.description(m), is_loose=is_loose)]
+            # Two descriptions may be of one thing where one of them says all that the other does.
+            before = {m: old.description(m) for m in alike}
+            alike = [m for m in alike if said <= before[m] or before[m] <= said]
+            alike = [m for m in alike if is_loose or before[m] or not said]
         places.append(alike[0] if alike else size)
         size += not alike
     return places
@@ -55,11 +66,6 @@ def _said_again(old: Account, new: Account) -> dict[int, int]:
         if said and alike and kinds.count(one.kind) > 1:
             found[index] = alike[-1]
     return found
-
-
-def _may_be(new: frozenset, old: frozenset, *, is_loose: bool) -> bool:
-    """Tell whether two descriptions may be of one thing: what is said of one is no less."""
-    return (new <= old or old <= new) and (is_loose or bool(old) or not new)
 
 
 def _product(
@@ -85,16 +91,13 @@ def _product(
         is_news = one.relation != NONE and one.rank != BETWEEN
         if is_news or dataclasses.replace(one, heard=0) not in known_edges:
             edges.append(one)
-    goals = [NONE if goal == NONE else places[goal] for goal in new.new_goals]
-    total = old.log_probability + new.log_probability
+    total, goals = old.log_probability + new.log_probability, moved(new.new_goals, places)
     return Account(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
 
 
 def _is_apart(old: Account, new: Account, spoken: Spoken | None) -> bool:
-    """Tell whether what is spoken of as known is of one type before, and of another one now.
-
-    Of a noun that may be either of two labels each is a reading of its own.
-    """
+    """Tell whether what is spoken of as known is of one type before, and of another one now."""
+    # Of a noun that may be either of two labels each is a reading of its own.
     told = spoken or Spoken()
     before, now = ({one.label for one in said.mentions} for said in (old, new))
     return any(
@@ -110,11 +113,11 @@ def _tidied(reading: Account) -> Account:
     reading.edges = [
         one for one in reading.edges if one.relation != NONE or one.figure not in placed
     ]
-    for _ in reading.mentions:
-        for pair in ends:
-            if any(reading.mentions[m].is_asked for m in pair if reading.mentions[m].kind != ROBOT):
-                for m in pair:
-                    reading.mentions[m].is_asked = True
+    for pair in ends * len(reading.mentions):
+        things = [reading.mentions[m] for m in pair]
+        if any(one.is_asked for one in things if one.kind != ROBOT):
+            for one in things:
+                one.is_asked = True
     return reading
 
 
@@ -147,22 +150,18 @@ def _fitted(reading: Account, num_mentions: int, num_relations: int) -> Account:
         dropped += 1
     place = [kept.index(m) if m in touched else NONE for m in range(len(reading.mentions))]
 
-    def at(goals: list[int]) -> list[int]:
-        return [NONE if goal == NONE else place[goal] for goal in goals]
-
     def ends(one: Edge) -> tuple[int, int]:
         return one.figure, one.landmark
 
     mentions = [reading.mentions[m] for m in kept]
-    moved = in_order([one.moved(place) for one in reading.edges], ends)
-    return Account(
-        mentions,
-        things_last(moved, ends, [one.kind for one in mentions]),
-        at(reading.goals),
-        reading.pinned,
-        at(reading.new_goals),
-        reading.log_probability,
-        reading.num_dropped + dropped,
+    edges = in_order([one.moved(place) for one in reading.edges], ends)
+    return dataclasses.replace(
+        reading,
+        mentions=mentions,
+        edges=things_last(edges, ends, [one.kind for one in mentions]),
+        goals=moved(reading.goals, place),
+        new_goals=moved(reading.new_goals, place),
+        num_dropped=reading.num_dropped + dropped,
     )
 
 

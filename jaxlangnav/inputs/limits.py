@@ -40,14 +40,7 @@ def is_complex(value: Any) -> bool:
 
 
 def number(value: Any, what: str) -> float:
-    """Read a finite number.
-
-    Args:
-        value: a number, or an array of one.
-        what: what it is, for the refusal.
-
-    Returns:
-        The number.
+    """Read a finite number, or an array of one; ``what`` it is, for the refusal.
 
     Raises:
         ValueError: it is none, or not finite; one line.
@@ -72,9 +65,6 @@ def bounded(value: Any, low: float, high: float, what: str, remedy: str) -> floa
         high: the most.
         what: what it is, for the refusal.
         remedy: what to do, for the refusal.
-
-    Returns:
-        The number.
 
     Raises:
         ValueError: it is none, or out of the bounds; one line.
@@ -170,13 +160,10 @@ class Quantity:
 
     def _remedy(self, value: Any) -> str:
         """Guess at a forgotten unit."""
-        if isinstance(value, str) or value <= self.high:
+        meant = {"angle": ("deg", "degrees are"), "share": ("%", "percent is")}.get(self.kind)
+        if meant is None or isinstance(value, str) or value <= self.high:
             return ""
-        if self.kind == "angle":
-            return f'; write "{value:g} deg" if degrees are meant'
-        if self.kind == "share":
-            return f'; write "{value:g} %" if percent is meant'
-        return ""
+        return f'; write "{value:g} {meant[0]}" if {meant[1]} meant'
 
 
 LENGTH = Quantity(kind="length", is_low_open=True)

@@ -94,32 +94,21 @@ def _attribute_code(looks: Any, what: str) -> int:
     for group, word in looks.items():
         if not isinstance(word, str) or group_of(word) != group:
             known = f"attributes are compared by {', '.join(ATTRIBUTES)}"
-            known = (
-                f"must be one of {', '.join(ATTRIBUTES[group])}" if group in ATTRIBUTES else known
-            )
+            if group in ATTRIBUTES:
+                known = f"must be one of {', '.join(ATTRIBUTES[group])}"
             raise ValueError(f"{what}'s {quoted(group)} is {quoted(word)}, but {known}")
     return attributes(*looks.values())
 
 
 def padded(count: int) -> int:
-    """Tell to how many slots so many detections are padded.
-
-    Args:
-        count: detections of one look.
-
-    Returns:
-        The least of ``SLOTS`` that holds them.
-
-    Raises:
-        ValueError: more than the largest.
-    """
-    for slots in SLOTS:
-        if count <= slots:
-            return slots
-    raise ValueError(
-        f"more than {SLOTS[-1]} detections in one look, but at most {SLOTS[-1]} are held: "
-        "leave out those of types that the task does not speak of"
-    )
+    """Find the least of ``SLOTS`` that holds so many detections; ValueError where none does."""
+    slots = next((slots for slots in SLOTS if count <= slots), None)
+    if slots is None:
+        raise ValueError(
+            f"more than {SLOTS[-1]} detections in one look, but at most {SLOTS[-1]} are held: "
+            "leave out those of types that the task does not speak of"
+        )
+    return slots
 
 
 def detected(
@@ -143,11 +132,7 @@ def detected(
         ValueError: names the detection, the value, the limit and the remedy.
     """
     range_max, field_of_view, _, noise, *_ = (float(one) for one in sensor)
-    try:
-        is_list = not isinstance(detections, str | bytes | Mapping)
-        rows = _first(detections, SLOTS[-1] + 1) if is_list else None
-    except TypeError:
-        rows = None
+    rows = _listed(detections, SLOTS[-1] + 1)
     if rows is None:
         raise ValueError(
             f"detections is {quoted(detections)}, but must be a list of (type, range, bearing)"
@@ -174,13 +159,12 @@ def _entries(row: Any, what: str) -> list[Any]:
     """Take a detection apart: type, range, bearing, and how it looks or None."""
     is_array = isinstance(row, np.ndarray) and row.ndim == 1
     is_row = is_array or (isinstance(row, Sequence) and not isinstance(row, str | bytes))
-    entries = list(row) if is_row and len(row) in (3, 4) else []
-    if len(entries) not in (3, 4):
+    if not is_row or len(row) not in (3, 4):
         raise ValueError(
             f"{what} is {quoted(row, 60)}, but must be (type, range, bearing), or with how it "
             'looks (type, range, bearing, {"colour": "red"})'
         )
-    return [*entries, None][:4]
+    return [*row, None][:4]
 
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
@@ -217,10 +201,10 @@ def sensor_numbers(
     Raises:
         ValueError: names the value, the limits and the remedy.
     """
+    share = "give a share, 0.95 for 95 percent"
     reach = bounded(range_max, *RANGES, "range_max", "give metres")
     degrees = "give radians, math.radians(90) for 90 degrees"
     view = bounded(field_of_view, *VIEWS, "field_of_view", degrees)
-    share = "give a share, 0.95 for 95 percent"
     seen = bounded(detection_probability, 0.0, 1.0, "detection_probability", share)
     if seen == 0.0:
         raise ValueError(
@@ -232,21 +216,22 @@ def sensor_numbers(
     false = bounded(false_detections, 0.0, MOST_FALSE, "false_detections", most)
     rate = "give a share, 0.1 for 10 percent"
     wrong = bounded(mislabelled, 0.0, MOST_WRONG, "mislabelled", rate)
-    return tuple(np.float32(one) for one in (reach, view, seen, errs, false, wrong))
+    return tuple(map(np.float32, (reach, view, seen, errs, false, wrong)))
 
 
-def _first(values: Any, most: int) -> list[Any]:
-    """Read a row as far as it may go: it may have no end."""
-    return list(itertools.islice(iter(values), most))
+def _listed(values: Any, most: int) -> list[Any] | None:
+    """Read a list as far as it may go, for it may have no end; None of what is no list."""
+    try:
+        is_list = not isinstance(values, str | bytes | Mapping)
+        return list(itertools.islice(iter(values), most)) if is_list else None
+    except TypeError:
+        return None
 
 
 def _parts(values: Any, number_of: int, what: str, remedy: str) -> list[Any]:
     """Take apart what must be a row of so many."""
-    try:
-        parts = [] if isinstance(values, str | bytes | Mapping) else _first(values, number_of + 1)
-    except TypeError:
-        parts = []
-    if len(parts) != number_of:
+    parts = _listed(values, number_of + 1)
+    if parts is None or len(parts) != number_of:
         raise ValueError(f"{what} is {quoted(values)}, but must be {remedy}")
     return parts
 

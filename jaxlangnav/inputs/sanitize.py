@@ -23,25 +23,16 @@ _SHOWN = 60
 def is_plain(character: str) -> bool:
     """Tell whether a character can be printed as it is: it takes room and moves nothing.
 
-    Args:
-        character: one.
-
-    Returns:
-        False for control characters, line ends, formats that nobody sees (bidirectional marks,
-        joiners), lone surrogates and what Unicode does not know.
+    Control characters, line ends, formats that nobody sees (bidirectional marks, joiners), lone
+    surrogates and what Unicode does not know cannot.
     """
     return character.isprintable() or character in "\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}"
 
 
 def printable(text: str, *, keep: str = "") -> str:
-    r"""Write a text so that a terminal shows it and does nothing else.
+    r"""Write a text so that a terminal shows it and does nothing else: ``\x1b``, ``\u202e``.
 
-    Args:
-        text: any.
-        keep: characters that are left as they are, such as line breaks of our own.
-
-    Returns:
-        The text; what is not plain is written as an escape: ``\x1b``, ``\u202e``.
+    ``keep`` are characters that are left as they are, such as line breaks of our own.
     """
     if text.isprintable():
         return text
@@ -55,21 +46,12 @@ def printable(text: str, *, keep: str = "") -> str:
 
 
 def shown(value: Any) -> str:
-    """Write a value in a message, in quotes where it is a text, cut where it is long.
-
-    Args:
-        value: of JSON's or TOML's types.
-
-    Returns:
-        At most about sixty characters, all of them plain.
-    """
+    """Write a value of JSON or TOML in a message: a text in quotes, cut to about 60 characters."""
     if isinstance(value, dict) and value:
         return f"a table of {len(value)} keys"
-    if isinstance(value, list) and (
-        len(value) > 8 or any(isinstance(v, list | dict) for v in value)
-    ):
-        return f"a list of {len(value)} entries"
     if isinstance(value, list):
+        if len(value) > 8 or any(isinstance(one, list | dict) for one in value):
+            return f"a list of {len(value)} entries"
         return cut(f"[{', '.join(shown(one) for one in value)}]")
     if isinstance(value, int) and value.bit_length() > 128:
         return f"a whole number of {value.bit_length()} bits"
@@ -82,12 +64,7 @@ def shown(value: Any) -> str:
 
 
 def quoted(value: Any, most: int = 40) -> str:
-    """Write any value in one line of a refusal, a text in quotes, cut where it is long.
-
-    Args:
-        value: anything.
-        most: characters at most.
-    """
+    """Write any value in one line of a refusal, a text in quotes; ``most`` characters at most."""
     if isinstance(value, str):  # cut before it is looked through: it may be of any length
         return f"'{cut(printable(' '.join(value[: 2 * most].split())), most)}'"
     try:
@@ -98,25 +75,12 @@ def quoted(value: Any, most: int = 40) -> str:
 
 
 def cut(text: str, most: int = _SHOWN) -> str:
-    """Cut a text that is longer than a limit; an ellipsis stands for the rest.
-
-    Args:
-        text: any.
-        most: characters of the result at most, at least 1.
-    """
+    """Cut a text to ``most`` characters; the last of them is an ellipsis for the rest."""
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def fault_of_name(text: str, *, longest: int = LONGEST_NAME) -> str | None:
-    """Find why a text cannot be a name or a sentence that people are shown.
-
-    Args:
-        text: from a file.
-        longest: characters it may have.
-
-    Returns:
-        What is wrong and what to do about it; None where nothing is.
-    """
+    """Say why people cannot be shown a text as a name or sentence, and the remedy; or None."""
     if len(text) > longest:
         return f"has {len(text)} characters but must have at most {longest}: shorten it"
     odd = next((place for place, one in enumerate(text) if not is_plain(one)), None)
@@ -147,11 +111,7 @@ class Plain:
     """Something that rich draws, its text made printable; colours and frames stay."""
 
     def __init__(self, renderable: "RenderableType") -> None:
-        """Wrap.
-
-        Args:
-            renderable: a table, a tree, a panel, ...
-        """
+        """Wrap a table, a tree, a panel, ..."""
         self.renderable = renderable
 
     def __rich_console__(
@@ -168,28 +128,13 @@ _MARKDOWN = re.compile(r"[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
 
 
 def markdown(text: str) -> str:
-    r"""Write a text so that Markdown shows it letter by letter, inside a cell of a table too.
-
-    Args:
-        text: any.
-
-    Returns:
-        One line, its signs escaped: ``\|``, ``\*``, ``&lt;``.
-    """
+    r"""Write a text on one line that Markdown shows letter by letter: ``\|``, ``\*``, ``&lt;``."""
     plain = printable(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return _MARKDOWN.sub(r"\\\g<0>", plain)
 
 
 def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Write a table in Markdown.
-
-    Args:
-        headings: of the columns.
-        rows: each of as many texts.
-
-    Returns:
-        Lines, each ended.
-    """
+    """Write a table in Markdown: ``headings``, and rows of as many texts."""
     lines = [[markdown(one) for one in line] for line in (headings, *rows)]
     lines.insert(1, ["---"] * len(headings))
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)

@@ -24,6 +24,7 @@ corpus teaches the graph of a word ("toward") is not what a rewriting makes of i
 import itertools
 import re
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -150,17 +151,12 @@ def _check_symbols(labels: Sequence[Sequence[str]], legal: _Legal) -> None:
 def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
     """Check one clause against the tree the parser makes."""
     root, kind = found.clauses[index], found.kinds[index]
-    heads = [
-        f"{phrase.label}[{' '.join(word.text for word in phrase.words)}]" for phrase in root.walk()
-    ]
-    _check(record.kind == kind, f"clause {index}: kind is '{kind}', not '{record.kind}'")
-    _check(
-        record.phrases == heads,
-        f"clause {index}: the parser finds the phrases {' '.join(heads)}",
-    )
+    heads, where = [phrase.head for phrase in root.walk()], f"clause {index}:"
+    _check(record.kind == kind, f"{where} kind is '{kind}', not '{record.kind}'")
+    _check(record.phrases == heads, f"{where} the parser finds the phrases {' '.join(heads)}")
     for key, labels in (("annotation", record.annotation), ("rank", record.rank)):
         count = len(labels)
-        _check(count == len(heads), f"clause {index}: {count} {key} for {len(heads)} phrases")
+        _check(count == len(heads), f"{where} {count} {key} for {len(heads)} phrases")
     _check_symbols(record.annotation, _annotation_symbols(load_lexicon().type_names))
     annotation = tuple(map(frozenset, record.annotation))
     return ClauseLabels(annotation=annotation, rank=tuple(record.rank))
@@ -195,12 +191,6 @@ def _read_world(record: _World, found: Parse) -> WorldLabels:
 def parse_labelled(text: str) -> Parse:
     """Read a sentence of a corpus: as it stands, or else in other wordings.
 
-    Args:
-        text: the sentence.
-
-    Returns:
-        Its trees.
-
     Raises:
         LanguageError: it is refused.
     """
@@ -211,13 +201,7 @@ def parse_labelled(text: str) -> Parse:
 
 
 def read_example(line: str) -> Example:
-    """Read and check one line of a corpus.
-
-    Args:
-        line: a JSON document as the head of this module describes.
-
-    Returns:
-        The labelled instruction, parsed.
+    """Read and check one line of a corpus, a JSON document as the head of this module describes.
 
     Raises:
         CorpusError: what is wrong, in one line.
@@ -248,12 +232,6 @@ def read_example(line: str) -> Example:
 def read_corpus(path: str | Path) -> tuple[Example, ...]:
     """Read and check a corpus file; blank lines and lines that begin with ``#`` are skipped.
 
-    Args:
-        path: the file.
-
-    Returns:
-        Its labelled instructions, in order.
-
     Raises:
         CorpusError: the first fault, as ``file line N: what``.
     """
@@ -282,14 +260,7 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
 
 @cache
 def load_corpus(name: str = "corpus") -> tuple[Example, ...]:
-    """Read a corpus of the package.
-
-    Args:
-        name: "corpus" (the large one) or "corpus39" (the paper's protocol).
-
-    Returns:
-        Its labelled instructions.
-    """
+    """Read a corpus of the package: the large one, or "corpus39" (the paper's protocol)."""
     with resources.as_file(resources.files("jaxlangnav.language") / f"data/{name}.jsonl") as path:
         return read_corpus(path)
 
@@ -305,12 +276,9 @@ def main(arguments: list[str]) -> int:
             status = 2
             continue
         phrases = sum(len(c.rank) for example in examples for c in example.clauses)
-        kinds = {COMMAND: 0, STATEMENT: 0}
-        for example in examples:
-            for kind in example.parse.kinds:
-                kinds[kind] += 1
-        told = f"{path}: {len(examples)} instructions, {phrases} phrases, {kinds}"
-        print(printable(told))
+        found = Counter(kind for example in examples for kind in example.parse.kinds)
+        kinds = {kind: found[kind] for kind in (COMMAND, STATEMENT)}
+        print(printable(f"{path}: {len(examples)} instructions, {phrases} phrases, {kinds}"))
     return status
 
 

@@ -10,7 +10,7 @@ a rewriting is parsed before it counts.
 """
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Literal
 
 from jaxlangnav.language.grammar import COMMA, FULLSTOP, UNKNOWN, Grammar, load_grammar
@@ -44,22 +44,19 @@ def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
     names = {left: _name(left, form) for left in rules}
     makes, part, head = {"lark": (": ", "\n  | ", "//"), "gbnf": (" ::= ", " | ", "#")}[form]
     note = f"{head} The controlled language of jaxlangnav. Every word has a space before it."
-    lines = [
-        names[left] + makes + part.join(_right_sides(rights, names))
-        for left, rights in rules.items()
-    ]
-    return "\n".join([note, *lines]) + "\n"
+    lines = [note]
+    for left, rights in rules.items():
+        ways = [" ".join(names.get(one) or _literal(one) for one in right) for right in rights]
+        lines.append(names[left] + makes + part.join(ways))
+    return "\n".join(lines) + "\n"
 
 
 def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
-    """List the rules that can be filled with words, and are reached from the start.
+    """List the rules that can be filled with words, and are reached from the start, which is first.
 
     Args:
         grammar: of the parser.
         nouns: names of things beside the lexicon's.
-
-    Returns:
-        Ways to make each symbol, the start first.
 
     Raises:
         ValueError: a noun is none; one line.
@@ -80,14 +77,7 @@ def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
 
 
 def spaced(text: str) -> str:
-    """Write a sentence as the exported grammar has it: a space before each word.
-
-    Args:
-        text: a sentence.
-
-    Returns:
-        The same words and marks, small.
-    """
+    """Write a sentence as the exported grammar has it: small, with a space before each word."""
     return " " + " ".join(plainly(text).split())
 
 
@@ -101,13 +91,15 @@ def _words(noun: str) -> list[str]:
 
 def _fillable(ways: Rules) -> Rules:
     """Leave out what cannot be filled with words."""
-    size = -1
-    while size != sum(map(len, ways.values())):
-        size = sum(map(len, ways.values()))
-        ways = {
-            left: [r for r in rights if all(part[0] == '"' or ways.get(part) for part in r)]
-            for left, rights in ways.items()
-        }
+    before: Rules = {}
+    while before != ways:
+        before, ways = (
+            ways,
+            {
+                left: [r for r in rights if all(part[0] == '"' or ways.get(part) for part in r)]
+                for left, rights in ways.items()
+            },
+        )
     return {left: rights for left, rights in ways.items() if rights}
 
 
@@ -124,8 +116,7 @@ def _reached(ways: Rules) -> Rules:
 
 def _name(left: str, form: Notation) -> str:
     """Name a symbol as the form wants it: lark's are small, GBNF has no underscore."""
-    capital = left[:1].isupper()
-    small = left.lower() + ("_phrase" if capital else "")
+    small = left.lower() + ("_phrase" if left[:1].isupper() else "")
     if form == "lark":
         return small
     return "root" if left == START else small.replace("_", "-")
@@ -135,9 +126,3 @@ def _literal(part: str) -> str:
     """Write a word with the space before it, or a mark without."""
     word = part.strip('"')
     return json.dumps(_MARKS.get(part) or (word if word == "'s" else f" {word}"))
-
-
-def _right_sides(rights: list[tuple[str, ...]], names: dict[str, str]) -> Iterator[str]:
-    """Write the ways to make a symbol."""
-    for right in rights:
-        yield " ".join(_literal(one) if one[0] == '"' else names[one] for one in right)

@@ -39,11 +39,11 @@ def leaves(phrase: Phrase) -> list[Phrase]:
 
 def head_of(phrase: Phrase) -> Phrase | None:
     """Find the noun phrase that a clause is about: the goal of a command, what is said to be."""
-    inner = [child for child in phrase.children if child.label != "VP"]
-    if phrase.label == "S":
-        inner = [child for child in phrase.children if child.label == "NP"]
     if phrase.label == "NP" and not phrase.children:
         return phrase
+    inner = [child for child in phrase.children if child.label != "VP"]
+    if phrase.label == "S":
+        inner = [child for child in inner if child.label == "NP"]
     return head_of(inner[0]) if inner else None
 
 
@@ -76,6 +76,7 @@ class _Resolver:
         self.before = earlier.clause if before is None and earlier is not None else before
         self.is_statement = is_statement
         self.head = None if self.before is None else head_of(self.before)
+        self.kind = None if self.head is None else type_sense(self.head)
 
     def resolve(self, phrase: Phrase, *, is_landmark: bool = False) -> Phrase:
         """Put what is meant into every pronoun below a phrase."""
@@ -83,8 +84,8 @@ class _Resolver:
             return self._meant(phrase, is_landmark)
         if phrase.label == "NP" and not phrase.children:
             return self._again(phrase)
-        deeper = is_landmark or _has(phrase, "relation") or phrase.label == "NP"
-        deeper = deeper or _has(phrase, "constraint")
+        has_landmarks = _has(phrase, "relation") or _has(phrase, "constraint")
+        deeper = is_landmark or phrase.label == "NP" or has_landmarks
         children = []
         for index, child in enumerate(phrase.children):
             is_figure = phrase.label == "NP" and index == 0
@@ -97,56 +98,47 @@ class _Resolver:
 
     def _meant(self, pronoun: Phrase, is_landmark: bool) -> Phrase:
         """Give a pronoun the type of the thing it stands for."""
-        word = next(w for w in pronoun.words if any(s == PRONOUN for s in w.senses))
-        before = self.before
+        word = next(w for w in pronoun.words if PRONOUN in w.senses)
+        before, kind = self.before, self.kind
         if before is None or self.head is None:
             raise _refuse(word, "nothing said before that it could stand for")
-        kind = type_sense(self.head)
         if kind is None or self.head.words[-1].tag == "NNS":
             raise _refuse(word, "what it stands for is not clear")
-        others = [s for s in (type_sense(leaf) for leaf in leaves(before)) if s]
+        others = [str(type_sense(leaf)) for leaf in leaves(before)]
         if is_landmark and before.label == "VP" and len(others) > 1:
             names = " or ".join(dict.fromkeys(f"the {sense[5:]}" for sense in others))
             raise _refuse(word, f"is it {names}?")
-        is_very = before.label == "VP" and not self.is_statement
-        is_very = is_very and (self.is_at or not self.is_far)
-        senses = (kind, SAME) if is_very else (kind,)
-        resolved = replace(
-            pronoun,
-            words=tuple(replace(w, senses=senses) if w is word else w for w in pronoun.words),
-        )
+        is_command = before.label == "VP" and not self.is_statement
+        is_very = is_command and (self.is_at or not self.is_far)
+        resolved = _with_senses(pronoun, word, (kind, SAME) if is_very else (kind,))
         said = _said_of(before) if before.label == "S" else ()
         return _restricted(resolved, said) if said else resolved
 
     def _again(self, leaf: Phrase) -> Phrase:
         """Mark "the cone" as the very cone that the command before went to."""
         one = next((w for w in leaf.words if w.text == "one" and "anaphor" in w.senses), None)
-        kind = None if self.head is None else type_sense(self.head)
-        if one is not None and kind is not None and not _has(leaf, "other"):
-            words = (replace(w, senses=(kind,)) if w is one else w for w in leaf.words)
-            return replace(leaf, words=tuple(words))
+        if one is not None and self.kind is not None and not _has(leaf, "other"):
+            return _with_senses(leaf, one, (self.kind,))
         # "The cone" of an earlier utterance may be another cone than this one.
         is_goal = self.before is not None and self.before.label == "VP" and not self.is_far
-        if self.is_statement or not is_goal or not _is_definite(leaf):
+        is_alike = self.kind is not None and self.kind == type_sense(leaf)
+        if self.is_statement or not is_goal or not is_alike or not _is_definite(leaf):
             return leaf
-        if kind is None or kind != type_sense(leaf):
-            return leaf
-        words = (
-            replace(w, senses=(*w.senses, SAME)) if kind in w.senses else w for w in leaf.words
-        )
-        return replace(leaf, words=tuple(words))
+        named = next(word for word in leaf.words if self.kind in word.senses)
+        return _with_senses(leaf, named, (*named.senses, SAME))
+
+
+def _with_senses(phrase: Phrase, word: Word, senses: tuple[str, ...]) -> Phrase:
+    """Give a word of a phrase other senses."""
+    words = (replace(one, senses=senses) if one is word else one for one in phrase.words)
+    return replace(phrase, words=tuple(words))
 
 
 def _is_definite(leaf: Phrase) -> bool:
     """Tell whether a noun phrase is "the cone": nothing tells it apart from the one before."""
-    others = {"other", "anaphor", "place", SAME}
-    senses = {sense for word in leaf.words for sense in word.senses}
-    texts = [word.text for word in leaf.words]
-    return (
-        bool({"the", "that", "this"} & set(texts))
-        and leaf.words[-1].tag == "NN"
-        and not senses & others
-    )
+    is_told = any(word.text in ("the", "that", "this") for word in leaf.words)
+    is_other = leaf.says("other", "anaphor", "place", SAME)
+    return is_told and leaf.words[-1].tag == "NN" and not is_other
 
 
 def _said_of(statement: Phrase) -> tuple[Phrase, ...]:
@@ -167,10 +159,8 @@ def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
     """
     figure, said = head_of(statement), _said_of(statement)
     kind = None if figure is None else type_sense(figure)
-    if figure is None or kind is None or not said:
-        return command
     first = next((i for i, c in enumerate(command.children) if c.label != "VP"), None)
-    if first is None:
+    if figure is None or kind is None or not said or first is None:
         return command
     is_it = is_next and any(word.text == "it" for word in figure.words)
 
@@ -203,14 +193,12 @@ def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Ph
     resolved: list[Phrase] = []
     for clause in clauses:
         before = resolved[-1] if resolved else None
-        is_statement = clause.label == "S"
-        resolver = _Resolver(before, is_statement=is_statement, earlier=earlier)
+        resolver = _Resolver(before, is_statement=clause.label == "S", earlier=earlier)
         resolved.append(resolver.resolve(clause))
     statements = [(i, clause) for i, clause in enumerate(resolved) if clause.label == "S"]
     for index, clause in enumerate(resolved):
-        for place, statement in statements:
-            if clause.label == "VP":
-                clause = _inform(clause, statement, is_next=place == index + 1)
+        for place, statement in statements if clause.label == "VP" else ():
+            clause = _inform(clause, statement, is_next=place == index + 1)
         resolved[index] = clause
     return resolved
 
@@ -223,15 +211,11 @@ def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Ph
 
 def is_constraint(clause: Phrase) -> bool:
     """Tell whether a clause names nothing to do, only what to keep away from."""
-    senses = {sense.split(":")[0] for word in clause.words for sense in word.senses}
-    return clause.label == "VP" and "constraint" in senses and "action" not in senses
+    return clause.label == "VP" and _has(clause, "constraint") and not _has(clause, "action")
 
 
 def join_constraints(clauses: Sequence[Phrase]) -> list[Phrase]:
     """Put constraints that stand alone below the commands they are said with.
-
-    Args:
-        clauses: roots, in order.
 
     Returns:
         The clauses, where each constraint has become a part of every command after it, or of the

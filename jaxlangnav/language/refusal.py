@@ -50,11 +50,11 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     refused = load_lexicon().refused
     read = [token for token in tokens[: index + 1] if token.text]
     reasons = {token.position: refused.get(token.text) for token in read}
-    first = next((t for t in read if reasons[t.position] in _STRONG), None)
+    strong = [t for t in read if reasons[t.position] in _STRONG]
     denied = [t for t in tokens if refused.get(t.text) == REASONS["negation"] and _is_telling(t)]
-    if denied and (first is None or denied[0].position < first.position):
-        first = denied[0]
-        reasons[first.position] = REASONS["negation"]
+    first = min([*strong[:1], *denied[:1]], key=lambda token: token.position, default=None)
+    if first is not None:
+        reasons[first.position] = refused[first.text]
     stuck = None if index >= len(tokens) or not tokens[index].text else read[-1]
     unread = [t for t in read if _is_unknown(t) and not _is_read(t, tokens, index)]
     nearest = [t for t in reversed(read) if _is_telling(t) or t in unread]
@@ -89,10 +89,10 @@ def _refusal(token: Token, reason: str) -> LanguageError:
 
 def _refused_expression(tokens: list[Token], last: int) -> LanguageError | None:
     """Find the first expression of several words that is refused by name."""
-    refused = load_lexicon().refused_expressions
+    texts = tuple(token.text for token in tokens)
     for index, token in enumerate(tokens[: last + 1]):
-        for words, reason in refused.items():
-            if tuple(one.text for one in tokens[index : index + len(words)]) == words:
+        for words, reason in load_lexicon().refused_expressions.items():
+            if texts[index : index + len(words)] == words:
                 return LanguageError.at(" ".join(words), token.position, reason)
     return None
 
@@ -105,11 +105,10 @@ def _is_unknown(token: Token) -> bool:
 def _is_read(token: Token, tokens: list[Token], index: int) -> bool:
     """Tell whether an unknown word was read as a noun: "the pillar", with more words after it."""
     place = tokens.index(token)
-    before = tokens[max(place - 2, 0) : place]
-    is_named = any(one.text in _ARTICLES for one in before)
+    is_named = [one.text in _ARTICLES for one in tokens[max(place - 2, 0) : place]]
     if place + 1 == len(tokens):  # "the box on the workbench": what stands before is to blame
-        return bool(before) and before[-1].text in _ARTICLES
-    return is_named and place < index and not tokens[place + 1].terminal.startswith("?")
+        return bool(is_named) and is_named[-1]
+    return any(is_named) and place < index and not tokens[place + 1].terminal.startswith("?")
 
 
 def _is_telling(token: Token) -> bool:
@@ -142,7 +141,7 @@ def offer(
     is_contrary: bool,
     can_read: Callable[[str], bool],
 ) -> str | None:
-    """Find a sentence near to one that is refused.
+    """Find a sentence near to one that is refused; None where there is none.
 
     Args:
         tokens: words and marks of the sentence, as they were said.
@@ -150,16 +149,14 @@ def offer(
         is_contrary: it turns round what is said, as "not" and "if" do: only what stands before
             it, or apart from it, may be offered.
         can_read: whether a sentence can be read; asked four times at most.
-
-    Returns:
-        The sentence; None where there is none.
     """
     index = next((i for i, t in enumerate(tokens) if t.position == position), None)
     if index is None:
         return None
     tried: set[str] = set()
     for left in _candidates(list(tokens), index, is_contrary):
-        text = _written(left)
+        text = " ".join(token.text for token in left)
+        text = text.replace(" ,", ",").replace(" .", ".").replace(" 's", "'s")
         if not text or text in tried or "it" in (token.text for token in left):
             continue
         tried.add(text)
@@ -197,9 +194,3 @@ def _trimmed(tokens: list[SpokenToken]) -> list[SpokenToken]:
     while last > first and tokens[last - 1].text in _JOINTS | _LOOSE:
         last -= 1
     return tokens[first:last]
-
-
-def _written(tokens: Sequence[SpokenToken]) -> str:
-    """Write words and marks as a sentence."""
-    text = " ".join(token.text for token in tokens)
-    return text.replace(" ,", ",").replace(" .", ".").replace(" 's", "'s")

@@ -9,6 +9,7 @@ tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,9 +68,7 @@ class ForestReader:
             else:
                 stack.extend(waiting)
         best = self.memo[id(root)]
-        derivation = best.children[0]
-        if isinstance(derivation, int):
-            raise TypeError("the root of a forest is a derivation")
+        derivation: Any = best.children[0]
         return derivation, math.exp(best.log_best - best.log_sum)
 
     def _combine(self, node: SymbolNode) -> _Best:
@@ -107,6 +106,10 @@ UNKNOWN_TAGS = {
     "g_to": "VBG", "g_obj": "VBG", "adv": "RB",
 }  # fmt: skip
 """What an unknown word is tagged as, by its class."""
+_LITERAL_TAGS = {
+    "to": "TO", "and": "CC", "but": "CC", "'s": "POS", "face": "VB", "out": "RP", "is": "VBZ",
+    "then": "RB", "you": "PRP", "both": "DT", "where": "WRB", "whichever": "WDT", "whatever": "WDT",
+}  # fmt: skip
 PUNCTUATION = {"comma", "fullstop"}
 PARTED = "NPX"
 
@@ -115,20 +118,13 @@ class TreeBuilder:
     """Builds the phrases of one sentence."""
 
     def __init__(self, texts: list[str], positions: list[int]) -> None:
-        """Keep what the tokens stand for.
-
-        Args:
-            texts: the word of each token, lower case.
-            positions: 1-based position among the words of each token.
-        """
+        """Keep the word of each token, lower case, and its 1-based position among the words."""
         self.unknown: list[tuple[str, int]] = []  # words whose part of speech was guessed
-        self.texts = texts
-        self.positions = positions
+        self.texts, self.positions = texts, positions
 
     def build(self, derivation: Derivation) -> list[Phrase]:
         """Build the clauses of a derivation of ``start``, in order."""
-        _, phrases = self._parts(derivation)
-        return phrases
+        return self._parts(derivation)[1]
 
     def _parts(self, node: Derivation) -> tuple[list[Word], list[Phrase]]:
         """Collect the words and phrases a node hands up."""
@@ -140,10 +136,10 @@ class TreeBuilder:
         for index, child in enumerate(node.children):
             if isinstance(child, int):
                 words.append(self._word(node, index, child))
-                continue
-            inner_words, inner_phrases = self._parts(child)
-            words += inner_words
-            phrases += inner_phrases
+            else:
+                inner_words, inner_phrases = self._parts(child)
+                words += inner_words
+                phrases += inner_phrases
         if not production.left[0].isupper():
             return words, phrases
         return [], [_phrase(production.left, words, phrases)]
@@ -168,39 +164,21 @@ class TreeBuilder:
         return Word(text=text, tag=_LITERAL_TAGS.get(text, "IN"), lemma=text, position=position)
 
 
-_LITERAL_TAGS = {
-    "to": "TO",
-    "and": "CC",
-    "but": "CC",
-    "'s": "POS",
-    "face": "VB",
-    "out": "RP",
-    "is": "VBZ",
-    "then": "RB",
-    "you": "PRP",
-    "both": "DT",
-    "where": "WRB",
-    "whichever": "WDT",
-    "whatever": "WDT",
-}
+def _in_order(words: Iterable[Word]) -> tuple[Word, ...]:
+    return tuple(sorted(words, key=lambda word: word.position))
 
 
 def _phrase(left: str, words: list[Word], phrases: list[Phrase]) -> Phrase:
     """Make a phrase; part superlatives, ordinals and sides from the noun they stand before."""
     label = left.split("_")[0]
-    words = sorted(words, key=lambda word: word.position)
     if left == PARTED:
-        return _part(words, phrases)
+        # NPX[the cone]{ADJP[nearest], PP[to]{X}} becomes NP[]{NP[the cone], PP[nearest to]{X}}.
+        base = Phrase(label="NP", words=_in_order(words))
+        modifier, *rest = phrases
+        if rest:
+            joined = _in_order(modifier.words + rest[0].words)
+            modifier = Phrase(label="PP", words=joined, children=rest[0].children)
+        return Phrase(label="NP", words=(), children=(base, modifier))
     if label == "NP" and not words and not phrases[0].words:
         return Phrase(label=label, words=(), children=phrases[0].children + tuple(phrases[1:]))
-    return Phrase(label=label, words=tuple(words), children=tuple(phrases))
-
-
-def _part(words: list[Word], phrases: list[Phrase]) -> Phrase:
-    """Turn NPX[the cone]{ADJP[nearest], PP[to]{X}} into NP[]{NP[the cone], PP[nearest to]{X}}."""
-    base = Phrase(label="NP", words=tuple(words))
-    modifier, *rest = phrases
-    if rest:
-        joined = tuple(sorted(modifier.words + rest[0].words, key=lambda word: word.position))
-        modifier = Phrase(label="PP", words=joined, children=rest[0].children)
-    return Phrase(label="NP", words=(), children=(base, modifier))
+    return Phrase(label=label, words=_in_order(words), children=tuple(phrases))

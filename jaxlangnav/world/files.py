@@ -44,25 +44,20 @@ clockwise from +x); the map frame is the file's own.
 """
 
 import json
-import math
 import os
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jax import Array
-
-from jaxlangnav.inputs.documents import parse_toml, read_document
-from jaxlangnav.inputs.object_types import group_of, words_of
+from jaxlangnav.inputs.documents import parse_toml, read_document, read_shipped
 from jaxlangnav.inputs.sanitize import cut, shown
 from jaxlangnav.inputs.schema import closest_choice
 from jaxlangnav.inputs.whole_files import write_text
-from jaxlangnav.messages import DRIFTS
 from jaxlangnav.world.reading import (
     WorldFile as WorldFile,
     WorldFileError as WorldFileError,
     world_from_dict as world_from_dict,
+    world_to_dict as world_to_dict,
 )
 from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
 
@@ -114,8 +109,7 @@ def open_world(text: str, *, num_slots: int | None = None) -> Template | WorldFi
         ValueError: none of the three, or the file is wrong.
     """
     if text in shipped_worlds():
-        data = resources.files("jaxlangnav.world") / "data" / f"{text}.toml"
-        table = parse_toml(data.read_text(encoding="utf-8"))
+        table = parse_toml(read_shipped("world", f"{text}.toml"))
         return world_from_dict(table, file=f"{text}.toml", num_slots=num_slots)
     is_path = "/" in text or Path(text).suffix.lower() in (".toml", ".json")
     # Unlike Path.is_file, it takes a name that is too long for one as no file.
@@ -151,59 +145,6 @@ def save_world(world: WorldFile, path: str | Path) -> None:
         raise WorldFileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def world_to_dict(world: WorldFile) -> dict[str, Any]:
-    """Turn a world into tables that ``world_from_dict`` reads back to the same world."""
-    scenario, sensor, motion = world.scenario, world.sensor, world.motion
-    names = [*world.object_names, *[""] * scenario.is_object.size]
-    goal_index = int(scenario.goal_index)
-    if goal_index >= 0 and not names[goal_index]:
-        # A file calls the goal by its object's name.
-        names[goal_index] = next(
-            name for size in range(len(names)) if (name := "goal" + "'" * size) not in names
-        )
-    area = zip(("x_min", "x_max", "y_min", "y_max"), scenario.area, strict=True)
-    x, y = map(_decimal, scenario.goal)
-    codes = scenario.object_attribute
-    tables = {
-        "name": world.name,
-        "instruction": world.instruction or None,
-        "area": {key: _decimal(value) for key, value in area},
-        "start": {
-            "x": _decimal(scenario.start[0]),
-            "y": _decimal(scenario.start[1]),
-            "heading": _degrees(scenario.start[2]),
-        },
-        "goal": ({"object": names[goal_index]} if goal_index >= 0 else {"x": x, "y": y})
-        if world.has_goal
-        else None,
-        "sensor": {
-            "range": _decimal(sensor.range_max),
-            "field_of_view": _degrees(sensor.field_of_view),
-            "detection_probability": _decimal(sensor.detection_probability),
-            "noise": _decimal(sensor.noise),
-        },
-        "motion": {
-            "step_length": _decimal(motion.step_length),
-            "odometry_noise": _decimal(motion.odometry_noise),
-            **{name: _degrees(getattr(motion, name)) for name in DRIFTS},
-        },
-        "objects": [
-            {
-                "type": world.type_names[int(scenario.object_type[slot])],
-                **({"name": names[slot]} if names[slot] else {}),
-                "x": _decimal(scenario.object_x[slot]),
-                "y": _decimal(scenario.object_y[slot]),
-                **{
-                    str(group_of(word)): word
-                    for word in words_of(0 if codes is None else int(codes[slot]))
-                },
-            }
-            for slot in np.flatnonzero(np.asarray(scenario.is_object))
-        ],
-    }
-    return {key: value for key, value in tables.items() if value is not None}
-
-
 def _check_name(path: str | Path) -> Path:
     """Refuse a file of another format."""
     if Path(path).suffix.lower() not in (".toml", ".json"):
@@ -211,28 +152,13 @@ def _check_name(path: str | Path) -> Path:
     return Path(path)
 
 
-def _decimal(value: Array) -> float:
-    """Find the shortest decimal that reads back as the same float32."""
-    return float(str(np.float32(value)))
-
-
-def _degrees(value: Array) -> float:
-    """Find the shortest decimal of degrees that reads back as the same float32 of radians."""
-    radians = np.float32(value)
-    degrees = math.degrees(float(radians))
-    shorter = (round(degrees, digits) for digits in range(12))
-    return next((one for one in shorter if np.float32(math.radians(one)) == radians), degrees)
-
-
 def _to_toml(table: dict[str, Any]) -> str:
     """Write keys, tables and lists of tables; JSON's texts and numbers are TOML's too."""
     lines: list[str] = []
     for key, value in table.items():
-        parts = value if isinstance(value, list) else [value]
-        for part in parts:
-            is_table = isinstance(part, dict)
-            if is_table:
+        for part in value if isinstance(value, list) else [value]:
+            if isinstance(part, dict):
                 lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
-            pairs = part if is_table else {key: part}
+            pairs = part if isinstance(part, dict) else {key: part}
             lines += [f"{name} = {json.dumps(one)}" for name, one in pairs.items()]
     return "\n".join(lines) + "\n"

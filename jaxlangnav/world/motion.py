@@ -44,6 +44,10 @@ class Holonomic:
 HOLONOMIC = Holonomic()
 
 
+def _wrapped(angle: Array) -> Array:
+    return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
+
+
 def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
     """Carry out one decision cycle's step.
 
@@ -79,8 +83,7 @@ def _driven(
     # e' = e + b s + N(0, σ² s + τ² |φ|),   x' = x + R((e + e') / 2) u + N(0, (ε s)²) per axis
     # with φ the turn.
     noise = jax.random.normal(key, (3,))
-    turn = heading - state.odometry[2]
-    turn = jnp.abs(turn - 2.0 * jnp.pi * jnp.round(turn / (2.0 * jnp.pi)))
+    turn = jnp.abs(_wrapped(heading - state.odometry[2]))
     spread = jnp.sqrt(motion.heading_noise**2 * way + motion.turn_noise**2 * turn)
     drift = motion.heading_bias * way + spread * noise[2]
     error = state.heading - state.odometry[2]
@@ -110,22 +113,12 @@ class Unicycle:
             θ' = θ + clip(∠u − θ, ±ω),   s = min(|u|, L v (1 − |θ' − θ| / ω))
             u' = s (cos θ', sin θ')
 
-        of odometry; where that leads see ``_driven``.
+        of odometry; where that leads see ``_driven``. Arguments as of ``carry_out``.
         Limits: ω → ∞ goes where a holonomic body goes; a stop or a zero step changes nothing.
-
-        Args:
-            key: random key.
-            state: the robot.
-            action: ``step`` f32[2] metres, map axes; ``is_stop`` keeps the robot where it is.
-            motion: step length L, and what odometry is like.
-
-        Returns:
-            The robot after the step; odometry has the way without its noise.
         """
         step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)
         asked = jnp.hypot(step[0], step[1])
-        wanted = jnp.arctan2(step[1], step[0]) - state.odometry[2]
-        wanted = wanted - 2.0 * jnp.pi * jnp.round(wanted / (2.0 * jnp.pi))
+        wanted = _wrapped(jnp.arctan2(step[1], step[0]) - state.odometry[2])
         turn = jnp.where(asked > 0.0, jnp.clip(wanted, -self.turn_rate, self.turn_rate), 0.0)
         heading = state.odometry[2] + turn
         rest = 1.0 - jnp.abs(turn) / self.turn_rate

@@ -100,15 +100,6 @@ def unspoken() -> Person:
     return strong(Person())
 
 
-def _is_goal(seen: RobotView, scenario: Scenario) -> Array:
-    """Take each place for the true object nearest to it: is that the goal, bool[O]?"""
-    away = jnp.hypot(
-        seen.x[:, None] - scenario.object_x[None], seen.y[:, None] - scenario.object_y[None]
-    )
-    nearest = jnp.argmin(jnp.where(scenario.is_object[None], away, jnp.inf), axis=1)
-    return nearest == scenario.goal_index
-
-
 def say(
     key: Array, person: Person, seen: RobotView, scenario: Scenario, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
@@ -124,18 +115,30 @@ def say(
     Returns:
         The person; i32[], a ``Says``; i32[], the slot that an answer names, NONE without one.
     """
-    slots = jnp.arange(seen.x.shape[0])
     of_things, of_answer, of_choice, of_words = jax.random.split(key, 4)
-    is_right = _is_goal(seen, scenario)
-    errs = jax.random.bernoulli(of_things, params.error_rate, slots.shape)
+    # Each place is taken for the true object nearest to it: is that the goal?
+    to_objects = jnp.hypot(
+        seen.x[:, None] - scenario.object_x[None], seen.y[:, None] - scenario.object_y[None]
+    )
+    nearest = jnp.argmin(jnp.where(scenario.is_object[None], to_objects, jnp.inf), axis=1)
+    is_right = nearest == scenario.goal_index
+    errs = jax.random.bernoulli(of_things, params.error_rate, seen.x.shape)
     is_same = seen.aimed == person.aimed
     since = jnp.where(is_same, person.since + 1, 0)
-    at = jnp.clip(seen.aimed, 0, slots.shape[0] - 1)
+    at = jnp.clip(seen.aimed, 0, seen.x.size - 1)
     is_wrong = (seen.aimed != NONE) & (is_right[at] == errs[at])
     may_correct = is_wrong & ~seen.is_asking & (person.num_corrections < params.num_corrections)
     corrects = may_correct & (since >= params.delay)
     is_answer = seen.is_asking & params.answers
-    slot = _answer((of_answer, of_choice), seen, is_right, scenario, params.error_rate)
+    # A candidate that is taken for the goal, the nearest to it; by error any other.
+    away = jnp.hypot(seen.x - scenario.goal[0], seen.y - scenario.goal[1])
+    is_meant = is_right & seen.is_candidate
+    best = jnp.argmin(jnp.where(is_meant, away, jnp.inf))
+    meant = jnp.where(jnp.any(is_meant), best, NONE)
+    is_other = seen.is_candidate & (jnp.arange(away.size) != meant)
+    other = jax.random.categorical(of_choice, jnp.where(is_other, 0.0, -jnp.inf))
+    is_slip = jax.random.bernoulli(of_answer, params.error_rate) & jnp.any(is_other)
+    slot = jnp.where(is_slip, other, meant).astype(jnp.int32)
     is_false = jax.random.bernoulli(of_words, params.error_rate)
     states = seen.step == params.states_at
     said = jnp.where(corrects, int(Says.OTHER), int(Says.NOTHING))
@@ -149,21 +152,3 @@ def say(
         intends=may_correct | is_answer | (seen.step < params.states_at),
     )
     return after, said.astype(jnp.int32), jnp.where(said == Says.THIS, slot, NONE)
-
-
-def _answer(
-    keys: tuple[Array, Array],
-    seen: RobotView,
-    is_right: Array,
-    scenario: Scenario,
-    error_rate: Array,
-) -> Array:
-    """Choose the candidate that an answer names, i32[] slot; NONE where none is meant."""
-    away = jnp.hypot(seen.x - scenario.goal[0], seen.y - scenario.goal[1])
-    is_meant = is_right & seen.is_candidate
-    best = jnp.argmin(jnp.where(is_meant, away, jnp.inf))
-    meant = jnp.where(jnp.any(is_meant), best, NONE)
-    is_other = seen.is_candidate & (jnp.arange(away.shape[0]) != meant)
-    other = jax.random.categorical(keys[1], jnp.where(is_other, 0.0, -jnp.inf))
-    errs = jax.random.bernoulli(keys[0], error_rate) & jnp.any(is_other)
-    return jnp.where(errs, other, meant).astype(jnp.int32)

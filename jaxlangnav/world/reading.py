@@ -1,4 +1,4 @@
-"""The schema of a world file, and building its scenario; ``files`` tells the format."""
+"""The schema of a world file, and its scenario both ways; ``files`` tells the format."""
 
 import dataclasses
 import math
@@ -7,17 +7,18 @@ from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
-from msgspec import Meta, field, structs
+from jax import Array
+from msgspec import Meta, field, structs, to_builtins
 
 from jaxlangnav.inputs.limits import FARTHEST, RANGES, SHORTEST, SMALLEST
-from jaxlangnav.inputs.object_types import ATTRIBUTES, attributes
+from jaxlangnav.inputs.object_types import ATTRIBUTES, attributes, group_of, words_of
 from jaxlangnav.inputs.observations import SLOTS
 from jaxlangnav.inputs.sanitize import LONGEST_NAME, cut, printable, shown
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, no_choice
 from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, plainly
-from jaxlangnav.messages import NONE, MotionParams, SensorParams
+from jaxlangnav.messages import DRIFTS, NONE, MotionParams, SensorParams
 from jaxlangnav.world.state import Scenario, placed
 
 MOST_OBJECTS = SLOTS[-1]
@@ -39,22 +40,22 @@ class _Area(Schema):
     y_min: _Place
     y_max: _Place
 
+    def axes(self) -> tuple[tuple[str, float, float], ...]:
+        """List the axes with where the area begins and ends."""
+        return ("x", self.x_min, self.x_max), ("y", self.y_min, self.y_max)
+
     def __post_init__(self) -> None:
-        for axis, low, high in (("x", self.x_min, self.x_max), ("y", self.y_min, self.y_max)):
+        for axis, low, high in self.axes():
             if high < low + _NARROWEST:
                 least = f"at least {low + _NARROWEST:g}: {_NARROWEST} m above {axis}_min"
                 raise ValueError(f"{axis}_max is {high}, but must be {least}")
 
     def check(self, where: str, x: float, y: float) -> None:
         """Refuse a place outside."""
-        for axis, value, low, high in (
-            ("x", x, self.x_min, self.x_max), ("y", y, self.y_min, self.y_max)
-        ):  # fmt: skip
+        for value, (axis, low, high) in zip((x, y), self.axes(), strict=True):
             if not low <= value <= high:
-                raise ValueError(
-                    f"{where}.{axis} is {value}, but the area reaches from {low:g} to {high:g}: "
-                    "move it or enlarge [area]"
-                )
+                reach = f"the area reaches from {low:g} to {high:g}: move it or enlarge [area]"
+                raise ValueError(f"{where}.{axis} is {value}, but {reach}")
 
 
 class _Start(Schema):
@@ -63,7 +64,7 @@ class _Start(Schema):
     heading: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
 
 
-class _Goal(Schema):
+class _Goal(Schema, omit_defaults=True):
     object: Name | None = None
     x: _Place | None = None
     y: _Place | None = None
@@ -76,11 +77,11 @@ class _Goal(Schema):
         super().__post_init__()
 
 
-class _Object(Schema, omit_defaults=True):
+class _Object(Schema, omit_defaults=True, kw_only=True):
     type: Name
+    name: Name | None = None
     x: _Place
     y: _Place
-    name: Name | None = None
     colour: Name | None = None
     material: Name | None = None
     size: Name | None = None
@@ -130,24 +131,21 @@ class _Motion(Schema):
 
     def to_params(self) -> MotionParams:
         """Convert degrees, and numbers to arrays."""
-        lengths = ("step_length", "odometry_noise")
-        return MotionParams(
-            **{
-                name: jnp.float32(value if name in lengths else math.radians(value))
-                for name, value in structs.asdict(self).items()
-            }
-        )
+        numbers = structs.asdict(self) | {
+            name: math.radians(getattr(self, name)) for name in DRIFTS
+        }
+        return MotionParams(**{name: jnp.float32(value) for name, value in numbers.items()})
 
 
-class _World(Schema):
-    area: _Area
-    objects: Annotated[list[_Object], Meta(min_length=1, max_length=MOST_OBJECTS)]
+class _World(Schema, omit_defaults=True, kw_only=True):
     name: Name | None = None
     instruction: PlainText | None = None
+    area: _Area
     start: _Start | None = None
     goal: _Goal | None = None
     sensor: _Sensor = field(default_factory=_Sensor)
     motion: _Motion = field(default_factory=_Motion)
+    objects: Annotated[list[_Object], Meta(min_length=1, max_length=MOST_OBJECTS)]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -177,11 +175,8 @@ def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> W
     Args:
         table: the tables, as read.
         file: the file's name, for messages.
-        num_slots: O, object slots of the scenario; if None the least of ``detections.SLOTS`` that
-            holds its objects, so that worlds of like sizes share their compiled programs.
-
-    Returns:
-        The world.
+        num_slots: O, object slots of the scenario; if None the least of ``observations.SLOTS``
+            that holds its objects, so that worlds of like sizes share their compiled programs.
 
     Raises:
         WorldFileError: anything is missing, unknown or outside its limits.
@@ -248,7 +243,7 @@ def _type_index(text: str, type_names: list[str], where: str) -> int:
         if slip is not None:
             hint = f"which looks mistyped. Did you mean {slip!r}?"
             raise ValueError(f"{where}.type is {name!r}, {hint}")
-        if not all(is_word(word) for word in name.split()):
+        if not all(map(is_word, name.split())):
             raise ValueError(f"{where}.type is {shown(name)}, but must be a noun, in plain letters")
         type_names.append(name)
     return type_names.index(name)
@@ -263,9 +258,69 @@ def _goal(world: _World, start: _Start, names: list[str]) -> tuple[tuple[float, 
         world.area.check("goal", goal.x, goal.y)
         return (goal.x, goal.y), NONE
     if goal.object not in names:
-        known = filter(None, names)
-        raise ValueError(
-            no_choice("goal.object", goal.object, known, "the name of an object of this file")
-        )
+        what = "the name of an object of this file"
+        raise ValueError(no_choice("goal.object", goal.object, filter(None, names), what))
     index = names.index(goal.object)
     return (world.objects[index].x, world.objects[index].y), index
+
+
+def world_to_dict(world: WorldFile) -> dict[str, Any]:
+    """Turn a world into tables that ``world_from_dict`` reads back to the same world."""
+    scenario, sensor, motion = world.scenario, world.sensor, world.motion
+    names = [*world.object_names, *[""] * scenario.is_object.size]
+    goal, goal_index = None, int(scenario.goal_index)
+    if goal_index >= 0 and not names[goal_index]:
+        # A file calls the goal by its object's name.
+        ticks = ("goal" + "'" * size for size in range(len(names)))
+        names[goal_index] = next(name for name in ticks if name not in names)
+    if world.has_goal:
+        x, y = map(_decimal, scenario.goal)
+        goal = _Goal(object=names[goal_index]) if goal_index >= 0 else _Goal(x=x, y=y)
+    no_codes = np.zeros(scenario.is_object.size, np.int32)
+    codes = no_codes if scenario.object_attribute is None else scenario.object_attribute
+    table = _World(
+        name=world.name,
+        instruction=world.instruction or None,
+        area=_Area(*(_decimal(one) for one in scenario.area)),
+        start=_Start(
+            x=_decimal(scenario.start[0]),
+            y=_decimal(scenario.start[1]),
+            heading=_degrees(scenario.start[2]),
+        ),
+        goal=goal,
+        sensor=_Sensor(
+            range=_decimal(sensor.range_max),
+            field_of_view=_degrees(sensor.field_of_view),
+            detection_probability=_decimal(sensor.detection_probability),
+            noise=_decimal(sensor.noise),
+        ),
+        motion=_Motion(
+            step_length=_decimal(motion.step_length),
+            odometry_noise=_decimal(motion.odometry_noise),
+            **{name: _degrees(getattr(motion, name)) for name in DRIFTS},
+        ),
+        objects=[
+            _Object(
+                type=world.type_names[int(scenario.object_type[slot])],
+                name=names[slot] or None,
+                x=_decimal(scenario.object_x[slot]),
+                y=_decimal(scenario.object_y[slot]),
+                **{str(group_of(word)): word for word in words_of(int(codes[slot]))},
+            )
+            for slot in np.flatnonzero(np.asarray(scenario.is_object))
+        ],
+    )
+    return to_builtins(table)
+
+
+def _decimal(value: Array) -> float:
+    """Find the shortest decimal that reads back as the same float32."""
+    return float(str(np.float32(value)))
+
+
+def _degrees(value: Array) -> float:
+    """Find the shortest decimal of degrees that reads back as the same float32 of radians."""
+    radians = np.float32(value)
+    degrees = math.degrees(float(radians))
+    shorter = (round(degrees, digits) for digits in range(12))
+    return next((one for one in shorter if np.float32(math.radians(one)) == radians), degrees)
