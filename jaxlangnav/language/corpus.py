@@ -127,12 +127,9 @@ def _annotation_symbols(types: Sequence[str]) -> _Legal:
 
 
 def _behavior_symbols(num_objects: int) -> _Legal:
-    objects = tuple(str(index) for index in range(num_objects))
-    places = (REGIONS, (*objects, ROBOT_LABEL))
-    return {
-        "object": (objects,), "region": places, "goal": places, "constraint": places,
-        "action": (ACTIONS,), "mode": (MODES,),
-    }  # fmt: skip
+    objects = tuple(map(str, range(num_objects)))
+    places = dict.fromkeys(("region", "goal", "constraint"), (REGIONS, (*objects, ROBOT_LABEL)))
+    return {"object": (objects,), **places, "action": (ACTIONS,), "mode": (MODES,)}
 
 
 def _check_symbols(labels: Sequence[Sequence[str]], legal: _Legal) -> None:
@@ -140,9 +137,9 @@ def _check_symbols(labels: Sequence[Sequence[str]], legal: _Legal) -> None:
     for symbol in itertools.chain(*labels):
         is_one = _SYMBOL.fullmatch(symbol) is not None
         _check(is_one, f"'{symbol}' is no symbol; expected kind(argument,...)")
-        kind, _, rest = symbol[:-1].partition("(")
+        kind, *arguments = re.split("[(,]", symbol[:-1])
         _check(kind in legal, f"'{symbol}': kind must be one of {', '.join(legal)}")
-        arguments, count = rest.split(","), len(legal[kind])
+        count = len(legal[kind])
         _check(len(arguments) == count, f"'{symbol}': expected {count} argument(s)")
         for argument, allowed in zip(arguments, legal[kind], strict=True):
             _check(argument in allowed, f"'{symbol}': '{argument}' is none of {', '.join(allowed)}")

@@ -14,6 +14,8 @@ Objects of such a world have known places: which relations hold there is geometr
 among the objects of one type.
 """
 
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,11 +96,9 @@ class Geometry:
         self, relation: int, figure: int, landmark: int, place: int, among: tuple[int, ...]
     ) -> bool:
         """Tell whether a figure is the ``place``-th extreme of its type among some objects."""
-        kind = self.world.objects[figure][0]
-        is_rival = np.zeros(self.num_objects, bool)
-        for other in among:
-            is_alike = self.world.objects[other][0] == kind
-            is_rival[other] = is_alike and other not in (figure, landmark)
+        kinds = [kind for kind, _, _ in self.world.objects]
+        rivals = {i for i in among if kinds[i] == kinds[figure]} - {figure, landmark}
+        is_rival = np.isin(self.everything, list(rivals))
         before = num_before(self.strength[relation, :, landmark], is_rival)
         return bool(before[figure] == place - 1)
 
@@ -112,12 +112,8 @@ Labels = tuple[frozenset[str], ...]
 
 def sense_of(phrase: Phrase, kind: str) -> str | None:
     """Find the value of a sense such as ``relation`` among a phrase's own words."""
-    for word in phrase.words:
-        for text in word.senses:
-            name, _, value = text.partition(":")
-            if name == kind:
-                return value or name
-    return None
+    senses = (sense.partition(":") for word in phrase.words for sense in word.senses)
+    return next((value or name for name, _, value in senses if name == kind), None)
 
 
 def rank(phrase: Phrase) -> int:
@@ -140,56 +136,50 @@ class _Meaning:
 
 
 def annotate(root: Phrase) -> tuple[Labels, tuple[int, ...]]:
-    """Label every phrase with annotation symbols.
-
-    Args:
-        root: a clause.
+    """Label every phrase of a clause with annotation symbols.
 
     Returns:
         Symbols and superlative rank of each phrase, in the order of ``root.walk()``.
     """
+    return _composed(root, _annotate), tuple(rank(phrase) for phrase in root.walk())
+
+
+def _composed(root: Phrase, compose: Callable[[Phrase, list[Any]], Any]) -> Labels:
+    """Compose what each phrase means from its children's meanings, and collect the symbols."""
     labels: list[frozenset[str]] = []
 
-    def visit(phrase: Phrase) -> _Meaning:
-        meaning = _annotate(phrase, [visit(child) for child in phrase.children])
+    def visit(phrase: Phrase) -> Any:
+        meaning = compose(phrase, [visit(child) for child in phrase.children])
         labels.append(meaning.symbols)
         return meaning
 
     visit(root)
-    return tuple(labels), tuple(rank(phrase) for phrase in root.walk())
+    return tuple(labels)
 
 
 def _annotate(phrase: Phrase, children: list[_Meaning]) -> _Meaning:
     """Compose the annotation of one phrase from those of its children."""
-    passed = frozenset().union(*(child.symbols for child in children))
     if phrase.label == "NP" and not children:
         type_name = sense_of(phrase, "type")
         types = () if type_name is None else (type_name,)
         return _Meaning(frozenset(f"object({t})" for t in types), types)
-    relation = sense_of(phrase, "relation")
-    if phrase.label in ("PP", "ADJP") and relation is not None:
-        landmarks = [t for child in children for t in child.types] or [ROBOT_LABEL]
-        stated = frozenset(s for s in passed if s.startswith("relation"))
-        regions = tuple((relation, landmark) for landmark in landmarks)
-        opened = frozenset(f"region({r},{landmark})" for r, landmark in regions)
-        return _Meaning(stated | opened, regions=regions)
-    if phrase.label in ("NP", "S"):
-        return _annotate_figure(children, passed)
+    passed = frozenset().union(*(child.symbols for child in children))
+    stated = frozenset(symbol for symbol in passed if symbol.startswith("relation"))
     types = tuple(t for child in children for t in child.types)
     regions = tuple(region for child in children for region in child.regions)
-    return _Meaning(passed, types, regions)
-
-
-def _annotate_figure(children: list[_Meaning], passed: frozenset[str]) -> _Meaning:
-    """Join a figure with the regions said of it: relation(hydrant,behind,cone)."""
-    figures = [child for child in children if child.types]
-    regions = tuple(region for child in children for region in child.regions)
-    if not figures or not regions:
-        return _Meaning(passed, figures[0].types if figures else (), regions)
-    figure = figures[0].types[0]
-    stated = frozenset(symbol for symbol in passed if symbol.startswith("relation"))
-    made = frozenset(f"relation({figure},{r},{landmark})" for r, landmark in regions)
-    return _Meaning(stated | made, (figure,))
+    relation = sense_of(phrase, "relation")
+    if phrase.label in ("PP", "ADJP") and relation is not None:
+        regions = tuple((relation, landmark) for landmark in types or (ROBOT_LABEL,))
+        opened = frozenset(f"region({relation},{landmark})" for _, landmark in regions)
+        return _Meaning(stated | opened, regions=regions)
+    if phrase.label not in ("NP", "S"):
+        return _Meaning(passed, types, regions)
+    # A figure is joined with the regions said of it: relation(hydrant,behind,cone).
+    figure = next((child.types for child in children if child.types), ())
+    if not figure or not regions:
+        return _Meaning(passed, figure, regions)
+    made = frozenset(f"relation({figure[0]},{r},{landmark})" for r, landmark in regions)
+    return _Meaning(stated | made, figure[:1])
 
 
 # ---------------------------------------------------------------- behavior
@@ -206,24 +196,12 @@ class _Sense:
 
 
 def behave(root: Phrase, geometry: Geometry) -> Labels:
-    """Label every phrase with behavior symbols in one world.
-
-    Args:
-        root: a clause.
-        geometry: the world's relations.
+    """Label every phrase of a clause with behavior symbols in one world.
 
     Returns:
         Symbols of each phrase, in the order of ``root.walk()``.
     """
-    labels: list[frozenset[str]] = []
-
-    def visit(phrase: Phrase) -> _Sense:
-        meaning = _behave(phrase, [visit(child) for child in phrase.children], geometry)
-        labels.append(meaning.symbols)
-        return meaning
-
-    visit(root)
-    return tuple(labels)
+    return _composed(root, lambda phrase, children: _behave(phrase, children, geometry))
 
 
 def _behave(phrase: Phrase, children: list[_Sense], geometry: Geometry) -> _Sense:
@@ -233,9 +211,8 @@ def _behave(phrase: Phrase, children: list[_Sense], geometry: Geometry) -> _Sens
     if phrase.label == "S":
         return _Sense(frozenset())
     if phrase.label == "NP" and not children:
-        return _objects(_named(phrase, geometry.world)) if not sense_of(phrase, "place") else (
-            _Sense(frozenset())
-        )  # fmt: skip
+        is_place = sense_of(phrase, "place")
+        return _Sense(frozenset()) if is_place else _objects(_named(phrase, geometry.world))
     relation = sense_of(phrase, "relation")
     if phrase.label in ("PP", "ADJP") and relation is not None:
         robot = (geometry.num_objects,)
@@ -253,11 +230,11 @@ def _named(phrase: Phrase, world: PlacedWorld) -> tuple[int, ...]:
     """List the objects a noun phrase can name by itself."""
     type_name = sense_of(phrase, "type")
     is_other = sense_of(phrase, "other") is not None
+    previous = None if world.previous is None else world.objects[world.previous][0]
     if sense_of(phrase, "same") is not None and world.previous is not None:
-        is_alike = world.objects[world.previous][0] == type_name
-        return (world.previous,) if is_alike else ()
-    if type_name is None and is_other and world.previous is not None:
-        type_name = world.objects[world.previous][0]
+        return (world.previous,) if previous == type_name else ()
+    if type_name is None and is_other:
+        type_name = previous
     if type_name is None and sense_of(phrase, "anaphor") is None:
         return ()
     return tuple(
@@ -272,10 +249,8 @@ def _objects(indices: tuple[int, ...]) -> _Sense:
 
 
 def _regions(regions: tuple[tuple[str, int, int], ...], geometry: Geometry) -> _Sense:
-    def name(index: int) -> str:
-        return ROBOT_LABEL if index == geometry.num_objects else str(index)
-
-    symbols = frozenset(f"region({relation},{name(i)})" for relation, i, _ in regions)
+    names = [*map(str, geometry.everything), ROBOT_LABEL]
+    symbols = frozenset(f"region({relation},{names[i]})" for relation, i, _ in regions)
     return _Sense(symbols, regions=regions)
 
 
@@ -285,23 +260,20 @@ def _restrict(children: list[_Sense], geometry: Geometry) -> _Sense:
     A rank counts among those that the other modifiers leave: "the second cone on your left".
     """
     base, *modifiers = children
+    regions = [modifier.regions or () for modifier in modifiers]
     if base.objects is None:
-        regions = tuple(region for child in modifiers for region in child.regions or ())
-        return _regions(regions, geometry)
+        return _regions(tuple(itertools.chain(*regions)), geometry)
 
     def keep(objects: tuple[int, ...], *, is_ranked: bool) -> tuple[int, ...]:
-        regions = [m.regions or () for m in modifiers]
         wanted = [r for r in regions if any(place for _, _, place in r) == is_ranked]
+        among = objects if geometry.ranks_among_part else geometry.everything
 
         def fits(figure: int, region: tuple[str, int, int]) -> bool:
             relation, landmark, place = region
             index = RELATIONS.index(relation)
-            if figure == landmark:
-                return False
-            if place:
-                among = objects if geometry.ranks_among_part else geometry.everything
+            if place and figure != landmark:
                 return geometry.is_extreme(index, figure, landmark, place, among)
-            return bool(geometry.holds[index, figure, landmark])
+            return figure != landmark and bool(geometry.holds[index, figure, landmark])
 
         return tuple(f for f in objects if all(any(fits(f, r) for r in m) for m in wanted))
 

@@ -164,11 +164,10 @@ class _Known:
         bare = expression.replace("*", "")
         _check_halting(bare, where)
         uses = self._senses.get(bare, set())
-        if (name, senses) in uses:
-            return
         is_other = any(meant != senses for _, meant in uses) or bare in self._owners
         is_closed = " " not in bare and self._is_closed(bare)
-        if is_other or is_closed or self._refused.get(bare, "path") not in _MEANT:
+        is_refused = self._refused.get(bare, "path") not in _MEANT
+        if (name, senses) not in uses and (is_other or is_closed or is_refused):
             raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
 
     def is_word_of_grammar(self, name: str) -> bool:

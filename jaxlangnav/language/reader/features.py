@@ -8,6 +8,7 @@ holds for all that a detector may tell apart.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
+from itertools import pairwise
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
@@ -230,39 +231,34 @@ def _in_clause(
     if clause:
         begin = [sentence.words[i] for i in clause[:2]]
         lead = _lead(sentence, clause)
-        named += [
-            f"begins={begin[0]}",
-            f"begins={' '.join(begin)}",
-            f"begins class={begin[0]} {kind}",
-        ]
-        named += [f"leads={_NOTHING if lead is None else first[lead]}"]
         place = 0 if index == clause[0] else 2 if index == clause[-1] else 1
-        named += [f"place={place}"]
+        named += [f"begins={begin[0]}", f"begins={' '.join(begin)}"]
+        named += [f"begins class={begin[0]} {kind}"]
+        named += [f"leads={_NOTHING if lead is None else first[lead]}", f"place={place}"]
     before = [i for i in clause if i < index]
-    names = sum(sentence.is_name[i] and not sentence.is_name[i + 1] for i in before)
+    is_name_end = [a and not b for a, b in pairwise((*sentence.is_name, False))]
+    names = sum(is_name_end[i] for i in before)
     verbs = sum(map(sentence.is_verb, before))
     ahead = range(index, len(first))
-    later = sum(
-        sentence.is_name[i] and not (i + 1 < len(first) and sentence.is_name[i + 1]) for i in ahead
-    )
+    later = sum(is_name_end[index:])
     counts = f"{min(names, 2)}{min(verbs, 2)}"
     named += [f"counts={counts}{min(later, 2)}", f"counts class={counts} {kind}"]
     distance = next((i - index for i in ahead if sentence.is_name[i]), 5)
     named += [f"to name={min(distance, 5)} {kind}"]
     if index + distance < len(first):
         named += [f"toward={sentence.words[index]} {sentence.is_room(index + distance)}"]
-    stop = next((i for i in ahead[1:] if _ends_span(sentence, first, i)), None)
-    is_mark = stop is not None and sentence.words[stop] in MARKS
-    named += [f"next={_NOTHING if stop is None else sentence.words[stop] if is_mark else NAME}"]
+    # The mark, or the name, relation or verb, that comes first.
+    signs = (
+        sentence.words[i] if sentence.words[i] in MARKS else NAME
+        for i in ahead[1:]
+        if sentence.words[i] in MARKS
+        or sentence.is_name[i]
+        or first[i].startswith((_RELATION, "v_"))
+    )
+    named += [f"next={next(signs, _NOTHING)}"]
     count = len(described)
     if k + 1 < count and sentence.clauses[k + 1]:
         named += [f"next clause={described[k + 1]} {sentence.words[sentence.clauses[k + 1][0]]}"]
     if k and sentence.clauses[k - 1]:
         named += [f"last clause={described[k - 1]}"]
     return [*named, f"clauses={min(k, 2)}{min(count - 1 - k, 2)}"]
-
-
-def _ends_span(sentence: ReaderSentence, first: Sequence[str], index: int) -> bool:
-    """Tell whether a word ends a stretch without a name, a relation, a verb or a mark."""
-    is_mark = sentence.words[index] in MARKS
-    return is_mark or sentence.is_name[index] or first[index].startswith((_RELATION, "v_"))
