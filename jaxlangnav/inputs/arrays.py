@@ -40,8 +40,7 @@ def open_arrays(content: bytes) -> zipfile.ZipFile:
     """
     with faults_as_values():
         archive = zipfile.ZipFile(io.BytesIO(content))
-        names = archive.namelist()
-        if len(set(names)) < len(names):
+        if len(set(archive.namelist())) < len(archive.namelist()):
             raise ValueError("a name stands in it twice")
         return archive
 

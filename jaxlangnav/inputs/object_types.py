@@ -11,7 +11,8 @@ Everything takes NumPy arrays, JAX arrays and plain integers; ``NONE`` and ``ROB
 only fit themselves.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 LABEL_BITS = 13
@@ -33,15 +34,12 @@ _WIDTHS = {"colour": 4, "material": 3, "size": 2, "height": 2}
 ATTRIBUTE_BITS = sum(_WIDTHS.values())
 
 
-def _places() -> Iterator[tuple[str, int, int]]:
-    """Yield the groups with their first bit in an attribute code, and a mask of their bits."""
-    first = 0
-    for group, width in _WIDTHS.items():
-        yield group, first, ((1 << width) - 1) << first
-        first += width
-
-
-_PLACES = {group: (first, mask) for group, first, mask in _places()}
+_FIRSTS = tuple(accumulate(_WIDTHS.values(), initial=0))
+_PLACES = {
+    group: (first, ((1 << width) - 1) << first)
+    for (group, width), first in zip(_WIDTHS.items(), _FIRSTS, strict=False)
+}
+"""Of each group its first bit in an attribute code, and a mask of its bits."""
 _MASKS = tuple(mask << LABEL_BITS for _, mask in _PLACES.values())
 _TOPS = sum((mask + (mask & -mask)) >> 1 for mask in _MASKS)
 """The highest bit of each group."""
@@ -81,12 +79,10 @@ def attributes(*words: str) -> int:
 
 def words_of(code: int) -> tuple[str, ...]:
     """Name the attributes of a code, the inverse of ``attributes``."""
-    values = ((group, (code & mask) >> first) for group, (first, mask) in _PLACES.items())
-    return tuple(
-        ATTRIBUTES[group][value - 1]
-        for group, value in values
-        if 0 < value <= len(ATTRIBUTES[group])
+    values = (
+        ((code & mask) >> first, ATTRIBUTES[group]) for group, (first, mask) in _PLACES.items()
     )
+    return tuple(words[value - 1] for value, words in values if 0 < value <= len(words))
 
 
 def kind_of(label: Any, code: Any) -> Any:
@@ -117,15 +113,7 @@ def noun_of(kind: int, names: Sequence[str]) -> str:
 
 
 def name_of(kind: int, names: Sequence[str]) -> str:
-    """Name a kind for people: "red ball".
-
-    Args:
-        kind: of a thing, 0 or more.
-        names: of the labels, by index.
-
-    Returns:
-        The attributes and the label; "thing" for a label that has no name.
-    """
+    """Name a kind for people, its attributes and its label among ``names``: "red ball"."""
     return " ".join([*words_of(code_of(kind)), noun_of(kind, names)])
 
 

@@ -12,10 +12,9 @@ owners of files (Windows), nothing passes.
 
 import os
 import stat
-import tempfile
 from pathlib import Path
 
-from jaxlangnav.inputs.whole_files import OPEN_FLAGS, read_opened
+from jaxlangnav.inputs.whole_files import OPEN_FLAGS, read_opened, replacing
 
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
@@ -41,17 +40,17 @@ def own_folder(path: Path) -> Path:
     if os.name != "posix":
         raise PermissionError(f"{path}: this system does not tell whose it is")
     real = Path(os.path.realpath(path))
-    for one in reversed(real.parents):
+    for one in (*reversed(real.parents), real):
         _make(one)
-        _refuse_if_exchangeable(one)
-    _make(real)
-    status = os.lstat(real)
-    if not stat.S_ISDIR(status.st_mode):
-        raise NotADirectoryError(f"{real}: is no folder")
-    if status.st_uid != os.geteuid():
-        raise PermissionError(f"{real}: belongs to another user")
-    if status.st_mode & _OTHERS:
-        raise PermissionError(f"{real}: others can enter it; remedy: chmod 700")
+        status = os.lstat(one)
+        if not stat.S_ISDIR(status.st_mode):
+            raise NotADirectoryError(f"{one}: is no folder")
+        if status.st_uid != os.geteuid() and (status.st_uid != 0 or one == real):
+            raise PermissionError(f"{one}: belongs to another user")
+        if one == real and status.st_mode & _OTHERS:
+            raise PermissionError(f"{real}: others can enter it; remedy: chmod 700")
+        if status.st_mode & _OTHERS_WRITE and not status.st_mode & stat.S_ISVTX:
+            raise PermissionError(f"{one}: others can write in it; remedy: chmod go-w")
     return real
 
 
@@ -70,14 +69,9 @@ def check_own_files(folder: Path) -> None:
 
 
 def read_own_file(path: Path, *, at_most: int) -> bytes:
-    """Read a file of this user's that nobody else may write; no link to one.
+    """Read a file of this user's that nobody else may write, of so many bytes; no link to one.
 
-    Args:
-        path: of the file, in a folder that ``own_folder`` has passed.
-        at_most: bytes, the limit.
-
-    Returns:
-        Its bytes.
+    Its folder is one that ``own_folder`` has passed.
 
     Raises:
         ValueError: it is no regular file, or has more bytes.
@@ -101,15 +95,8 @@ def write_own_file(path: Path, content: bytes) -> None:
     Raises:
         OSError: it cannot be written; nothing is left behind.
     """
-    descriptor, name = tempfile.mkstemp(suffix=path.suffix, dir=path.parent)
-    try:
-        with open(descriptor, "wb") as file:
-            os.fchmod(descriptor, 0o600)
-            file.write(content)
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+    with replacing(path, is_private=True) as temporary:
+        temporary.write_bytes(content)
 
 
 def _make(folder: Path) -> None:
@@ -123,14 +110,3 @@ def _make(folder: Path) -> None:
         # A root that cannot be written says so in place of saying that it exists.
         if not os.path.lexists(folder):
             raise
-
-
-def _refuse_if_exchangeable(folder: Path) -> None:
-    """Refuse a folder in which others could put something else in the place of what is there."""
-    status = os.lstat(folder)
-    if not stat.S_ISDIR(status.st_mode):
-        raise NotADirectoryError(f"{folder}: is no folder")
-    if status.st_uid not in (0, os.geteuid()):
-        raise PermissionError(f"{folder}: belongs to another user")
-    if status.st_mode & _OTHERS_WRITE and not status.st_mode & stat.S_ISVTX:
-        raise PermissionError(f"{folder}: others can write in it; remedy: chmod go-w")

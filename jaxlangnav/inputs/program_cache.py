@@ -99,10 +99,8 @@ def cached_jit(
         @functools.wraps(jitted)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
             folder = cache_dir()
-            if folder is None:
-                return jitted(*args, **kwargs)
             static = {name: kwargs[name] for name in static_argnames if name in kwargs}
-            if not _is_ours(tuple(static.values())):
+            if folder is None or not _is_ours(tuple(static.values())):
                 return jitted(*args, **kwargs)
             data = args, {name: kwargs[name] for name in kwargs if name not in static}
             leaves, tree = jax.tree.flatten(data)

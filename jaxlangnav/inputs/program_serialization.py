@@ -81,9 +81,6 @@ def load_program(content: bytes, *, name: str) -> Call:
         content: bytes that come from nobody but the user.
         name: of the program that is looked for.
 
-    Returns:
-        The program.
-
     Raises:
         ValueError: the bytes are damaged, or another program's.
     """

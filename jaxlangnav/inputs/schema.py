@@ -61,9 +61,6 @@ def convert(document: Any, schema: type[_T], *, where: str = "") -> _T:
         schema: what it must be.
         where: the keys that lead to it, such as "sensor"; empty for a whole file.
 
-    Returns:
-        The document as the schema's type.
-
     Raises:
         ValueError: the first part that does not fit; one line.
     """
@@ -110,10 +107,8 @@ def _meant(kind: inspect.Type, value: Any) -> inspect.Type:
         kind = kind.type
     if not isinstance(kind, inspect.UnionType):
         return kind
-    if isinstance(value, list | dict):
-        wanted = inspect.ListType if isinstance(value, list) else inspect.StructType
-        return next((one for one in kind.types if isinstance(one, wanted)), kind.types[0])
-    return kind.types[0]
+    wanted = {list: inspect.ListType, dict: inspect.StructType}.get(type(value), inspect.Type)
+    return next((one for one in kind.types if isinstance(one, wanted)), kind.types[0])
 
 
 def _fault(value: Any, kind: inspect.Type) -> str:

@@ -80,11 +80,12 @@ _CANNOT_SYNC = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.EACCES)
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, *, is_private: bool = False) -> Iterator[Path]:
     """Write a file beside its place and move it there at the end.
 
     Args:
         path: where the file is to stand; folders are made.
+        is_private: nobody else may read it, whatever the umask (0600).
 
     Yields:
         The temporary path to write to, with the ending of ``path``; removed if writing fails.
@@ -92,11 +93,11 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: the disk is full, or the folder cannot be written to.
     """
-    with _temporary(path) as temporary:
+    with _temporary(path, is_private=is_private) as temporary:
         yield temporary
         _force(temporary)
         temporary.replace(path)
-    _force_folder(path.parent)
+    _force(path.parent)
 
 
 def write_bytes(content: bytes, path: Path) -> Path:
@@ -126,17 +127,18 @@ def write_once(content: bytes, path: Path) -> bool:
         except OSError:
             # No second names on this file system: the last writer wins.
             temporary.replace(path)
-    _force_folder(path.parent)
+    _force(path.parent)
     return True
 
 
-def _force_folder(folder: Path) -> None:
-    """Force to the disk which files a folder holds."""
-    handle = os.open(folder, os.O_RDONLY)
+def _force(path: Path) -> None:
+    """Force to the disk what a file holds, or which files a folder does."""
+    is_folder = path.is_dir()
+    handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR)
     try:
         os.fsync(handle)
     except OSError as error:
-        if error.errno not in _CANNOT_SYNC:
+        if not is_folder or error.errno not in _CANNOT_SYNC:
             raise
     finally:
         os.close(handle)
@@ -148,27 +150,21 @@ def make_folder(folder: Path) -> None:
         return
     make_folder(folder.parent)
     folder.mkdir(exist_ok=True)
-    _force_folder(folder.parent)
+    _force(folder.parent)
 
 
 @contextlib.contextmanager
-def _temporary(path: Path) -> Iterator[Path]:
+def _temporary(path: Path, *, is_private: bool = False) -> Iterator[Path]:
     """Make an empty file beside a place, of a name that nobody else has; remove what is left."""
     make_folder(path.parent)
     name = f".{path.stem[:_KEPT_OF_NAME]}.partial-{os.getpid()}-{secrets.token_hex(6)}{path.suffix}"
     temporary = path.with_name(name)
-    # Made with the rights that any new file would get here.
-    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    # Made with the rights that any new file would get here, unless it is private.
+    mode = 0o600 if is_private else 0o666
+    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode))
     try:
+        if is_private:
+            temporary.chmod(mode)
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _force(path: Path) -> None:
-    """Force a file's content to the disk."""
-    handle = os.open(path, os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

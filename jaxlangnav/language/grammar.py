@@ -5,11 +5,11 @@ packed parse forest; the most probable tree and the total probability of all tre
 the forest by dynamic programming, so time stays polynomial however ambiguous the input.
 """
 
+import itertools
 import math
 import threading
 from collections.abc import Iterator
 from functools import cache
-from itertools import product
 from typing import Any
 
 from lark import Lark, Token
@@ -64,7 +64,7 @@ def _expand_options(right: list[str]) -> Iterator[tuple[tuple[str, ...], float]]
     choices = [
         [(one[:-1], given), ("", left_out)] if one.endswith("?") else [(one, 1.0)] for one in right
     ]
-    for choice in product(*choices):
+    for choice in itertools.product(*choices):
         symbols = tuple(symbol for symbol, _ in choice if symbol)
         yield symbols, math.prod(weight for _, weight in choice)
 
@@ -94,15 +94,11 @@ def read_rules(text: str) -> list[tuple[str, tuple[str, ...], float]]:
 
 def _free_words(lexicon: Lexicon) -> list[str]:
     """List words known only from fixed expressions ("plant yourself"): alone they are nouns."""
-    alone = {key[0] for entries in lexicon.entries.values() for key in entries if len(key) == 1}
-    bound = {
-        word
-        for entries in lexicon.entries.values()
-        for entry in entries.values()
-        for word in entry.words
-        if any(sense.startswith("relation") for senses in entry.senses for sense in senses)
-    }
-    closed = alone | bound | set(lexicon.tags) | set(lexicon.refused)
+    closed = set(lexicon.tags) | set(lexicon.refused)
+    for entry in itertools.chain(*(entries.values() for entries in lexicon.entries.values())):
+        senses = itertools.chain(*entry.senses)
+        if len(entry.words) == 1 or any(sense.startswith("relation") for sense in senses):
+            closed.update(entry.words)
     return sorted(word for word in lexicon.vocabulary - closed if word.isalpha())
 
 
@@ -138,12 +134,11 @@ class Grammar:
             Production(left, right, math.log(weight / total[left]), entry)
             for left, right, weight, entry in rules
         ]
-        lefts = set(total)
-        used = {symbol for p in self.productions for symbol in p.right if symbol[0] != '"'}
-        if used - lefts:
-            raise ValueError(f"grammar: no rule or class for {sorted(used - lefts)}")
-        words = {s for p in self.productions for s in p.right if s[0] == '"'}
-        self._symbols = {left: f"n{index}" for index, left in enumerate(sorted(lefts))}
+        used = {symbol for production in self.productions for symbol in production.right}
+        words = {symbol for symbol in used if symbol[0] == '"'}
+        if missing := used - words - total.keys():
+            raise ValueError(f"grammar: no rule or class for {sorted(missing)}")
+        self._symbols = {left: f"n{index}" for index, left in enumerate(sorted(total))}
         self._symbols |= {word: f"T{index}" for index, word in enumerate(sorted(words))}
         self._by_rule: dict[tuple[str, ...], Production] = {}
         for production in self.productions:

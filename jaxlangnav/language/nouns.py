@@ -99,12 +99,7 @@ def _single_verbs() -> frozenset[str]:
 def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]:
     """Make one token of each name of several words, and nouns of the detector's labels.
 
-    Args:
-        tokens: words and marks of a sentence.
-        labels: what the detector tells apart, names in small letters.
-
-    Returns:
-        The tokens; a joined one has the position of its first word.
+    The labels are in small letters; a joined token has the position of its first word.
     """
     names = load_nouns().compounds | {tuple(label.split()) for label in labels}
     names |= {(noun,) for noun in load_nouns().also}
@@ -161,10 +156,6 @@ def _is_head(tokens: list[Token], index: int) -> bool:
 
 def is_noun_place(tokens: list[Token], index: int) -> bool:
     """Tell whether a word can be nothing but the noun of its phrase: "the _ behind the cone".
-
-    Args:
-        tokens: words and marks of a sentence.
-        index: of the word.
 
     Returns:
         True after a determiner, and before what is no part of a noun phrase; but not where a side

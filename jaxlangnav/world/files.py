@@ -72,9 +72,6 @@ def load_world(path: str | Path, *, num_slots: int | None = None) -> WorldFile:
         path: a .toml or .json file.
         num_slots: O, object slots of the scenario; as many as its objects need if None.
 
-    Returns:
-        The world.
-
     Raises:
         WorldFileError: unreadable, or anything in it is wrong; one line that says what to do.
     """

@@ -95,12 +95,8 @@ def _try_placement(key: Array, law: ScenarioLaw, num_candidates: int) -> _Placem
     hydrant = draws.point[:, :MAX_HYDRANTS, jnp.argmax(is_fit)]
     anchor_cone, is_anchored = _place_anchor_cones(draws, law, hydrant, is_hydrant)
     free_cone, is_free_met = _place_free_cones(draws, law, hydrant, anchor_cone)
-    return _Placement(
-        hydrant=hydrant,
-        anchor_cone=anchor_cone,
-        free_cone=free_cone,
-        is_met=jnp.any(is_fit) & is_anchored & is_free_met,
-    )
+    is_met = jnp.any(is_fit) & is_anchored & is_free_met
+    return _Placement(hydrant=hydrant, anchor_cone=anchor_cone, free_cone=free_cone, is_met=is_met)
 
 
 def _place_anchor_cones(
@@ -172,9 +168,8 @@ def _beside(point: Array, offset: Array) -> Array:
 def _hydrants_fit(hydrant: Array, is_hydrant: Array, depth: Array) -> Array:
     """Check one candidate set of hydrants: f32[2, B], bool[B], f32[] to bool[]."""
     pairs = is_hydrant[:, None] & is_hydrant[None, :] & ~jnp.eye(MAX_HYDRANTS, dtype=bool)
-    offset = hydrant[:, :, None] - hydrant[:, None, :]
-    is_far = jnp.sum(offset**2, axis=0) >= SEPARATION**2
-    return jnp.all(_is_inside(hydrant, depth) | ~is_hydrant) & jnp.all(is_far | ~pairs)
+    is_inside = jnp.all(_is_inside(hydrant, depth) | ~is_hydrant)
+    return is_inside & jnp.all(_are_apart(hydrant, hydrant) | ~pairs)
 
 
 def _is_inside(point: Array, depth: Array) -> Array:
@@ -185,9 +180,13 @@ def _is_inside(point: Array, depth: Array) -> Array:
 
 def _is_clear(point: Array, placed: Array, is_placed: Array) -> Array:
     """Tell which points are 4 m from all placed: f32[2, K], f32[2, L], bool[L] to bool[K]."""
+    return jnp.all(_are_apart(point, placed) | ~is_placed[:, None], axis=0)
+
+
+def _are_apart(point: Array, placed: Array) -> Array:
+    """Tell which pairs are 4 m apart: f32[2, K], f32[2, L] to bool[L, K]."""
     offset = point[:, None, :] - placed[:, :, None]
-    is_far = jnp.sum(offset**2, axis=0) >= SEPARATION**2
-    return jnp.all(is_far | ~is_placed[:, None], axis=0)
+    return jnp.sum(offset**2, axis=0) >= SEPARATION**2
 
 
 def _has_behind(cone: Array, hydrant: Array, is_hydrant: Array) -> Array:
@@ -214,14 +213,11 @@ NUM_CANDIDATES = 32
 
 
 def scenario_law(*, template: str | Template, relation: str) -> ScenarioLaw:
-    """Build the law of a template's worlds.
+    """Build the law of a template's worlds, for ``draw_scenario``.
 
     Args:
         template: a template or its name, such as "2H1C".
         relation: "null", "behind" or "nearest".
-
-    Returns:
-        The law, to be passed to ``draw_scenario``.
 
     Raises:
         ValueError: unknown template or relation, or a relation to a cone in a world without.

@@ -50,12 +50,21 @@ def _labels_read(key: Array, kind: Array, errors: Errors, sensor: SensorParams) 
     uniform = jax.random.uniform(key, (2, kind.size))
     others = jnp.sum(errors.is_type) - 1
     is_wrong = (uniform[0] < sensor.mislabelled) & (others > 0) & (kind != NONE)
-    rank = jnp.cumsum(errors.is_type) - 1
-    choice = jnp.minimum((uniform[1] * others).astype(jnp.int32), others - 1)
+    choice = _evenly(uniform[1], others)
     # The thing's own type is stepped over.
-    choice = choice + (choice >= rank[jnp.maximum(kind, 0)])
-    is_chosen = (rank[None, :] == choice[:, None]) & errors.is_type[None, :]
-    return jnp.where(is_wrong, jnp.argmax(is_chosen, axis=1), kind).astype(kind.dtype)
+    choice = choice + (choice >= (jnp.cumsum(errors.is_type) - 1)[jnp.maximum(kind, 0)])
+    return jnp.where(is_wrong, _nth(errors.is_type, choice), kind).astype(kind.dtype)
+
+
+def _evenly(uniform: Array, number: Array) -> Array:
+    """Choose one of so many, each equally likely: f32[n] in [0, 1) to i32[n]."""
+    return jnp.minimum((uniform * number).astype(jnp.int32), number - 1)
+
+
+def _nth(is_one: Array, rank: Array) -> Array:
+    """Find the index of the rank-th that is one: bool[T], i32[n] from 0, to i32[n]."""
+    is_chosen = (jnp.cumsum(is_one) - 1)[None, :] == rank[:, None]
+    return jnp.argmax(is_chosen & is_one[None, :], axis=1)
 
 
 def _fresh_ghosts(
@@ -76,10 +85,7 @@ def _fresh_ghosts(
     y = state.position[1] + metres * jnp.sin(turned)
     is_there = jnp.arange(MOST_FRESH) < number
     ahead, left, is_reported = _located(x, y, is_there, state, scenario, sensor)
-    types = jnp.sum(errors.is_invented)
-    choice = jnp.minimum((uniform[2] * types).astype(jnp.int32), types - 1)
-    is_chosen = (jnp.cumsum(errors.is_invented) - 1)[None, :] == choice[:, None]
-    kind = jnp.argmax(is_chosen & errors.is_invented[None, :], axis=1)
+    kind = _nth(errors.is_invented, _evenly(uniform[2], jnp.sum(errors.is_invented)))
     return kind.astype(jnp.int32), ahead, left, is_reported
 
 
@@ -139,7 +145,13 @@ def sense(
     is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
     noise_x, noise_y = sensor.noise * batching.normal(noise).reshape(2, *x.shape)
     x, y, kind = x + noise_x, y + noise_y, scenario.object_type
-    kind, x, y, is_found = _in_error(key, (kind, x, y, is_found), state, scenario, sensor)
+    if (errors := scenario.errors) is not None:
+        keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)
+        kind = _labels_read(keys[0], kind, errors, sensor)
+        fresh = _fresh_ghosts(keys[1], state, scenario, errors, sensor)
+        haunting = _haunting_ghosts(keys[2], state, scenario, errors, sensor)
+        parts = zip((kind, x, y, is_found), fresh, haunting, strict=True)
+        kind, x, y, is_found = (jnp.concatenate(part) for part in parts)
     distance = jnp.where(is_found, jnp.hypot(x, y), jnp.inf)
     nearest = jnp.argsort(distance)
     order = jnp.pad(nearest, (0, max(0, num_detections - nearest.size)))[:num_detections]
@@ -162,25 +174,6 @@ def sense(
         sensor=told,
         detection_attribute=attribute,
     )
-
-
-def _in_error(
-    key: Array,
-    seen: tuple[Array, Array, Array, Array],
-    state: WorldState,
-    scenario: Scenario,
-    sensor: SensorParams,
-) -> tuple[Array, Array, Array, Array]:
-    """Err as detectors do, where the world has it so: wrong labels; behind, what is not there."""
-    if scenario.errors is None:
-        return seen
-    keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)
-    kind = _labels_read(keys[0], seen[0], scenario.errors, sensor)
-    fresh = _fresh_ghosts(keys[1], state, scenario, scenario.errors, sensor)
-    haunting = _haunting_ghosts(keys[2], state, scenario, scenario.errors, sensor)
-    parts = zip((kind, *seen[1:]), fresh, haunting, strict=True)
-    kind, x, y, is_found = (jnp.concatenate(part) for part in parts)
-    return kind, x, y, is_found
 
 
 def visible(

@@ -92,6 +92,6 @@ def drive_known_map(
         return _Drive(state=state, num_steps=drive.num_steps + 1)
 
     start = _Drive(state=reset(scenario), num_steps=jnp.int32(0))
-    end = jax.lax.while_loop(is_under_way, advance, start)
-    is_there = goal_distance(end.state, scenario) <= ARRIVAL
-    return end.state, is_success(end.state, scenario, is_there)
+    state, _ = jax.lax.while_loop(is_under_way, advance, start)
+    is_there = goal_distance(state, scenario) <= ARRIVAL
+    return state, is_success(state, scenario, is_there)

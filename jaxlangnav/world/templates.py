@@ -79,18 +79,15 @@ def parse_template(name: str) -> Template:
             f"unknown world template {shown(name)}: expected <hydrants>H<cones>C, one of "
             f"{', '.join(TEMPLATE_NAMES)} or the like.{hint}"
         )
-    num_hydrants, num_cones = int(match[1]), int(match[2])
-    if not 1 <= num_hydrants <= MAX_HYDRANTS:
-        raise ValueError(
-            f"world template {shown(name)} has {num_hydrants} hydrants: choose 1 to {MAX_HYDRANTS}"
-        )
-    if num_cones > MAX_CONES:
-        raise ValueError(
-            f"world template {shown(name)} has {num_cones} cones: choose 0 to {MAX_CONES}"
-        )
-    return Template(
-        name=f"{num_hydrants}H{num_cones}C", num_hydrants=num_hydrants, num_cones=num_cones
-    )
+    hydrants, cones = int(match[1]), int(match[2])
+    for what, number, least, most in (
+        ("hydrants", hydrants, 1, MAX_HYDRANTS),
+        ("cones", cones, 0, MAX_CONES),
+    ):
+        if not least <= number <= most:
+            where = f"world template {shown(name)} has {number} {what}"
+            raise ValueError(f"{where}: choose {least} to {most}")
+    return Template(name=f"{hydrants}H{cones}C", num_hydrants=hydrants, num_cones=cones)
 
 
 def check_relation(relation: str) -> int:
@@ -119,7 +116,6 @@ def known_range(template: Template, relation: str) -> tuple[float, float]:
     world = "2H1C" if template.num_hydrants > 1 else f"1H{min(max(template.num_cones, 1), 2)}C"
     rows = {row.relation: row for row in TABLE_2 if row.world == world}
     row = rows.get(relation, rows["null"])
-    num_objects = template.num_hydrants + template.num_cones
-    is_crowded = max(template.num_hydrants, template.num_cones) > 2
-    scale = math.sqrt(num_objects / 3) if is_crowded else 1.0
+    numbers = template.num_hydrants, template.num_cones
+    scale = math.sqrt(sum(numbers) / 3) if max(numbers) > 2 else 1.0
     return row.distance_known * scale, row.distance_known_sd * scale

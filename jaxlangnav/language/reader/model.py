@@ -79,15 +79,9 @@ def log_partition(scores: np.ndarray, transition: np.ndarray) -> float:
 def find_best(
     scores: np.ndarray, transition: np.ndarray, count: int
 ) -> list[tuple[float, tuple[int, ...]]]:
-    """Find the likeliest labellings, by the Viterbi algorithm with lists.
+    """Find the ``count`` likeliest labellings, by the Viterbi algorithm with lists.
 
-    Args:
-        scores: f64[T, L].
-        transition: f32[L, L].
-        count: of labellings, at most.
-
-    Returns:
-        Log score and labels of each, the best first.
+    Args as of ``log_partition``. Returns log score and labels of each, the best first.
     """
     steps, num_labels = scores.shape
     best = np.full((num_labels, count), -np.inf)
@@ -114,21 +108,9 @@ def find_best(
 
 
 def save_reader(path: Path, model: ReaderModel, *, command: str) -> None:
-    """Write a reader, all or nothing.
-
-    Args:
-        path: file to write, ``.npz``.
-        model: the reader.
-        command: what made it.
-    """
-    about = {
-        "command": command,
-        "features": model.features,
-        "labels": model.labels,
-        "seen": sorted(model.seen),
-        "left_out": sorted(model.left_out),
-        "met": sorted(model.met),
-    }
+    """Write a reader to an ``.npz`` file, all or nothing; ``command`` is what made it."""
+    about = {"command": command, "features": model.features, "labels": model.labels}
+    about |= {name: sorted(getattr(model, name)) for name in ("seen", "left_out", "met")}
     edges = np.stack([model.begin, model.end])
     with replacing(path) as temporary:
         np.savez_compressed(
