@@ -9,9 +9,10 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib import resources
 from typing import Any, NoReturn
 
+from jaxlangnav.inputs.documents import read_shipped
+from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.messages import (
     ACTIONS,
     AT,
@@ -32,14 +33,9 @@ _TOLERANCE = 0.01
 """By how much the probabilities may miss 1, for people and models round them."""
 
 
-_SHOWN = 40
-"""Characters of a value that a refusal repeats."""
-
-
 def quote(value: Any) -> str:
     """Repeat a value in a refusal: on one line, and not too long."""
-    text = repr(value)
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 1]}…"
+    return cut(repr(value), 40)
 
 
 def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str = "$") -> None:
@@ -125,8 +121,7 @@ class Form:
 @cache
 def annotation_schema() -> Mapping[str, Any]:
     """Read the published JSON Schema of the form."""
-    file = resources.files("jaxlangnav.grounding").joinpath("data/annotations.schema.json")
-    return json.loads(file.read_text("utf-8"))
+    return json.loads(read_shipped("grounding", "annotations.schema.json"))
 
 
 def read_form(text: str, type_names: Sequence[str]) -> Form:

@@ -12,7 +12,6 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from difflib import SequenceMatcher
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +21,7 @@ import numpy as np
 import optax
 from jax import Array
 
-from jaxlangnav.inputs.documents import parse_json, read_text
+from jaxlangnav.inputs.documents import parse_json, read_shipped, read_text
 from jaxlangnav.language.parser import split_text
 from jaxlangnav.language.reader.features import (
     CHOOSING,
@@ -118,8 +117,8 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
         ValueError: a line is none; one line that names it.
     """
     if path is None:
-        file = resources.files("jaxlangnav.language").joinpath("data/readings.jsonl")
-        text, name = file.read_text("utf-8"), "readings.jsonl"
+        name = "readings.jsonl"
+        text = read_shipped("language", name)
     else:
         text, name = read_text(path, at_most=_LARGEST), path.name
     rows = []
