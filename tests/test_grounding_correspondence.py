@@ -234,12 +234,12 @@ def test_the_engine_s_symbols_are_two_more_spaces():
     sentences = ("find the second car", "go to the tree then go to the bench behind the car")
     instructions = corpus(num_worlds=1, sentences=sentences)
     graph = CorrespondenceGraph(Annotations(TYPES), model.annotation)
-    trees = [tree for one in instructions for tree in one.annotated()]
+    trees = [tree for one in instructions for tree in one.annotated]
     assert [tree.clause for tree in trees] == [0, 0, 1]
     assert all(is_right(graph, one) for one in trees)
     for one in instructions:
         behavior = CorrespondenceGraph(Behaviors(TYPES, one.rank), model.behavior)
-        assert all(is_right(behavior, tree) for tree in one.behaving())
+        assert all(is_right(behavior, tree) for trees in one.behaving for tree in trees)
     made = annotation_examples(instructions, TYPES)
     for mine, own in zip(examples_of(graph.space, trees), made, strict=True):
         assert mine.phrase == own.phrase

@@ -14,6 +14,7 @@ from jaxlangnav.grounding.symbols import (
     GOAL,
     MODE,
     BehaviorSymbol,
+    bottom_up,
     object_symbol,
     region_symbol,
     relation_symbol,
@@ -49,16 +50,17 @@ def test_labels_stand_at_their_phrases():
         example("go to the car behind the tree", np.random.default_rng(0)), TYPES
     )
     car, tree = TYPES.index("car"), TYPES.index("tree")
-    root = frozenset({relation_symbol(car, BEHIND, tree)})
-    assert labelled.annotation[(0,)] == root == gold_annotations(labelled)
-    assert labelled.annotation[(0, 0, 0, 0)] == {object_symbol(car)}
-    assert labelled.annotation[(0, 0, 0, 1)] == {region_symbol(BEHIND, tree)}
-    assert len(labelled.worlds) == len(labelled.behavior) == 3
+    (clause,) = labelled.annotated
+    expressed = dict(zip([n.path for n in bottom_up(clause.root)], clause.expressed, strict=True))
+    assert expressed[(0,)] == {relation_symbol(car, BEHIND, tree)} == gold_annotations(labelled)
+    assert expressed[(0, 0, 0, 0)] == {object_symbol(car)}
+    assert expressed[(0, 0, 0, 1)] == {region_symbol(BEHIND, tree)}
+    assert len(labelled.behaving) == 3
 
 
 def test_statements_have_no_behavior():
     (labelled,) = corpus(sentences=("the barrel is behind the bench",))
-    assert all(not gold for gold in labelled.behavior)
+    assert not any(labelled.behaving)
     assert behavior_examples([labelled], TYPES) == []
     assert len(annotation_examples([labelled], TYPES)) == 4
 
@@ -88,7 +90,7 @@ def test_each_factor_is_an_example():
     instructions = corpus(num_worlds=1, sentences=("go to the car",))
     examples = annotation_examples(instructions, TYPES)
     assert [len(e.rows["symbol"].labels) for e in examples] == [494] * 3
-    slots = len(instructions[0].worlds[0].object_type)
+    slots = len(instructions[0].behaving[0][0].world.object_type)
     sizes = [
         sum(len(r.labels) for r in e.rows.values()) for e in behavior_examples(instructions, TYPES)
     ]

@@ -10,7 +10,6 @@ from jaxlangnav.grounding import load_shipped
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.properties import Behaviors
-from jaxlangnav.grounding.symbols import BehaviorSpace
 from jaxlangnav.training.scoring import Models, gold_annotations, score_annotations, score_behaviors
 
 SENTENCES = (
@@ -57,12 +56,13 @@ def alone_behaviors(annotation, model, labelled, width):
     """The same, a row for each world."""
     rank = infer_annotations(labelled.parse, annotation, TYPES).rank
     graph = CorrespondenceGraph(Behaviors(TYPES, rank), model)
-    for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
-        space, right, confidence = BehaviorSpace(len(world.object_type)), True, 1.0
-        for clause, root in enumerate(labelled.parse.clauses):
-            beam = graph.weigh(root, world, clause).search(width)
-            right &= bool((beam[0].expressed == space.mask(gold[(clause,)])).all())
-            confidence *= np.exp(beam[0].log_probability)
+    for trees in labelled.behaving:
+        right, confidence = True, 1.0
+        for tree in trees:
+            weighed = graph.weigh(tree.root, tree.world, tree.clause)
+            best = weighed.search(width)[0]
+            right &= bool((best.expressed == weighed.symbols.mask(tree.expressed[-1])).all())
+            confidence *= np.exp(best.log_probability)
         yield right, confidence
 
 

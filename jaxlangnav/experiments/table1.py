@@ -127,11 +127,10 @@ def _seconds(
         if name == "annotation":
             continue
         graph = CorrespondenceGraph(Behaviors(type_names, belief.rank), behavior)
-        for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
+        for trees in labelled.behaving:
             count += 1
-            for clause, root in enumerate(labelled.parse.clauses):
-                if (clause,) in gold:
-                    graph.weigh(root, world, clause).search(width)
+            for tree in trees:
+                graph.weigh(tree.root, tree.world, tree.clause).search(width)
     return (time.perf_counter() - begin) / count
 
 
@@ -221,7 +220,7 @@ def _on_new_words(
         is_new = [
             bool(own - seen)
             for own, one, is_held in zip(words, instructions, held, strict=True)
-            for _ in range(is_held * (1 if name == "annotation" else len(one.worlds)))
+            for _ in range(is_held * (1 if name == "annotation" else len(one.behaving)))
         ]
         rows.append((score.is_right, np.array(is_new, bool)))
     right = np.concatenate([is_right[is_new] for is_right, is_new in rows])

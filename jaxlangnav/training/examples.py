@@ -38,30 +38,9 @@ class LabelledInstruction:
     """An instruction with gold groundings of every phrase."""
 
     parse: Parse
-    annotation: Mapping[Path, frozenset[Annotation]]
-    rank: Mapping[Path, int]  # phrases that say "nearest" have 1, "second" 2; others 0 or absent
-    worlds: tuple[World, ...] = ()
-    behavior: tuple[Mapping[Path, frozenset[BehaviorSymbol]], ...] = ()  # one per world
-
-    def annotated(self) -> Iterator[Labelled[None]]:
-        """Yield the trees of its clauses with their annotations."""
-        for clause, root in enumerate(self.parse.clauses):
-            paths = [node.path for node in bottom_up(root, clause)]
-            yield Labelled(
-                root=root,
-                world=None,
-                expressed=[self.annotation[path] for path in paths],
-                ranks=[self.rank.get(path, 0) for path in paths],
-                clause=clause,
-            )
-
-    def behaving(self) -> Iterator[Labelled[World]]:
-        """Yield the trees of its commands in every world."""
-        for world, gold in zip(self.worlds, self.behavior, strict=True):
-            for clause, root in enumerate(self.parse.clauses):
-                if (clause,) in gold:
-                    expressed = [gold[node.path] for node in bottom_up(root, clause)]
-                    yield Labelled(root=root, world=world, expressed=expressed, clause=clause)
+    annotated: tuple[Labelled[None], ...]  # its clauses
+    behaving: tuple[tuple[Labelled[World], ...], ...]  # its commands in each world
+    rank: Mapping[Path, int]  # phrases that say "nearest" have 1, "second" 2; others 0
 
 
 def read_annotation(text: str, type_names: tuple[str, ...]) -> Annotation:
@@ -94,22 +73,29 @@ def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
 
 def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
     """Turn an example of a corpus into training data; statements have no behavior."""
-    paths = [[n.path for n in bottom_up(root, c)] for c, root in enumerate(example.parse.clauses)]
-    annotation, rank = {}, {}
-    for clause, labels in zip(paths, example.clauses, strict=True):
-        for path, symbols, own in zip(clause, labels.annotation, labels.rank, strict=True):
-            annotation[path] = frozenset(read_annotation(text, type_names) for text in symbols)
-            rank[path] = own
-    behaviors = []
+    roots, annotated, behaving, rank = example.parse.clauses, [], [], {}
+    for clause, (root, labels) in enumerate(zip(roots, example.clauses, strict=True)):
+        expressed = [
+            frozenset(read_annotation(text, type_names) for text in symbols)
+            for symbols in labels.annotation
+        ]
+        annotated.append(
+            Labelled(root=root, world=None, expressed=expressed, ranks=labels.rank, clause=clause)
+        )
+        paths = [node.path for node in bottom_up(root, clause)]
+        rank |= dict(zip(paths, labels.rank, strict=True))
     for labelled in example.worlds:
-        count, behavior = len(labelled.world.objects), {}
-        clauses = zip(paths, labelled.behavior, example.parse.kinds, strict=True)
-        for clause, labels, kind in clauses:
-            for path, symbols in zip(clause, labels, strict=True) if kind == COMMAND else ():
-                behavior[path] = frozenset(read_behavior(text, count) for text in symbols)
-        behaviors.append(behavior)
-    worlds = tuple(place(labelled.world, type_names) for labelled in example.worlds)
-    return LabelledInstruction(example.parse, annotation, rank, worlds, tuple(behaviors))
+        world, count, trees = place(labelled.world, type_names), len(labelled.world.objects), []
+        clauses = zip(roots, labelled.behavior, example.parse.kinds, strict=True)
+        for clause, (root, labels, kind) in enumerate(clauses):
+            if kind == COMMAND:
+                expressed = [
+                    frozenset(read_behavior(text, count) for text in symbols) for symbols in labels
+                ]
+                tree = Labelled(root=root, world=world, expressed=expressed, clause=clause)
+                trees.append(tree)
+        behaving.append(tuple(trees))
+    return LabelledInstruction(example.parse, tuple(annotated), tuple(behaving), rank)
 
 
 def read_examples(
@@ -195,7 +181,7 @@ def annotation_examples(
     return [
         example
         for index, labelled in enumerate(instructions)
-        for tree in labelled.annotated()
+        for tree in labelled.annotated
         for example in _tree_examples(space, tree, index)
     ]
 
@@ -207,7 +193,8 @@ def behavior_examples(
     return [
         example
         for index, labelled in enumerate(instructions)
-        for tree in labelled.behaving()
+        for trees in labelled.behaving
+        for tree in trees
         for example in _tree_examples(Behaviors(type_names, labelled.rank), tree, index)
     ]
 

@@ -19,7 +19,7 @@ from jaxlangnav.grounding.correspondence import WeighedTree
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
 from jaxlangnav.grounding.properties import Annotations, Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
-from jaxlangnav.grounding.symbols import Annotation, BehaviorSymbol, Path
+from jaxlangnav.grounding.symbols import Annotation, Path
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.training.examples import LabelledInstruction
 
@@ -113,8 +113,7 @@ class _Tally:
 
 def gold_annotations(labelled: LabelledInstruction) -> frozenset[Annotation]:
     """Join the gold annotations at the roots of all clauses."""
-    roots = (labelled.annotation[(i,)] for i in range(len(labelled.parse.clauses)))
-    return frozenset().union(*roots)
+    return frozenset().union(*(tree.expressed[-1] for tree in labelled.annotated))
 
 
 def _compare(belief: Belief, gold: frozenset[Annotation]) -> tuple[bool, float, float]:
@@ -198,9 +197,10 @@ def _annotated(
     labelled: LabelledInstruction, models: Models, type_names: tuple[str, ...]
 ) -> list[WeighedTree[None]]:
     """Weigh the clauses of a sentence by annotation models."""
+    space, coefficients = Annotations(type_names), models.coefficients
     return [
-        WeighedTree(Annotations(type_names), models.coefficients, root, None, clause)
-        for clause, root in enumerate(labelled.parse.clauses)
+        WeighedTree(space, coefficients, tree.root, None, tree.clause)
+        for tree in labelled.annotated
     ]
 
 
@@ -237,23 +237,19 @@ def score_behaviors(
     for labelled, which in _tested(instructions, is_tested, num, on_sentence):
         for group, rank in _by_rank(labelled, annotation.take(which), type_names):
             own, space = behavior.take(which[group]), Behaviors(type_names, rank)
-            for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
-                trees = [
-                    (WeighedTree(space, own.coefficients, root, world, clause), gold[(clause,)])
-                    for clause, root in enumerate(labelled.parse.clauses)
-                    if (clause,) in gold
-                ]
-                _count_world(tally, which[group], trees)
+            for trees in labelled.behaving:
+                found = []
+                for tree in trees:
+                    one = WeighedTree(space, own.coefficients, tree.root, tree.world, tree.clause)
+                    found.append((one, one.symbols.mask(tree.expressed[-1])))
+                _count_world(tally, which[group], found)
     return tally.results()
 
 
 def _count_world(
-    tally: _Tally,
-    models: np.ndarray,
-    clauses: Sequence[tuple[WeighedTree, frozenset[BehaviorSymbol]]],
+    tally: _Tally, models: np.ndarray, trees: Sequence[tuple[WeighedTree, np.ndarray]]
 ) -> None:
-    """Compare what models i[M] infer in one world with the gold sets of the clauses."""
-    trees = [(tree, tree.symbols.mask(gold)) for tree, gold in clauses]
+    """Compare what models i[M] infer in one world with the gold sets bool[S] of the clauses."""
     for width, rows in tally.rows.items():
         right, confidence = np.ones(len(models), bool), np.ones(len(models))
         log_gold = np.zeros(len(models))
