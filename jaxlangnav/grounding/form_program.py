@@ -162,20 +162,25 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
         row = _in_slot(regions.index(end.region), end.region, inside)
         phrases.append(_Phrase(row, (_thing(end.thing, CERTAIN, end.before),)))
     avoided = [
-        [
-            Destination(_description_of(reading, thing), NEAR)
-            for thing in reading.commands[index].avoid
-        ]
-        for reading in form.readings
+        [Destination(_description_of(one, thing), NEAR) for thing in one.commands[index].avoid]
+        for one in form.readings
     ]
     shares = _shares(form, avoided)
     phrases += [_thing(one.thing, _log_odds(share)) for one, share in shares.items()]
+    is_used = np.arange(NUM_REGION_SLOTS) < len(regions)
+    slots = np.where(is_used, np.arange(NUM_REGION_SLOTS), NONE)
+    passing_on = {  # of a phrase that expresses the goal regions of its children
+        "region_relation": np.append(regions, [NONE] * (NUM_REGION_SLOTS - len(regions))),
+        "region_base": np.where(is_used, -CERTAIN, LOG_NEVER),
+        "region_same": np.where(is_used, 2.0 * CERTAIN, 0.0),
+        "region_from": np.tile(slots, (NUM_CHILDREN, 1)),
+    }
     # More phrases than one may have as children go below phrases that pass all of them on.
-    row = _passing_on(regions) | {"object_unnamed": -CERTAIN, "object_inside": 2.0 * CERTAIN}
+    row = passing_on | {"object_unnamed": -CERTAIN, "object_inside": 2.0 * CERTAIN}
     while len(phrases) > NUM_CHILDREN:
         phrases = [_Phrase(row, tuple(phrases[:NUM_CHILDREN])), *phrases[NUM_CHILDREN:]]
     # The verb phrase: the children's regions are goals, their objects are to be avoided.
-    verb = _passing_on(regions) | {
+    verb = passing_on | {
         "is_verb": True,
         "constraint_relation": NEAR,
         "constraint_base": -CERTAIN,
@@ -231,18 +236,6 @@ def _in_slot(slot: int, relation: int, inside: float) -> dict[str, np.ndarray]:
         "region_relation": np.where(is_here, relation, NONE),
         "region_base": np.where(is_here, -CERTAIN, LOG_NEVER),
         "region_inside": np.where(is_here, inside, 0.0),
-    }
-
-
-def _passing_on(regions: Sequence[int]) -> dict[str, np.ndarray]:
-    """Build the region fields of a phrase that expresses the goal regions of its children."""
-    is_used = np.arange(NUM_REGION_SLOTS) < len(regions)
-    slots = np.where(is_used, np.arange(NUM_REGION_SLOTS), NONE)
-    return {
-        "region_relation": np.append(regions, [NONE] * (NUM_REGION_SLOTS - len(regions))),
-        "region_base": np.where(is_used, -CERTAIN, LOG_NEVER),
-        "region_same": np.where(is_used, 2.0 * CERTAIN, 0.0),
-        "region_from": np.tile(slots, (NUM_CHILDREN, 1)),
     }
 
 

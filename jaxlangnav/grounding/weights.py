@@ -57,18 +57,6 @@ class _Header(Schema):
 _Document = TypeVar("_Document", bound=Schema)
 
 
-def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
-    """Flatten a model to named arrays."""
-    arrays = {f"{name}/{kind}": weight.astype(np.float32) for kind, weight in model.weights.items()}
-    header = {
-        "names": model.vocabulary.names,
-        "without": sorted(model.vocabulary.without),
-        "temperature": model.temperature,
-        "properties": {kind: property_names()[kind] for kind in model.weights},
-    }
-    return arrays | {f"{name}.json": np.array(json.dumps(header))}
-
-
 def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
     """Build a model from named arrays of an archive."""
     header = _document(archive, f"{name}.json", _Header)
@@ -98,7 +86,16 @@ def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -
     """Write weights as ``.npz``, all or nothing, with the command that made them and its corpus."""
     about = {"command": command, "corpus": corpus_hash, "types": model.type_names}
     arrays = {"about": np.array(json.dumps(about))}
-    arrays |= _pack("annotation", model.annotation) | _pack("behavior", model.behavior)
+    for name, one in (("annotation", model.annotation), ("behavior", model.behavior)):
+        for kind, weight in one.weights.items():
+            arrays[f"{name}/{kind}"] = weight.astype(np.float32)
+        header = {
+            "names": one.vocabulary.names,
+            "without": sorted(one.vocabulary.without),
+            "temperature": one.temperature,
+            "properties": {kind: property_names()[kind] for kind in one.weights},
+        }
+        arrays[f"{name}.json"] = np.array(json.dumps(header))
     with replacing(path) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
 
