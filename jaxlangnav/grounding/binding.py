@@ -165,15 +165,37 @@ def _names_of_types() -> dict[str, frozenset[str]]:
     return {kind: frozenset(found) for kind, found in names.items()}
 
 
-@dataclasses.dataclass(frozen=True)
-class Bound:
-    """A sentence whose types are bound to what the detector tells apart."""
+class BoundSentence:
+    """A sentence whose types are bound to what the detector tells apart, one noun after the other.
 
-    tree: Parse  # every noun has the sense ``type:NAME`` of one of the names
-    names: tuple[str, ...]  # the sentence's types, those of the lexicon first
-    kinds: tuple[tuple[int, ...], ...]  # of each, the kinds that it may be
-    thing: int  # the kind of what is called by no type
-    notes: tuple[str, ...]
+    ``tree`` is the sentence, in which every noun has the sense ``type:NAME`` of one of ``names``,
+    the sentence's types, those of the lexicon first. ``kinds`` are those that each may be, and
+    ``notes`` say in a line each what of the words is not used.
+    """
+
+    def __init__(self, tree: Parse, type_names: Sequence[str], detector: Detector) -> None:
+        """Bind a sentence, as the parser makes it; ``type_names`` are those of the models.
+
+        Raises:
+            UnknownObjectError: the goal of a command has no label, or a noun far too many.
+            LanguageError: things are compared by how they look.
+        """
+        self.detector = detector
+        self.names = list(type_names)
+        self.kinds: list[tuple[int, ...]] = [() for _ in type_names]
+        self.notes: dict[str, None] = {}
+        self._thing = ANYTHING  # the kind of what is called by no type
+        self._latest: dict[str, int] = {}  # noun → code of its last mention's attributes
+        clauses = [
+            self._bind(clause, head_of(clause) if clause.label == "VP" else None)
+            for clause in tree.clauses
+        ]
+        self.tree = dataclasses.replace(tree, clauses=tuple(clauses))
+        # Of what is not spoken of hardly anything is said, and nothing of what the detector lacks.
+        self.kinds = [
+            named or detector.find(name)[0][:NUM_OWN] or (MOST_LABELS - 1,)
+            for name, named in zip(self.names, self.kinds, strict=True)
+        ]
 
     def rewrite(self, own: np.ndarray) -> np.ndarray:
         """Put kinds in place of the sentence's types in a program's ``own``, i32[H, 4]."""
@@ -185,7 +207,7 @@ class Bound:
 
     def kinds_of(self, mention: int) -> tuple[int, ...]:
         """List the kinds that a type may be; the robot and any thing are of their own."""
-        own = {ROBOT: ROBOT, ANYTHING: self.thing}
+        own = {ROBOT: ROBOT, ANYTHING: self._thing}
         return (own[mention],) if mention in own else self.kinds[mention]
 
     def labels_of(self, name: str) -> tuple[int, ...]:
@@ -194,25 +216,13 @@ class Bound:
             return ()
         return tuple(dict.fromkeys(label_of(k) for k in self.kinds[self.names.index(name)]))
 
-
-class _Binder:
-    """Binds the noun phrases of one sentence, in order."""
-
-    def __init__(self, type_names: Sequence[str], detector: Detector) -> None:
-        self.detector = detector
-        self.names = list(type_names)
-        self.kinds: list[tuple[int, ...]] = [() for _ in type_names]
-        self.notes: dict[str, None] = {}
-        self.thing = ANYTHING
-        self._latest: dict[str, int] = {}  # noun → code of its last mention's attributes
-
-    def bind(self, phrase: Phrase, goal: Phrase | None) -> Phrase:
+    def _bind(self, phrase: Phrase, goal: Phrase | None) -> Phrase:
         """Bind the nouns of a phrase and of those below it."""
-        children = tuple(self.bind(child, goal) for child in phrase.children)
+        children = tuple(self._bind(child, goal) for child in phrase.children)
         phrase_now = dataclasses.replace(phrase, children=children)
         head = next((w for w in phrase.words if _type_of(w)), None)
         if is_thing(phrase):
-            self.thing = kind_of(ANYTHING, self._code(phrase, phrase.words[-1], ""))
+            self._thing = kind_of(ANYTHING, self._code(phrase, phrase.words[-1], ""))
         if phrase.label != "NP" or head is None:
             return phrase_now
         noun = _type_of(head) or ""
@@ -303,29 +313,3 @@ def said_noun(phrase: Phrase) -> str:
     """Write the noun of a phrase as it was said, in the singular: "traffic cone"."""
     nouns = [word.text for word in phrase.words if word.tag in ("NN", "NNS") and word.text != "one"]
     return singular(" ".join(nouns)) if nouns else ""
-
-
-def bind(tree: Parse, type_names: Sequence[str], detector: Detector) -> Bound:
-    """Bind the types of a sentence, as the parser makes it; ``type_names`` are those of the models.
-
-    Raises:
-        UnknownObjectError: the goal of a command has no label, or a noun far too many.
-        LanguageError: things are compared by how they look.
-    """
-    binder = _Binder(type_names, detector)
-    clauses = [
-        binder.bind(clause, head_of(clause) if clause.label == "VP" else None)
-        for clause in tree.clauses
-    ]
-    # Of what is not spoken of hardly anything is said, and nothing of what the detector lacks.
-    kinds = [
-        named or detector.find(name)[0][:NUM_OWN] or (MOST_LABELS - 1,)
-        for name, named in zip(binder.names, binder.kinds, strict=True)
-    ]
-    return Bound(
-        tree=dataclasses.replace(tree, clauses=tuple(clauses)),
-        names=tuple(binder.names),
-        kinds=tuple(kinds),
-        thing=binder.thing,
-        notes=tuple(binder.notes),
-    )

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations
-from jaxlangnav.grounding.binding import Detector, UnknownObjectError, bind, said_noun
+from jaxlangnav.grounding.binding import BoundSentence, Detector, UnknownObjectError, said_noun
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
 from jaxlangnav.grounding.readings import to_readings
@@ -253,8 +253,8 @@ def understand_parse(
 ) -> Understanding:
     """Understand a sentence that has been parsed already; see ``understand``."""
     detector = Detector(model.type_names) if detector is None else detector
-    bound = bind(tree, model.type_names, detector)
-    tree, names = bound.tree, bound.names
+    bound = BoundSentence(tree, model.type_names, detector)
+    tree, names = bound.tree, tuple(bound.names)
     belief = infer_annotations(tree, model.annotation, names)
     _check_nouns(tree, belief, model.type_names)
     kinds = zip(tree.clauses, tree.kinds, strict=True)
@@ -280,7 +280,7 @@ def understand_parse(
         instruction=instruction,
         names=names,
         type_names=detector.names,
-        notes=bound.notes,
+        notes=tuple(bound.notes),
         spoken=_spoken_of(tree, bound.labels_of),
     )
 
