@@ -10,7 +10,6 @@ particles: there only conditions are evaluated, and ``contract`` adds up the coe
 properties with one condition per phrase. The order of declaration is that of the weights' columns.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -184,16 +183,13 @@ def behavior_names() -> dict[str, tuple[str, ...]]:
 # ---------------------------------------------------------------- in a world, on the host
 
 
-@dataclasses.dataclass(frozen=True)
-class ChildGroundings:
+class ChildGroundings(NamedTuple):
     """What the child phrases express in one world."""
 
     objects: np.ndarray  # bool[N]
     regions: np.ndarray  # bool[7, N] regions, and goals of child verb phrases
     constraints: np.ndarray  # bool[7, N]
     lies: np.ndarray  # bool[N] lies in a region of every restricting child; all if there is none
-    is_restricted: bool
-    has_children: bool
 
 
 def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
@@ -245,13 +241,12 @@ def _conditions(world: World, senses: Senses, child: ChildGroundings) -> Conditi
 
 
 def behavior_tables(
-    world: World, is_verb: bool, senses: Senses, child: ChildGroundings
+    world: World, is_verb: bool, senses: Senses, words: PhraseWords, child: ChildGroundings
 ) -> dict[str, np.ndarray]:
     """Describe every behavior symbol of a phrase in one world: kind → f32[symbols of the kind, F].
 
     A verb phrase expresses goals and constraints, any other objects and regions.
     """
-    words = PhraseWords.of(senses, child.has_children, child.is_restricted)
     met, tables = _conditions(world, senses, child), {}
     for kind in ("goal", "constraint") if is_verb else ("object", "region"):
         shape = child.objects.shape if kind == "object" else child.regions.shape

@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxlangnav.grounding.behavior_properties import (
     ChildGroundings,
+    PhraseWords,
     behavior_names,
     behavior_tables,
     lies_in,
@@ -260,8 +261,10 @@ class Behaviors:
         """Describe the symbols of a phrase; those of empty object slots are left out."""
         space, senses = self.symbols_in(world), senses_of(phrase, self.type_names)
         is_verb = phrase.label in VERB_LABELS
-        below = [
-            (child.label in RESTRICTORS, ranks_meant(child, (*path, i), self.rank, self.type_names))
+        is_restrictor = [child.label in RESTRICTORS for child in phrase.children]
+        words = PhraseWords.of(senses, bool(phrase.children), any(is_restrictor))
+        ranks = [
+            ranks_meant(child, (*path, i), self.rank, self.type_names)
             for i, child in enumerate(phrase.children)
         ]
 
@@ -273,34 +276,22 @@ class Behaviors:
             return Block(begin + real, table[real])
 
         def given(children: Sequence[np.ndarray]) -> Mapping[str, Block]:
-            joined = _child_groundings(world, space, below, children)
-            tables = behavior_tables(world, is_verb, senses, joined)
+            every = np.any([*children, np.zeros(space.size, bool)], axis=0)
+            lies = world.is_object.copy()
+            for is_told, rank, expressed in zip(is_restrictor, ranks, children, strict=True):
+                if is_told:
+                    places = space.part(expressed, REGION) | space.part(expressed, GOAL)
+                    lies &= lies_in(world, places, rank)
+            joined = ChildGroundings(
+                objects=space.part(every, OBJECT),
+                regions=space.part(every, REGION) | space.part(every, GOAL),
+                constraints=space.part(every, CONSTRAINT),
+                lies=lies,
+            )
+            tables = behavior_tables(world, is_verb, senses, words, joined)
             return {kind: block(kind, table) for kind, table in tables.items()}
 
         return Described(given)
-
-
-def _child_groundings(
-    world: World,
-    space: BehaviorSpace,
-    below: Sequence[tuple[bool, np.ndarray]],
-    children: Sequence[np.ndarray],
-) -> ChildGroundings:
-    """Join what child phrases, (is a restrictor, i[7] ranks), express of S in a world."""
-    every = np.any([*children, np.zeros(space.size, bool)], axis=0)
-    lies = world.is_object.copy()
-    for (is_restrictor, rank), expressed in zip(below, children, strict=True):
-        if is_restrictor:
-            places = space.part(expressed, REGION) | space.part(expressed, GOAL)
-            lies &= lies_in(world, places, rank)
-    return ChildGroundings(
-        objects=space.part(every, OBJECT),
-        regions=space.part(every, REGION) | space.part(every, GOAL),
-        constraints=space.part(every, CONSTRAINT),
-        lies=lies,
-        is_restricted=any(is_restrictor for is_restrictor, _ in below),
-        has_children=bool(children),
-    )
 
 
 def ranks_meant(
