@@ -181,10 +181,7 @@ def _fill_regions(
 
 
 def _fill_constraint(
-    fields: dict[str, np.ndarray],
-    row: int,
-    children: tuple[int, ...],
-    terms: dict[str, np.ndarray],
+    fields: dict[str, np.ndarray], row: int, children: tuple[int, ...], terms: dict[str, np.ndarray]
 ) -> None:
     """Choose the relation of a verb phrase's constraints and write its coefficients."""
     relation = int(np.argmax(_reach(fields, children, terms)))
