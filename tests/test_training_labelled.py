@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from grounding_fixture import TYPES, corpus, example
+from grounding_fixture import TYPES, corpus
 
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.properties import ranks_meant
@@ -25,7 +25,6 @@ from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.training.examples import (
     annotation_examples,
     behavior_examples,
-    labelled_instruction,
     read_annotation,
     read_behavior,
     read_examples,
@@ -36,8 +35,7 @@ from jaxlangnav.training.scoring import Models, gold_annotations, score_annotati
 def test_symbols_are_read_by_name():
     assert read_annotation("object(cone)", TYPES) == object_symbol(1)
     assert read_annotation("region(left,robot)", TYPES) == region_symbol(LEFT, ROBOT)
-    relation = relation_symbol(0, BEHIND, 1)
-    assert read_annotation("relation(hydrant,behind,cone)", TYPES) == relation
+    assert read_annotation("relation(hydrant,behind,cone)", TYPES) == relation_symbol(0, BEHIND, 1)
     assert read_behavior("goal(at,3)", 5) == BehaviorSymbol(GOAL, AT, 3)
     assert read_behavior("goal(left,robot)", 5) == BehaviorSymbol(GOAL, LEFT, 5)
     assert read_behavior("constraint(near,2)", 5) == BehaviorSymbol(CONSTRAINT, NEAR, 2)
@@ -46,9 +44,7 @@ def test_symbols_are_read_by_name():
 
 
 def test_labels_stand_at_their_phrases():
-    labelled = labelled_instruction(
-        example("go to the car behind the tree", np.random.default_rng(0)), TYPES
-    )
+    (labelled,) = corpus(sentences=("go to the car behind the tree",))
     car, tree = TYPES.index("car"), TYPES.index("tree")
     (clause,) = labelled.annotated
     expressed = dict(zip([n.path for n in bottom_up(clause.root)], clause.expressed, strict=True))
