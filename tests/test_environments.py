@@ -201,7 +201,8 @@ def test_bad_options_are_refused(make: Any, options: dict, expected: str) -> Non
 
 @pytest.mark.parametrize("options", [{}, {"actions": "discrete", "render_mode": "rgb_array"}])
 def test_gymnasium_finds_nothing_to_object_to(options: dict) -> None:
-    env = gymnasium.make(ID, world="2H1C", relation="nearest", sensing_range=5.0, **options)
+    law = {"world": "2H1C", "relation": "nearest", "sensing_range": 5.0}
+    env = gymnasium.make(f"{FollowEnv.__module__}:{ID}", **law, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env.unwrapped)
@@ -221,7 +222,6 @@ def test_an_environment_draws_itself() -> None:
     for _ in range(3):
         env.step(1)
     after = env.render()
-    assert after.shape == before.shape
     assert 0.001 < (after != before).any(axis=-1).mean() < 0.5
     env.reset(seed=0)
     np.testing.assert_array_equal(env.render(), before)

@@ -1,9 +1,9 @@
 """Our worlds for Gymnasium: one environment, and many in one compiled program (section 4.2).
 
-Importing this module registers ``jaxlangnav/Follow-v1``:
+Importing this module registers ``jaxlangnav/Follow-v1``, and Gymnasium imports it if asked to:
 
-    import gymnasium, jaxlangnav.environments.gymnasium_env
-    env = gymnasium.make("jaxlangnav/Follow-v1", world="2H1C", relation="behind")
+    name = "jaxlangnav.environments.gymnasium_env:jaxlangnav/Follow-v1"
+    env = gymnasium.make(name, world="2H1C", relation="behind")
 
 It needs the extra ``gym``, and ``viz`` for ``render_mode="rgb_array"``. Observations and actions
 are those of ``functional``; a discrete action is a row of its ``DISCRETE_ACTIONS``.
@@ -72,8 +72,9 @@ def to_functional(actions: Any, space: spaces.Space[Any]) -> np.ndarray:
     return np.asarray(actions, np.float32)
 
 
-def _key(generator: np.random.Generator) -> jax.Array:
-    return jax.random.key(generator.integers(2**32, dtype=np.uint32))
+def _seed(generator: np.random.Generator) -> np.integer:
+    """Draw what a compiled function makes its key of; made here, it would cost half a step."""
+    return generator.integers(2**32, dtype=np.uint32)
 
 
 class _Worlds:
@@ -162,7 +163,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         those after it; no ``options`` are known.
         """
         super().reset(seed=seed)
-        begun = _reset(_key(self.np_random), self._worlds.params)
+        begun = _reset(_seed(self.np_random), self._worlds.params)
         return self._worlds.see(*begun), {"instruction": self.instruction}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -173,9 +174,8 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         """
         worlds, before = self._worlds, self._worlds.started("step")
         action = to_functional(action, self.action_space)
-        observation, state, reward, _, info = _step(
-            _key(self.np_random), before, action, worlds.params
-        )
+        seed = _seed(self.np_random)
+        observation, state, reward, _, info = _step(seed, before, action, worlds.params)
         told = {name: value.item() for name, value in _told(info).items()}
         ended, late = told["is_stopped"], told["is_cut_off"]
         return worlds.see(observation, state), float(reward), ended, late, told
@@ -220,9 +220,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         """
         refuse_below(1, num_envs=num_envs)
         if num_worlds < 0:
-            raise ValueError(
-                f"num_worlds is {num_worlds}, but must be at least 0 (0: always fresh)"
-            )
+            raise ValueError(f"num_worlds is {num_worlds}, but must be 0 (always fresh) or more")
         self.metadata = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
         self.num_envs, self._num_worlds = num_envs, num_worlds
         self.single_observation_space = observation_space()
@@ -240,9 +238,9 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         """Draw the worlds and begin an episode in every lane: f32[num_envs, 52], and no info."""
         super().reset(seed=seed)
         if self._num_worlds:
-            key = _key(self.np_random)
+            key = jax.random.key(_seed(self.np_random))
             self._pool = draw_pool(key, self._worlds.params.law, num_worlds=self._num_worlds)
-        keys = jax.random.split(_key(self.np_random), self.num_envs)
+        keys = _keys(_seed(self.np_random), self.num_envs)
         self._is_over = np.zeros(self.num_envs, bool)
         return self._worlds.see(*_reset_many(keys, self._worlds.params, self._pool)), {}
 
@@ -254,7 +252,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         Observations, rewards, terminated, truncated, and info as arrays over lanes.
         """
         worlds, before = self._worlds, self._worlds.started("step")
-        keys = jax.random.split(_key(self.np_random), self.num_envs)
+        keys = _keys(_seed(self.np_random), self.num_envs)
         actions = to_functional(actions, self.single_action_space)
         observation, state, reward, info = _step_many(
             keys, before, actions, worlds.params, self._pool, self._is_over
@@ -273,8 +271,9 @@ def _told(info: EnvironmentInfo) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in vars(info).items()}
 
 
-_reset = jax.jit(functional.reset)
-_step = jax.jit(functional.step)
+_reset = jax.jit(lambda seed, *rest: functional.reset(jax.random.key(seed), *rest))
+_step = jax.jit(lambda seed, *rest: functional.step(jax.random.key(seed), *rest))
+_keys = jax.jit(lambda seed, of: jax.random.split(jax.random.key(seed), of), static_argnums=1)
 _reset_many = jax.jit(jax.vmap(functional.reset, in_axes=(0, None, None)))
 _step_many = jax.jit(jax.vmap(functional.step_or_reset, in_axes=(0, 0, 0, None, None, 0)))
 
