@@ -1,8 +1,8 @@
 """Whether the robot gets on, and waypoints that it has given up as out of reach (ours).
 
-Nothing here knows of walls. A robot that is sent on and stays where it is for a while gives its
-waypoint up: nodes about it are closed for some time, so that another way is tried. Where one after
-the other is given up, the way is blocked.
+A robot that is sent on and stays where it is for a while gives its waypoint up: nodes about it are
+closed for some time, so that another way is tried. Where one after the other is given up, the way
+is blocked.
 """
 
 import jax.numpy as jnp
@@ -54,15 +54,7 @@ def start_progress(pose: Array) -> ProgressMonitor:
 
 
 def open_nodes(nodes: Nodes, way: ProgressMonitor) -> Nodes:
-    """Close the nodes about waypoints that have been given up.
-
-    Args:
-        nodes: candidate waypoints.
-        way: what has been given up.
-
-    Returns:
-        The nodes; all of them where nothing has been.
-    """
+    """Close the nodes about waypoints that have been given up."""
     offset_x = nodes.x[:, None] - way.closed_x[None]
     offset_y = nodes.y[:, None] - way.closed_y[None]
     is_near = offset_x * offset_x + offset_y * offset_y < _AROUND**2
@@ -88,9 +80,6 @@ def update_progress(
         robot: f32[] x and y, believed position.
         is_under_way: bool[], it is sent somewhere.
         patience: cycles without any way made after which a waypoint is given up.
-
-    Returns:
-        The record after this cycle.
     """
     robot_x, robot_y = robot
     moved = jnp.hypot(robot_x - way.x, robot_y - way.y) > _LEAST_WAY

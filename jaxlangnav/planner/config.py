@@ -1,7 +1,6 @@
 """Which policy decides, and what fixes the planner's shapes; the policies by name."""
 
 import dataclasses
-import inspect
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TypeAlias
@@ -26,9 +25,6 @@ def as_policy(given: AnyPolicy) -> Policy:
         given: a name, a policy, or a function from a situation to what its nodes are worth, whose
             waypoints are then kept as the paper's are.
 
-    Returns:
-        The policy.
-
     Raises:
         ValueError: no such name, or the object is no policy; says what is missing.
     """
@@ -36,15 +32,7 @@ def as_policy(given: AnyPolicy) -> Policy:
         if given not in SHIPPED:
             raise ValueError(f"policy is {given!r}, but must be one of {_NAMES}")
         return SHIPPED[given]
-    _check_object(given)
-    if isinstance(given, Policy):
-        return given
-    return Keeping(given)
-
-
-def _check_object(given: object) -> None:
-    """Refuse an object that is neither a policy nor a function, or cannot be part of a program."""
-    if inspect.isclass(given):
+    if isinstance(given, type):
         name = given.__name__
         raise ValueError(f"policy is the class {name}, but must be an object: write {name}(...)")
     kind = type(given).__name__
@@ -63,6 +51,7 @@ def _check_object(given: object) -> None:
             f"policy is a {kind}, but must be hashable ({error}): make its class a frozen "
             "dataclass of plain numbers and tuples"
         ) from error
+    return given if isinstance(given, Policy) else Keeping(given)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

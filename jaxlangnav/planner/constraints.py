@@ -5,9 +5,7 @@ metres more as it is deep in it:
 
     c Σ_k p_k max(0, 1 − d_k / B)²
 
-so that inside the berth the way out is cheaper than the way through, and in a gap its midst.
-``detours`` finds the cheapest ways; stops of tours are put outside where one sees in from there
-(``keep_out``).
+``detours`` finds the cheapest ways; stops of tours are put outside (``keep_out``).
 """
 
 import jax
@@ -44,15 +42,14 @@ def forbidden_objects(
 ) -> Forbidden:
     """Find the observed objects that are forbidden; hypotheses are not.
 
+    The nearest of them, where they are in the particles that forbid them.
+
     Args:
         belief: weighted particles.
         constraint: f32[R, N + 1, P], probability that a region of a slot is forbidden.
         robot_x: f32[], metres, map frame.
         robot_y: f32[], metres.
         cost: f32[], c, of what is surely forbidden.
-
-    Returns:
-        The nearest of them, where they are in the particles that forbid them.
     """
     particles = belief.particles
     num_objects = particles.object_type.shape[0]
@@ -84,9 +81,6 @@ def price_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: 
         to_x: f32[...].
         to_y: f32[...].
         things: leaves [K].
-
-    Returns:
-        f32[...], metres.
     """
     span_x, span_y = to_x - from_x, to_y - from_y
     length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
@@ -113,17 +107,9 @@ def _antiderivative(along: Array, aside: Array) -> Array:
 
 
 def price_of_stop(x: Array, y: Array, things: Forbidden) -> Array:
-    """Compute what it costs to go straight into the berths as far as places, and out again.
+    """Compute what it costs to go into the berths as far as places f32[...], and out again.
 
     Limits: 0 outside all berths; as much as a way through at a thing itself.
-
-    Args:
-        x: f32[...], metres, map frame.
-        y: f32[...], metres.
-        things: leaves [K].
-
-    Returns:
-        f32[...], metres.
     """
     total = jnp.zeros_like(x)
     for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
@@ -146,9 +132,6 @@ def keep_out(
         things: leaves [K].
         range_max: f32[], sensing range, metres.
         area: f32[4], operating area, metres.
-
-    Returns:
-        f32[...] x and y, metres, map frame.
     """
     for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
         off_x, off_y = x - at_x, y - at_y

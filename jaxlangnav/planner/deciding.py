@@ -1,8 +1,7 @@
 """From what waypoints are worth to a decision: rules that are the same for all policies (eq. 10).
 
-A way round what is to be kept away from costs, nobody goes where he stands, a value that is no
-number closes its node, and nobody stops unless something that has been seen and may be the goal is
-within reach.
+A way round what is to be kept away from costs, nobody goes where he stands, and nobody stops unless
+something that has been seen and may be the goal is within reach.
 """
 
 import jax
@@ -41,7 +40,9 @@ def has_goal(goals: Goals, x: Array, y: Array, radius: Array, view: View) -> Arr
 def may_stop(
     goals: Goals, eye: Eye, is_find: Array, *, params: PlannerParams, view: View = OPEN.view
 ) -> Array:
-    """Tell whether there is anything to stop for: whatever a policy says, otherwise there is none.
+    """Tell whether something that has been seen and may be the goal is within reach, bool[].
+
+    Whatever a policy says, otherwise there is no stop.
 
     Args:
         goals: weighed goals.
@@ -49,9 +50,6 @@ def may_stop(
         is_find: f32[], probability that "find" is asked for: to have it in view is then enough.
         params: reach.
         view: what can be seen; a thing behind a wall is not within reach.
-
-    Returns:
-        bool[], whether something that has been seen and may be the goal is within reach.
     """
     radius = jnp.where(is_find > 0.5, jnp.maximum(params.reach, eye.range_max), params.reach)
     return has_goal(goals, eye.x, eye.y, radius, view)
@@ -67,27 +65,31 @@ def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None
         x: f32[K], metres, map frame.
         y: f32[K], metres.
         is_node: bool[K], which of them are waypoints; all of them by default.
-
-    Returns:
-        The situation with K more nodes, which lead.
     """
     is_place = jnp.isfinite(x) & jnp.isfinite(y)
     is_node = is_place if is_node is None else is_node & is_place
     return replace(situation, nodes=graph.put_first(x, y, is_node, situation.nodes))
 
 
-def _metres_left(situation: Situation) -> Array:
-    """Estimate the way to what has not been seen where no tour is planned: to where it may be."""
+def _own_doubt(situation: Situation) -> AskDecision:
+    """Doubt as one who does not know when all has been looked at, and plans no tour."""
     goals, travel = situation.goals, situation.belief.terrain.travel
-    here = situation.robot_x, situation.robot_y
+    here, mass = (situation.robot_x, situation.robot_y), goals.hypothesis_mass
     away = travel.metres(*here, goals.hypothesis_x, goals.hypothesis_y)
-    mass = goals.hypothesis_mass
-    return jnp.sum(mass * away) / jnp.maximum(jnp.sum(mass), 1e-9)
+    return value_of_asking(
+        goals,
+        jnp.sum(mass * away) / jnp.maximum(jnp.sum(mass), 1e-9),
+        params=situation.params,
+        has_looked=situation.has_chosen,
+        may_ask=situation.may_ask,
+    )
 
 
-def _require_one_a_node(situation: Situation, valuation: Valuation) -> None:
-    """Refuse values that are not one for each node (when the program is traced)."""
-    shape = situation.nodes.x.shape
+def _value(
+    situation: Situation, valuation: Valuation, longer: Array, doubt: AskDecision
+) -> tuple[Array, Array]:
+    """Value the nodes, f32[A], −∞ where the robot may not go, and cost their longer ways."""
+    nodes, shape = situation.nodes, situation.nodes.x.shape
     for name in ("goal_value", "information_value"):
         found = jnp.shape(getattr(valuation, name))
         if found != shape:
@@ -95,27 +97,16 @@ def _require_one_a_node(situation: Situation, valuation: Valuation) -> None:
                 f"{name} has shape {found}, but must have {shape}: one value for each of "
                 "situation.nodes"
             )
-
-
-def _own_doubt(situation: Situation) -> AskDecision:
-    """Doubt as one who does not know when all has been looked at."""
-    return value_of_asking(
-        situation.goals,
-        _metres_left(situation),
-        params=situation.params,
-        has_looked=situation.has_chosen,
-        may_ask=situation.may_ask,
-    )
-
-
-def _is_worth_going(situation: Situation, doubt: AskDecision) -> Array:
-    """Tell to which nodes the robot may go, bool[A]."""
-    nodes = situation.nodes
+    worth = valuation.goal_value + valuation.information_value
+    share = longer / (longer + _HALF_WORTH)
+    cost = jnp.where(longer > 0.0, share * jnp.minimum(jnp.abs(worth), 1e9), 0.0)
+    value = worth - cost
     is_object = nodes.kind == OBJECT_NODE
     # Standing still teaches nothing: the node underfoot is a_stop's business.
     is_away = situation.distance > jnp.where(is_object, situation.params.reach, UNDERFOOT)
     # While there is more to be seen first, nothing is gone up to.
-    return open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | ~is_object) & is_away
+    is_open = open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | ~is_object)
+    return jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf), cost
 
 
 def decide(
@@ -133,54 +124,39 @@ def decide(
         situation: nodes, goals, where the robot is.
         valuation: what its nodes are worth, and whether to stop.
         kept: a waypoint that is gone on to, if it is active, whatever the nodes are worth.
-        doubt: whether to ask which one is meant (``asking``); by default as one who does not know
-            when all has been looked at.
-
-    Returns:
-        The decision; of itself it gives up nothing as not to be found.
+        doubt: whether to ask which one is meant; by default as one who does not know when all has
+            been looked at.
 
     Raises:
         ValueError: the values are not one for each node.
     """
-    _require_one_a_node(situation, valuation)
-    nodes, goals, params = situation.nodes, situation.goals, situation.params
-    here = Waypoint(
-        x=situation.robot_x,
-        y=situation.robot_y,
-        kind=jnp.int32(FRONTIER),
-        is_active=jnp.asarray(False),
-    )
+    nodes, params = situation.nodes, situation.params
+    x, y, no = situation.robot_x, situation.robot_y, jnp.asarray(False)
+    here = Waypoint(x=x, y=y, kind=jnp.int32(FRONTIER), is_active=no)
     kept = here if kept is None else kept
+    # The last place is what is under way already, or where the robot is.
     last = jax.tree.map(lambda one, other: jnp.where(kept.is_active, one, other), kept, here)
-    x, y, kind = (
-        jnp.append(getattr(nodes, name), getattr(last, name)) for name in ("x", "y", "kind")
-    )
+    x, y = jnp.append(nodes.x, last.x), jnp.append(nodes.y, last.y)
+    kind = jnp.append(nodes.kind, last.kind)
     way = detours(situation, x, y, jnp.where(kind == OBJECT_NODE, APPROACH * params.reach, 0.0))
-    worth = valuation.goal_value + valuation.information_value
-    longer = way.metres[:-1]
-    share = longer / (longer + _HALF_WORTH)
-    cost = jnp.where(longer > 0.0, share * jnp.minimum(jnp.abs(worth), 1e9), 0.0)
-    value = worth - cost
     doubt = _own_doubt(situation) if doubt is None else doubt
-    value = jnp.where(_is_worth_going(situation, doubt) & ~jnp.isnan(value), value, -jnp.inf)
-    # The last place is what was under way already, or where the robot is.
+    value, cost = _value(situation, valuation, way.metres[:-1], doubt)
     is_last = kept.is_active | jnp.all(value == -jnp.inf)
     index = jnp.where(is_last, value.shape[0], jnp.argmax(value))
     (to_x, to_y, to_kind), first = select_row((x, y, kind), index), select_row(way, index)
     mass = valuation.stop_mass
     is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
     doubt = replace(doubt, asks=doubt.asks & ~situation.stands)
-    may_stop = situation.may_stop & ~doubt.looks_on & ~doubt.asks
-    is_goal = has_goal(goals, to_x, to_y, params.reach, situation.belief.terrain.view)
+    is_goal = has_goal(situation.goals, to_x, to_y, params.reach, situation.belief.terrain.view)
     return Decision(
         waypoint_x=to_x,
         waypoint_y=to_y,
         kind=to_kind,
-        is_stop=is_sure & may_stop,
+        is_stop=is_sure & situation.may_stop & ~doubt.looks_on & ~doubt.asks,
         next_x=first.x,
         next_y=first.y,
         is_approach=(to_kind == OBJECT_NODE) & is_goal,
-        is_not_found=jnp.asarray(False),
+        is_not_found=no,
         is_kept=kept.is_active,
         nodes=nodes,
         value=value,

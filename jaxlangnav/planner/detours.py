@@ -2,8 +2,7 @@
 
 The graph has the robot, the nodes, corners about each forbidden thing, just outside its berth, and
 the middle between any two of them. An edge costs its metres and what ``constraints`` charges along
-it, to a place also what stopping there costs (``price_of_stop``). What counts of the cheapest way
-is by how much it exceeds the straight line, and its first corner, which is where the robot is sent.
+it, to a place also what stopping there costs (``price_of_stop``).
 """
 
 import itertools
@@ -96,14 +95,9 @@ def _cheapest(x: Array, y: Array, spare: Array, things: Forbidden, situation: Si
     least, corner = jnp.min(ways, axis=0), first[jnp.argmin(ways, axis=0)]
     # Straight on, walls are gone round as the terrain has it.
     direct, straight = price[0, number:] + length[0, number:], length[0, number:]
-    is_round = least < direct
-    return jnp.stack(
-        [
-            jnp.minimum(direct, least) - straight,
-            jnp.where(is_round, corners.x[corner], x),
-            jnp.where(is_round, corners.y[corner], y),
-        ]
-    )
+    is_round, longer = least < direct, jnp.minimum(direct, least) - straight
+    first_x = jnp.where(is_round, corners.x[corner], x)
+    return jnp.stack([longer, first_x, jnp.where(is_round, corners.y[corner], y)])
 
 
 def detours(situation: Situation, x: Array, y: Array, spare: Array) -> Detours:
@@ -117,9 +111,6 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> Detours:
         x: f32[A], places, metres, map frame.
         y: f32[A], metres.
         spare: f32[A], metres short of each place that are enough.
-
-    Returns:
-        The ways.
     """
     things = situation.forbidden
     is_meant = jnp.broadcast_to(jnp.any(things.price > 0.0), x.shape)
@@ -129,9 +120,6 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> Detours:
         (x, y, spare), things = records
         return _cheapest(x, y, spare, things, situation)
 
-    found = skip_unless_any(is_meant, weigh, (places, things))
-    return Detours(
-        metres=found[0],
-        x=jnp.where(is_meant, found[1], x),
-        y=jnp.where(is_meant, found[2], y),
-    )
+    longer, first_x, first_y = skip_unless_any(is_meant, weigh, (places, things))
+    x, y = jnp.where(is_meant, first_x, x), jnp.where(is_meant, first_y, y)
+    return Detours(metres=longer, x=x, y=y)

@@ -1,11 +1,9 @@
-"""The paper's policy: the node of highest QMDP value (section 3.4, eq. 9-12).
+"""The paper's policy: the node of highest QMDP value; every word is true (section 3.4, eq. 9-12).
 
 Two things the paper leaves open are read as follows. A chosen waypoint is kept until it is
-reached, is no frontier any more or something new has been seen; without this the policy
-limit-cycles between a frontier and a visited node. And a_stop is open only where the goal
-probability within reach exceeds τ, for its value ties with that of the node underfoot.
-
-It takes every word to be true.
+reached, is no frontier any more or something new has been seen, or the policy would limit-cycle.
+And a_stop is open only where the goal probability within reach exceeds τ, for its value ties with
+that of the node underfoot.
 """
 
 import dataclasses
@@ -28,7 +26,7 @@ from jaxlangnav.planner.policy import (
 )
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.coverage import cell_size
+from jaxlangnav.semantic_map.coverage import cell_centres, cell_size
 from jaxlangnav.semantic_map.params import MapParams
 
 
@@ -47,27 +45,15 @@ def with_frontiers(situation: Situation) -> Situation:
 
 
 def qmdp_value(situation: Situation) -> Valuation:
-    """Value nodes as the paper does (eq. 11, 12): by the goals that lie near, and nothing else.
-
-    Args:
-        situation: nodes, goals, where the robot is.
-
-    Returns:
-        Values, and the goal probability within reach.
-    """
+    """Value nodes as the paper does (eq. 11, 12): by the goals that lie near, and nothing else."""
     params, goals = situation.params, situation.goals
     here = situation.robot_x, situation.robot_y
     terrain, nodes = situation.belief.terrain, situation.nodes
-    within_reach, _ = qmdp.mass_within(*here, goals, params.reach, terrain.view)
+    mass, _ = qmdp.mass_within(*here, goals, params.reach, terrain.view)
     _, in_view = qmdp.mass_within(*here, goals, situation.range_max, terrain.view)
-    goal_value = qmdp.values(nodes.x, nodes.y, goals, params.discount, terrain.travel)
-    return Valuation(
-        goal_value=goal_value,
-        information_value=jnp.zeros_like(goal_value),
-        stop_mass=jnp.where(
-            situation.is_find > 0.5, jnp.maximum(in_view, within_reach), within_reach
-        ),
-    )
+    value = qmdp.values(nodes.x, nodes.y, goals, params.discount, terrain.travel)
+    mass = jnp.where(situation.is_find > 0.5, jnp.maximum(in_view, mass), mass)
+    return Valuation(goal_value=value, information_value=jnp.zeros_like(value), stop_mass=mass)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,13 +87,8 @@ class Keeping(Policy):
         situation = with_frontiers(situation)
         keeps = ~situation.is_news & _is_worth_keeping(memory, situation)
         decision = decide(situation, self.value(situation), replace(memory, is_active=keeps))
-        after = Waypoint(
-            x=decision.waypoint_x,
-            y=decision.waypoint_y,
-            kind=decision.kind,
-            is_active=~decision.is_stop,
-        )
-        return after, decision
+        x, y, goes_on = decision.waypoint_x, decision.waypoint_y, ~decision.is_stop
+        return Waypoint(x=x, y=y, kind=decision.kind, is_active=goes_on), decision
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,26 +118,14 @@ class Faithful(Keeping):
 
 def _is_worth_keeping(waypoint: Waypoint, situation: Situation) -> Array:
     """Tell whether the waypoint under way is neither reached nor a frontier looked at by now."""
-    params = situation.params
-    remaining = jnp.sqrt(
-        (waypoint.x - situation.robot_x) ** 2 + (waypoint.y - situation.robot_y) ** 2
-    )
-    return (
-        waypoint.is_active
-        & (remaining > jnp.where(waypoint.kind == OBJECT_NODE, params.reach, UNDERFOOT))
-        & (
-            (waypoint.kind != FRONTIER)
-            | _is_still_frontier(situation.belief, waypoint.x, waypoint.y, params.frontier_miss)
-        )
-    )
-
-
-def _is_still_frontier(belief: ParticleBelief, x: Array, y: Array, frontier_miss: Array) -> Array:
-    """Tell whether anything unexplored is left within a cell of a frontier node."""
-    coverage = belief.coverage
-    unexplored = graph.unexplored_cells(coverage, frontier_miss)
-    size_x, size_y = cell_size(coverage)
-    steps = jnp.arange(coverage.log_miss.shape[-1]) + 0.5
-    near_x = jnp.abs(coverage.area[0] + steps * size_x - x) <= 1.01 * size_x
-    near_y = jnp.abs(coverage.area[2] + steps * size_y - y) <= 1.01 * size_y
-    return jnp.any(unexplored & near_y[:, None] & near_x[None, :])
+    params, coverage = situation.params, situation.belief.coverage
+    squared = (waypoint.x - situation.robot_x) ** 2 + (waypoint.y - situation.robot_y) ** 2
+    reach = jnp.where(waypoint.kind == OBJECT_NODE, params.reach, UNDERFOOT)
+    is_on_the_way = waypoint.is_active & (jnp.sqrt(squared) > reach)
+    # Of a frontier anything unexplored must be left within a cell.
+    unexplored = graph.unexplored_cells(coverage, params.frontier_miss)
+    (size_x, size_y), (centre_x, centre_y) = cell_size(coverage), cell_centres(coverage)
+    near_x = jnp.abs(centre_x - waypoint.x) <= 1.01 * size_x
+    near_y = jnp.abs(centre_y - waypoint.y) <= 1.01 * size_y
+    is_frontier = jnp.any(unexplored & near_y[:, None] & near_x[None, :])
+    return is_on_the_way & ((waypoint.kind != FRONTIER) | is_frontier)

@@ -51,9 +51,6 @@ def region_offset(
         viewer: f32[3], pose at the utterance.
         is_robot: bool[...], the object is the robot.
         metres: f32[], told from the object to the place; 0: none.
-
-    Returns:
-        f32[...] x and y, metres, map axes.
     """
     seen, own = viewer_frame(viewer[0], viewer[1], x, y), robot_frame(viewer[2])
     safe = jnp.minimum(relation, AT - 1)
@@ -66,10 +63,8 @@ def region_offset(
     lateral = jnp.where(is_ring, 0.0, lateral)
     seen_x, seen_y = to_map(seen, along, lateral)
     own_x, own_y = to_map(own, along, lateral)
-    is_at = relation == AT
-    offset_x = jnp.where(is_robot, own_x, seen_x)
-    offset_y = jnp.where(is_robot, own_y, seen_y)
-    return jnp.where(is_at, 0.0, offset_x), jnp.where(is_at, 0.0, offset_y)
+    offset_x, offset_y = jnp.where(is_robot, own_x, seen_x), jnp.where(is_robot, own_y, seen_y)
+    return jnp.where(relation == AT, 0.0, offset_x), jnp.where(relation == AT, 0.0, offset_y)
 
 
 def claim(mass: Array, particles: SemanticMap) -> Array:
@@ -77,21 +72,16 @@ def claim(mass: Array, particles: SemanticMap) -> Array:
 
         m′_r = m_r + Σ_b min(m_b, m_r),    m′_b = m_b − min(m_b, m_r)
 
-    The behavior model goes by what things are called, so in a particle whose hydrant is still to
-    be found it shares the goal between that one and any other hydrant in sight. But a particle *is*
-    a statement of what the words mean, and that doubt is already in the weights of particles that
-    mean the other one. So in each particle a bystander b, observed and not referred to, yields to
-    the likeliest goal r among the referents. It yields no more than r itself has: of "the other
-    cone" the thing referred to is not the goal, and claims nothing.
+    The behavior model goes by what things are called, and shares the goal between all that bear the
+    name. But a particle *is* a statement of what the words mean. So in each particle a bystander b,
+    observed and not referred to, yields to the likeliest goal r among the referents, no more than r
+    itself has: of "the other cone" the thing referred to is not the goal, and claims nothing.
 
     Limits: nothing referred to is a goal, nothing moves; the sum over slots stays the same.
 
     Args:
         mass: f32[N + 1, P] goal probability of each slot: observed, hypothesised, the robot.
         particles: leaves [..., P].
-
-    Returns:
-        f32[N + 1, P].
     """
     num_objects = particles.object_type.shape[0]
     slots = jnp.arange(num_objects)[:, None, None]
@@ -131,18 +121,6 @@ def _goal_places(
     return x + offset_x, y + offset_y
 
 
-def _accepted(behavior: Behavior, fits: Array, weight: Array) -> Array:
-    """Weigh what will do as the goal, f32[O + 1, P].
-
-    An object will do if, in its particle, it fits the sentence as well as any other; with nothing
-    to tell two hydrants apart, either is "the hydrant".
-    """
-    best_fit = jnp.max(behavior.goal, axis=(0, 1))
-    fit = fits / jnp.maximum(weight * best_fit, 1e-9)[None, :]
-    total_goal = jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0)
-    return fit * (weight * total_goal)[None, :]
-
-
 def gather(
     belief: ParticleBelief,
     behavior: Behavior,
@@ -158,9 +136,6 @@ def gather(
         relations: prepared relations, for goal regions.
         has_open: bool[M, P], mentions that are tied to something not seen (``relevance``).
         metres: f32[], told from a region's object to the goal place; 0: none.
-
-    Returns:
-        The goals.
     """
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
     num_objects = particles.object_type.shape[0]
@@ -173,20 +148,22 @@ def gather(
     # Objects without goal mass keep their plain weighted mean as a place to go to.
     share = jnp.where(total[:, None] > 1e-6, on_known, weight[None, :])
     share = share / jnp.sum(share, axis=1, keepdims=True)
-    accepted = _accepted(behavior, fits[known], weight)
+    # What fits, in its particle, as well as any other will do: of two hydrants alike either.
+    best_fit = jnp.max(behavior.goal, axis=(0, 1))
+    fit = fits[known] / jnp.maximum(weight * best_fit, 1e-9)[None, :]
+    accepted = fit * (weight * jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0))[None, :]
     # It is confirmed unless it is meant in relation to something not seen.
     slots = jnp.arange(num_objects + 1)[:, None, None]
     is_confirmed = ~jnp.any((particles.referent[None] == slots) & has_open[None], axis=1)
     best = jnp.argmax(on_hypotheses, axis=0)[None, :] == jnp.arange(on_hypotheses.shape[0])[:, None]
+    is_seen = jnp.any(particles.is_observed & (weight > 0)[None, :], axis=1)
     return Goals(
         object_x=jnp.sum(share * x[known], axis=1),
         object_y=jnp.sum(share * y[known], axis=1),
         object_mass=total,
         object_accepted=jnp.sum(accepted, axis=1),
         object_confirmed=jnp.sum(accepted * is_confirmed, axis=1),
-        is_object=jnp.append(
-            jnp.any(particles.is_observed & (weight > 0)[None, :], axis=1), total[-1] > 1e-3
-        ),
+        is_object=jnp.append(is_seen, total[-1] > 1e-3),
         hypothesis_x=jnp.sum(jnp.where(best, x[num_objects:-1], 0.0), axis=0),
         hypothesis_y=jnp.sum(jnp.where(best, y[num_objects:-1], 0.0), axis=0),
         hypothesis_mass=jnp.sum(on_hypotheses, axis=0),

@@ -7,6 +7,7 @@ relative to the least explored cell, so that once everything has been looked at,
 looked at least becomes the frontier and nothing is written off for good.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -45,16 +46,13 @@ def nowhere(num_visited: int) -> Visited:
 
 
 def visit(visited: Visited, x: Array, y: Array, spacing: Array) -> Visited:
-    """Enter the robot's place as a node unless one is already near.
+    """Enter the robot's place as a node unless one is near; a full list overwrites its oldest.
 
     Args:
         visited: nodes so far.
         x: f32[], metres, map frame.
         y: f32[], metres.
         spacing: f32[], metres between nodes.
-
-    Returns:
-        The nodes; a full list overwrites its oldest.
     """
     squared = (visited.x - x) ** 2 + (visited.y - y) ** 2
     is_known = jnp.any(visited.is_node & (squared < spacing * spacing))
@@ -101,11 +99,8 @@ def frontiers(
 
     count = by_block(frontier)
     share = 1.0 / jnp.maximum(count, 1.0)
-    return (
-        by_block(frontier * centre_x[None, :]) * share,
-        by_block(frontier * centre_y[:, None]) * share,
-        count > 0,
-    )
+    x = by_block(frontier * centre_x[None, :]) * share
+    return x, by_block(frontier * centre_y[:, None]) * share, count > 0
 
 
 def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes:
@@ -116,9 +111,6 @@ def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes
         x: f32[O], metres, map frame: goal places of observed objects.
         y: f32[O], metres.
         is_object: bool[O].
-
-    Returns:
-        The nodes, padded.
     """
     sizes = visited.x.shape[0], x.shape[0]
     return Nodes(
@@ -137,13 +129,7 @@ def put_first(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
         y: f32[K], metres.
         is_node: bool[K].
         nodes: what follows them, leaves [A].
-
-    Returns:
-        Leaves [K + A].
     """
-    return Nodes(
-        x=jnp.concatenate([x, nodes.x]),
-        y=jnp.concatenate([y, nodes.y]),
-        is_node=jnp.concatenate([is_node, nodes.is_node]),
-        kind=jnp.concatenate([jnp.full(x.shape, FRONTIER, jnp.int32), nodes.kind]),
-    )
+    kind = jnp.full(x.shape, FRONTIER, jnp.int32)
+    first = Nodes(x=x, y=y, is_node=is_node, kind=kind)
+    return jax.tree.map(lambda *both: jnp.concatenate(both), first, nodes)

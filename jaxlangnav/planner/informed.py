@@ -1,9 +1,8 @@
 """Our policy: the tour that puts the hypotheses to the test soonest (section 3.4; ours).
 
 It accepts a goal only once everything the sentence mentions has been observed and no rival is left
-near what has been. Once what is missing is hardly there at all (``endings``), it takes the
-likeliest thing that it has seen; where nothing seen will do, the goal is not to be found. That is
-said sooner where nothing that is spoken of has been seen: it may all be somewhere else.
+near what has been. Once what is missing is hardly there at all (``termination``), it takes the
+likeliest thing that it has seen; where nothing seen will do, the goal is not to be found.
 """
 
 import dataclasses
@@ -74,33 +73,17 @@ class Informed(Policy):
         # If what is said is false, something seen that does not fit may be what is meant.
         has_seen = jnp.any(situation.goals.is_object[:-1])
         fits_nothing = jnp.max(situation.goals.object_accepted) < LEAST_GOAL
-        unseen = unseen.doubted(
-            jnp.where(has_seen, 0.0, chance.elsewhere), jnp.where(fits_nothing, chance.fitting, 0.0)
-        )
-        plan = tours.plan(
-            key,
-            memory,
-            replace(unseen, nowhere=chance.nowhere, forbidden=situation.forbidden),
-            situation.robot_x,
-            situation.robot_y,
-            situation.sensor,
-            belief.coverage.area,
-        )
+        elsewhere = jnp.where(has_seen, 0.0, chance.elsewhere)
+        unseen = unseen.doubted(elsewhere, jnp.where(fits_nothing, chance.fitting, 0.0))
+        unseen = replace(unseen, nowhere=chance.nowhere, forbidden=situation.forbidden)
+        here, area = (situation.robot_x, situation.robot_y), belief.coverage.area
+        plan = tours.plan(key, memory, unseen, *here, situation.sensor, area)
         decision = decide_on(situation, plan, chance)
         return tours.best_tour(plan, decision.value), decision
 
 
 def decide_on(situation: Situation, plan: tours.Plan, chance: Chances) -> Decision:
-    """Decide among the first stops of tours and what every policy is shown.
-
-    Args:
-        situation: as shown to the policy.
-        plan: candidate tours.
-        chance: that what is spoken of, and has not been seen, is there.
-
-    Returns:
-        The decision.
-    """
+    """Decide among the first stops of tours and what every policy is shown."""
     stop_x, stop_y = plan.tours.x[:, 0], plan.tours.y[:, 0]
     nodes = graph.put_first(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
     situation = replace(situation, nodes=nodes)
@@ -137,16 +120,12 @@ def judge(situation: Situation, plan: tours.Plan, chance: Chances) -> Judgement:
     seen and next to nothing speaks for an unseen rival beside things seen; the object is then
     worth more than anything there is to learn. Unsettled goals break ties. Where next to nothing
     is left to be found and several things may still be meant, the likeliest has to do, unless it is
-    meant in relation to something not seen: that is looked for, and nothing less likely taken
-    instead. Where what the goal is placed against is hardly there at all, the likeliest has to do.
+    meant in relation to something not seen: that is looked for.
 
     Args:
         situation: nodes (first stops of the plan's tours lead), goals, where the robot is.
         plan: candidate tours.
         chance: that what is spoken of, and has not been seen, is there.
-
-    Returns:
-        Values, with the confirmed goal probability within reach; whether no rival is left.
     """
     params, goals, nodes = situation.params, situation.goals, situation.nodes
     here = situation.robot_x, situation.robot_y
@@ -159,10 +138,8 @@ def judge(situation: Situation, plan: tours.Plan, chance: Chances) -> Judgement:
     is_round = jnp.any(situation.forbidden.price > 0.0)
     most = jnp.where(is_round, MOST_UNLOOKED_ROUND, MOST_UNLOOKED)
     is_over = is_over & ((chance.unlooked <= most) | (params.absent <= 0.0))
-    goals = replace(
-        goals,
-        object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),
-    )
+    confirmed = jnp.where(has_looked, goals.object_accepted, goals.object_confirmed)
+    goals = replace(goals, object_confirmed=confirmed)
     terrain = situation.belief.terrain
     _, within_reach = qmdp.mass_within(*here, goals, params.reach, terrain.view)
     _, in_view = qmdp.mass_within(*here, goals, situation.range_max, terrain.view)

@@ -68,9 +68,10 @@ def first_sight(
     *,
     terrain: Terrain = OPEN,
 ) -> tuple[Array, Array]:
-    """Compute after how many metres each tour first comes in sight of each place.
+    """Compute after how many metres, f32[T, C], each tour first comes in sight of each place.
 
-    Limits: 0 for a place already in sight; ``NEVER`` or more for one that never is.
+    And f32[T] metres, the whole length of each tour. Limits: 0 for a place already in sight;
+    ``NEVER`` or more for one that never is.
 
     Args:
         tours: leaves [T, K].
@@ -81,9 +82,6 @@ def first_sight(
         radius: f32[], metres, how far one sees.
         opening: f32[], radians, how wide one sees about the way ahead; None: all round.
         terrain: what can be seen, and how far it is to walk.
-
-    Returns:
-        f32[T, C] metres; f32[T] metres, whole length of each tour.
     """
     start = jnp.ones_like(tours.x[:, :1])
     from_x = jnp.concatenate([robot_x * start, tours.x[:, :-1]], axis=1)
@@ -98,13 +96,6 @@ def first_sight(
     for stop in range(1, met.shape[1]):  # a reduction over a middle axis is not vectorised
         first = jnp.minimum(first, met[:, stop])
     return materialize(first), walked[:, -1]
-
-
-def _eyesight(sensor: SensorParams) -> tuple[Array, Array]:
-    """Tell how far one counts on seeing, and how far one sees abreast of the way; metres."""
-    radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
-    half = jnp.minimum(0.5 * sensor.field_of_view, 0.5 * jnp.pi)
-    return radius, sensor.range_max * jnp.sin(half)
 
 
 def _between_patches(is_missed: Array, area: Array) -> Array:
@@ -135,10 +126,10 @@ def latency(
     sensor: SensorParams,
     area: Array,
 ) -> Array:
-    """Compute the expected way until what is looked for comes into view, times its mass.
+    """Compute the expected way until what is looked for comes into view, times its mass, f32[T].
 
     Limits: at q = 0 the way until all has been looked at does not count; a view of half a circle
-    or more sweeps 2 R abreast.
+    or more sweeps 2 R abreast; large for a tour that starts underfoot.
 
     Args:
         tours: leaves [T, K].
@@ -147,12 +138,10 @@ def latency(
         robot_y: f32[], metres.
         sensor: how far and how wide one sees.
         area: f32[4], operating area, metres.
-
-    Returns:
-        f32[T] metres; large for a tour that starts underfoot.
     """
-    radius, abreast = _eyesight(sensor)
+    radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
     opening = sensor.field_of_view
+    abreast = sensor.range_max * jnp.sin(jnp.minimum(0.5 * opening, 0.5 * jnp.pi))
     places_x = jnp.concatenate([search.x, search.partner_x])
     places_y = jnp.concatenate([search.y, search.partner_y])
     sight, walked = first_sight(
@@ -172,17 +161,14 @@ def latency(
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * abreast)
     rest = (walked + sweep)[:, None] + away
-    total = jnp.sum(
-        search.free[None, :] * jnp.where(free < NEVER, free, rest)
-        + search.hung[None, :] * jnp.where(hung < NEVER, hung, rest),
-        axis=1,
-    )
+    of_free = search.free[None, :] * jnp.where(free < NEVER, free, rest)
+    of_hung = search.hung[None, :] * jnp.where(hung < NEVER, hung, rest)
+    total = jnp.sum(of_free + of_hung, axis=1)
     is_missed = (hung >= NEVER) & counts
     number = jnp.sum(is_missed, axis=1)
     back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
     rest = walked + back + number * cell / (2.0 * abreast) + _between_patches(is_missed, area)
     whole = jnp.where(number > 0, rest, jnp.max(jnp.where(counts, hung, 0.0), axis=1))
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
-    return total + jnp.where(
-        is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0
-    )
+    is_there = is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y)
+    return total + jnp.where(is_there, NEVER, 0.0)

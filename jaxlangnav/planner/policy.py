@@ -3,10 +3,9 @@
     memory = policy.init(belief)
     memory, decision = policy.step(key, memory, situation)
 
-A policy is written for ONE robot in operations that JAX can trace; the engine compiles and batches
-it. It has its own memory, its own randomness and, if it likes, waypoints of its own: ``ahead`` puts
-them before the places visited and the objects seen, which every policy is shown. ``decide`` makes
-a decision of what the waypoints are worth, by rules that are the same for all (``deciding``).
+A policy is written for ONE robot in operations that JAX can trace. It has its own memory, its own
+randomness and, if it likes, waypoints of its own (``ahead``). ``decide`` makes a decision of what
+the waypoints are worth, by rules that are the same for all (``deciding``).
 """
 
 import dataclasses
@@ -18,35 +17,23 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner.deciding import (
-    APPROACH,
-    LEAST_GOAL,
-    UNDERFOOT,
-    ahead,
-    decide,
-    has_goal,
-    may_stop,
+    APPROACH as APPROACH,
+    LEAST_GOAL as LEAST_GOAL,
+    UNDERFOOT as UNDERFOOT,
+    ahead as ahead,
+    decide as decide,
+    has_goal as has_goal,
+    may_stop as may_stop,
 )
-from jaxlangnav.planner.situation import Decision, Situation, Valuation, Waypoint
+from jaxlangnav.planner.situation import (
+    Decision as Decision,
+    Situation as Situation,
+    Valuation as Valuation,
+    Waypoint as Waypoint,
+)
 from jaxlangnav.pytree import replace, strong
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
-
-__all__ = [
-    "APPROACH",
-    "LEAST_GOAL",
-    "UNDERFOOT",
-    "Decision",
-    "Policy",
-    "Portrayal",
-    "Situation",
-    "Valuation",
-    "Waypoint",
-    "ahead",
-    "choose",
-    "decide",
-    "has_goal",
-    "may_stop",
-]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -113,43 +100,19 @@ class Policy(Protocol):
         ...
 
     def map_params(self, params: MapParams) -> MapParams:
-        """Tell by which numbers the robot believes what it sees and hears: by those given.
-
-        Args:
-            params: the map's numbers.
-
-        Returns:
-            Those to filter with.
-        """
+        """Tell by which numbers the robot filters what it sees and hears: by those given."""
         return params
 
     def check(self, sizes: MapConfig) -> None:
-        """Refuse sizes of the map that the policy cannot work with: there are none.
-
-        Args:
-            sizes: of the map.
-
-        Raises:
-            ValueError: names the value, the limit and the remedy.
-        """
+        """Refuse, with a ValueError, sizes of the map that the policy cannot work with: none."""
         return
 
 
 def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tuple[Any, Decision]:
     """Let a policy decide, and hold it to what holds for all.
 
-    Args:
-        policy: who decides.
-        key: random key, consumed.
-        memory: of the policy, after the last decision.
-        situation: now.
-
-    Returns:
-        The memory and the decision: a stop only where one is heard, and nothing given up as not to
-        be found on top of it.
-
-    Raises:
-        ValueError: the answer is no decision, or a memory of other shapes than the one before.
+    It stops only where a stop is heard, and gives nothing up as not to be found on top of it. A
+    ValueError: the answer is no decision, or a memory of other shapes than the one before.
     """
     after, decision = policy.step(key, memory, situation)
     if not isinstance(decision, Decision):
@@ -157,7 +120,11 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
             f"policy {policy.name} decides {type(decision).__name__}: its step must return its "
             "memory and a Decision, as policy.decide makes it"
         )
-    had, has = _shapes(memory), _shapes(after)
+
+    def describe(leaf: Any) -> str:
+        return f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}"
+
+    had, has = jax.tree.map(describe, memory), jax.tree.map(describe, after)
     if had != has:
         raise ValueError(
             f"policy {policy.name} is given a memory of {had} and returns one of {has}: shapes and "
@@ -166,8 +133,3 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
     is_stop = decision.is_stop & situation.may_stop & ~decision.doubt.asks
     is_not_found = decision.is_not_found & ~is_stop & ~situation.stands & ~decision.doubt.asks
     return strong(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)
-
-
-def _shapes(memory: Any) -> Any:
-    """Tell the structure of a memory with the shape and dtype of every leaf."""
-    return jax.tree.map(lambda leaf: f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}", memory)

@@ -1,14 +1,10 @@
 """Where the things that people speak of tend to stand: learned from training worlds.
 
-A robot that knows nothing of its worlds searches its whole area alike. This one has been through
-other worlds before: a table, learned by ``scripts/learn_prior.py`` from worlds whose
-seeds are in no results table, says how much likelier than elsewhere a thing is found at a range and
-bearing from where the robot was told. Only the order of search hangs on it; the belief itself stays
-uniform over what is unexplored, and ``PlannerParams.prior_share`` = 0 takes it out.
-
-One that has been nowhere may still take it that people speak of what lies ahead: by
-``PlannerParams.ahead`` a place at a bearing b of the heading in which the robot was told counts as
-a von Mises law has it, exp κ cos b. Nothing of that is learned, and it says nothing of ranges.
+A table, learned by ``scripts/learn_prior.py`` from worlds whose seeds are in no results table, says
+how much likelier than elsewhere a thing is found at a range and bearing from where the robot was
+told. Only the order of search hangs on it; ``PlannerParams.prior_share`` = 0 takes it out. By
+``PlannerParams.ahead``, of which nothing is learned, a place at a bearing b of the heading counts
+as a von Mises law has it, exp κ cos b.
 """
 
 import functools
@@ -33,13 +29,9 @@ _MAX_BYTES = 1 << 20
 
 @functools.cache
 def table() -> np.ndarray:
-    """Read the learned table.
+    """Read the learned table, f32[RANGE_BINS, BEARING_BINS], density relative to uniform.
 
-    Returns:
-        f32[RANGE_BINS, BEARING_BINS], density relative to uniform; finite, not negative.
-
-    Raises:
-        ValueError: the file holds no such table.
+    A ValueError where the file holds no finite table without negative numbers.
     """
     try:
         found = parse_floats(read_file(TABLE_FILE, at_most=_MAX_BYTES))
@@ -51,14 +43,9 @@ def table() -> np.ndarray:
 
 
 def depth_ahead(area: Array, viewer: Array) -> Array:
-    """Compute how far the operating area reaches ahead of a viewer.
+    """Compute how far an area f32[4] reaches ahead of a viewer f32[3]: to its farthest corner.
 
-    Args:
-        area: f32[4], x_min, x_max, y_min, y_max, metres, map frame.
-        viewer: f32[3], x, y, heading.
-
-    Returns:
-        f32[], metres along the heading to the farthest corner; at least a centimetre.
+    f32[], metres along the heading; at least a centimetre.
     """
     corner_x, corner_y = area[jnp.array([0, 0, 1, 1])], area[jnp.array([2, 3, 2, 3])]
     ahead_x, ahead_y = jnp.cos(viewer[2]), jnp.sin(viewer[2])
@@ -83,18 +70,12 @@ def relative_density(
         y: f32[C], metres.
         share: f32[] in [0, 1], how far the table is trusted; the rest is uniform.
         ahead: f32[], κ ≥ 0, concentration of bearings b about the viewer's heading.
-
-    Returns:
-        f32[C], relative to uniform, straight ahead.
     """
     learned = jnp.asarray(table())
     offset_x, offset_y = x - viewer[0], y - viewer[1]
     ahead_x, ahead_y = jnp.cos(viewer[2]), jnp.sin(viewer[2])
-    bearing = jnp.abs(
-        jnp.arctan2(
-            offset_y * ahead_x - offset_x * ahead_y, offset_x * ahead_x + offset_y * ahead_y
-        )
-    )
+    left, onward = offset_y * ahead_x - offset_x * ahead_y, offset_x * ahead_x + offset_y * ahead_y
+    bearing = jnp.abs(jnp.arctan2(left, onward))
     away = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
     rows, columns = learned.shape
     row = jnp.floor(away / depth_ahead(coverage.area, viewer) / RANGE_MAX * rows)

@@ -9,17 +9,11 @@ from jaxlangnav.terrain import OPEN, Eye, Travel, View
 
 
 def values(
-    node_x: Array,
-    node_y: Array,
-    goals: Goals,
-    discount: Array,
-    travel: Travel = OPEN.travel,
+    node_x: Array, node_y: Array, goals: Goals, discount: Array, travel: Travel = OPEN.travel
 ) -> Array:
-    """Compute the expected discounted value of standing at each node.
+    """Compute the expected discounted value, f32[A], of standing at each node.
 
         V(a) = Σ_i Σ_j γ^{d(a, g_ij)} p(β_j | S_i) p(S_i)      (eq. 11, 12)
-
-    d is how far it is to walk.
 
     Limits: γ → 1 gives the total goal mass everywhere; a node on the only goal has value 1.
 
@@ -28,10 +22,7 @@ def values(
         node_y: f32[A], metres.
         goals: weighed goals.
         discount: f32[], γ per metre, in (0, 1).
-        travel: how far it is from place to place.
-
-    Returns:
-        f32[A].
+        travel: how far it is to walk, d.
     """
     chex.assert_rank([node_x, node_y, discount], [1, 1, 0])
     chex.assert_equal_shape([goals.object_x, goals.object_y, goals.object_mass])
@@ -64,7 +55,6 @@ def mass_within(
     near_hypothesis = view.sees(eye, goals.hypothesis_x, goals.hypothesis_y)
     confirmed = jnp.max(jnp.where(near, goals.object_confirmed, 0.0))
     accepted = jnp.max(jnp.where(near, goals.object_accepted, 0.0))
-    shared = jnp.sum(jnp.where(near, goals.object_mass, 0.0)) + jnp.sum(
-        jnp.where(near_hypothesis, goals.hypothesis_mass, 0.0)
-    )
+    shared = jnp.sum(jnp.where(near, goals.object_mass, 0.0))
+    shared = shared + jnp.sum(jnp.where(near_hypothesis, goals.hypothesis_mass, 0.0))
     return jnp.maximum(accepted, shared), confirmed

@@ -41,16 +41,10 @@ class AskDecision:
 
 
 def _values(mass: Array, walk: Array, cost: Array) -> tuple[Array, Array, Array]:
-    """Compute what guessing, asking and looking on are worth.
+    """Compute what guessing, asking and looking on are worth, f32[] each, costs taken off.
 
-    Args:
-        mass: f32[3], probability that the goal has been seen, that it is the likeliest of the
-            things seen, and that it has not been seen.
-        walk: f32[], λ L.
-        cost: f32[], c.
-
-    Returns:
-        f32[] each: expected success, less what it costs, of a guess, a question and looking on.
+    ``mass`` f32[3] is the probability that the goal has been seen, that it is the likeliest of the
+    things seen, and that it has not been seen; ``walk`` is λ L and ``cost`` c.
     """
     seen, best, unseen = mass
     number, others = seen / jnp.maximum(best, 1e-9), unseen / jnp.maximum(best, 1e-9)
@@ -69,12 +63,7 @@ def _values(mass: Array, walk: Array, cost: Array) -> tuple[Array, Array, Array]
 
 
 def value_of_asking(
-    goals: Goals,
-    metres: Array,
-    *,
-    params: PlannerParams,
-    has_looked: Array | bool,
-    may_ask: Array,
+    goals: Goals, metres: Array, *, params: PlannerParams, has_looked: Array | bool, may_ask: Array
 ) -> AskDecision:
     """Weigh a question against a guess, and against looking on.
 
@@ -91,16 +80,12 @@ def value_of_asking(
         has_looked: bool[], nothing is left to be found, or it has been decided that enough has been
             looked for: decided anew at every step, it would go to and fro between two places.
         may_ask: bool[], the robot has not been told to choose by itself.
-
-    Returns:
-        What to do about the doubt.
     """
     cost, walk = params.question_cost, params.look_cost * metres
     is_seen = goals.is_object[:-1]
-    seen, fits, confirmed = (
-        jnp.where(is_seen, mass[:-1], 0.0)
-        for mass in (goals.object_mass, goals.object_accepted, goals.object_confirmed)
-    )
+    seen = jnp.where(is_seen, goals.object_mass[:-1], 0.0)
+    fits = jnp.where(is_seen, goals.object_accepted[:-1], 0.0)
+    confirmed = jnp.where(is_seen, goals.object_confirmed[:-1], 0.0)
     best = jnp.max(seen, initial=0.0)
     unseen = jnp.where(has_looked, 0.0, jnp.sum(goals.hypothesis_mass))
     total = jnp.maximum(jnp.sum(seen) + unseen, 1e-9)
@@ -110,7 +95,5 @@ def value_of_asking(
     is_allowed = may_ask & jnp.isfinite(cost) & (best > 0.0)
     is_worth = ask > guess
     asks = is_worth & (ask >= look) & ~waits
-    looks_on = (unseen > 0.0) & (look > guess) & ~asks
-    return AskDecision(
-        looks_on=is_allowed & (looks_on | (is_worth & waits)), asks=is_allowed & asks
-    )
+    looks_on = ((unseen > 0.0) & (look > guess) & ~asks) | (is_worth & waits)
+    return AskDecision(looks_on=is_allowed & looks_on, asks=is_allowed & asks)

@@ -1,10 +1,8 @@
 """Which of the things spoken of bear on the goal: those it is placed against, and theirs (ours).
 
 A sentence may speak of more than its present command needs: of what to keep away from, of the next
-command's goal, of what was said before. To be sure of "the hydrant behind the cone" the cone must
-have been seen, and what the cone is placed against; the bench of the next command need not be, and
-is not searched for before its turn. The relations of a reading tie its mentions into groups; what
-bears on the goal is its group. The robot, against which anything may be placed, ties nothing.
+command's goal, of what was said before. The relations of a reading tie its mentions into groups;
+what bears on the goal is its group. The robot, against which anything may be placed, ties nothing.
 
 Sets of mentions are bits of integers: bit m of a set says whether mention m is in it.
 """
@@ -22,13 +20,9 @@ LEAST_GOAL_MENTION = 1e-3
 
 
 def groups(readings: Readings) -> Array:
-    """Find which mentions the relations of each reading tie together, directly or through others.
+    """Find which mentions the relations of each of K readings tie together, through others too.
 
-    Args:
-        readings: K readings of M mentions.
-
-    Returns:
-        i32[M, K], a set of mentions for each; itself is in it.
+    i32[M, K], a set of mentions for each; itself is in it.
     """
     num_mentions = readings.mention_type.shape[-1]
     mentions, same = np.arange(num_mentions)[None, None], np.eye(num_mentions, dtype=bool)[None]
@@ -50,15 +44,7 @@ def _set_of(is_in: Array) -> Array:
 
 
 def believed_groups(readings: Readings, particles: SemanticMap) -> Array:
-    """Look up the groups of the reading that each particle believes.
-
-    Args:
-        readings: K readings.
-        particles: leaves [..., P].
-
-    Returns:
-        i32[M, P], the set of mentions that each mention is tied to.
-    """
+    """Look up the groups of the reading that each particle believes, i32[M, P]."""
     table = groups(readings).T  # [K, M]
     number = particles.reading.shape[-1]
     index = jnp.broadcast_to(particles.reading, (table.shape[1], number))
@@ -79,12 +65,8 @@ def bears_on_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> A
         group: of ``believed_groups``.
         particles: leaves [..., P].
         behavior: of the present command in every particle, leaves [..., P].
-
-    Returns:
-        bool[M, P].
     """
-    num_objects = particles.object_type.shape[0]
-    num_mentions = particles.referent.shape[0]
+    num_objects, num_mentions = particles.object_type.shape[0], particles.referent.shape[0]
     goal = jnp.sum(behavior.goal, axis=0)  # [N + 1, P]
     is_referent = np.arange(num_objects)[:, None, None] == particles.referent[None]  # [O, M, P]
     seen = jnp.sum(jnp.where(is_referent, goal[:num_objects, None], 0.0), axis=0)

@@ -1,8 +1,7 @@
-"""Where looking is worth while: the belief folded into a map of probability.
+"""Where looking is worth while: the belief folded into a *search map* (section 5; ours).
 
-The paper leaves exploration to chance and names information gathering as future work (section 5).
-Here the belief is folded into a *search map*: for each cell of the operating area the probability
-that a thing spoken of, and not seen yet, lies there. ``tours`` plans the way that finds it soonest.
+It has for each cell of the operating area the probability that a thing spoken of, and not seen yet,
+lies there. ``tours`` plans the way that finds it soonest.
 """
 
 import jax.numpy as jnp
@@ -83,15 +82,13 @@ def viewpoints(area: Array) -> tuple[Array, Array]:
 def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -> Array:
     """Tell where the second one of an unseen pair is: f32[C], as a factor along the line of sight.
 
-    Of "the hydrant behind the cone" either is seen first. Over the particles in which both hang
-    on nothing observed, the mean difference of their ranges from the viewer is what the relation
-    says of the pair along that line; a relation that says nothing of it gives 1.
+    It is the mean difference of their ranges from the viewer, over the particles in which both hang
+    on nothing observed.
     """
     viewer_x, viewer_y = belief.viewer[0], belief.viewer[1]
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
-    away = jnp.sqrt(
-        (particles.hypothesis_x - viewer_x) ** 2 + (particles.hypothesis_y - viewer_y) ** 2 + 1e-9
-    )  # [M, P]
+    off_x, off_y = particles.hypothesis_x - viewer_x, particles.hypothesis_y - viewer_y
+    away = jnp.sqrt(off_x**2 + off_y**2 + 1e-9)  # [M, P]
     is_pair = jnp.sum(is_free, axis=0) == 2
     sign = jnp.where(is_free, jnp.where(jnp.cumsum(is_free, axis=0) == 1, 1.0, -1.0), 0.0)
     gap = jnp.sum(jnp.where(is_pair, weight, 0.0) * jnp.sum(sign * away, axis=0))
@@ -154,10 +151,7 @@ def _by_words(
 
 
 def search_map(
-    belief: ParticleBelief,
-    prior_share: Array,
-    ahead: Array,
-    spoken: Utterances | None = None,
+    belief: ParticleBelief, prior_share: Array, ahead: Array, spoken: Utterances | None = None
 ) -> SearchMap:
     """Fold the belief into a map of where to look.
 
@@ -185,8 +179,7 @@ def search_map(
     size = miss.shape[0] // CELLS
     unseen = miss.reshape(CELLS, size, CELLS, size).sum(axis=(1, 3)).reshape(-1)
     likelier = prior.relative_density(belief.coverage, belief.viewer, x, y, prior_share, ahead)
-    anywhere = unseen * likelier
-    unseen = anywhere
+    unseen = anywhere = unseen * likelier
     if spoken is not None:
         by_words = _by_words(belief, is_free, x, y, unseen, spoken)
         likelier, unseen = likelier * by_words, unseen * by_words

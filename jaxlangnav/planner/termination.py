@@ -24,12 +24,10 @@ all is to be looked at whatever the order, so that the whole way counts (``laten
 
 What is said may be false of a thing that is there. Until one is seen it stands elsewhere, anywhere
 not looked at, with probability 1 − p of what is there at all: p is ``chance_left`` with the doubt
-ε v, where v is the probability that a thing anywhere would still be unseen. So much of the search
-map's mass lies there, and the search goes on elsewhere as what is said is looked at in vain.
+ε v, where v is the probability that a thing anywhere would still be unseen.
 
-Where ν decides the end, a goal that stands where nobody has looked yet is given up as nowhere the
-more often the larger ν is. So a thorough search goes on until no more than ``MOST_UNLOOKED`` of
-where it could stand is left, whatever is thought of it before.
+A thorough search (ν > 0) goes on until no more than ``MOST_UNLOOKED`` of where the goal could stand
+is left.
 """
 
 from typing import NamedTuple
@@ -61,9 +59,6 @@ def chance_left(unseen: Array, concentration: Array, misleading: Array, clumping
         concentration: f32[], α, expected number of things of a type in the area.
         misleading: f32[], ε, probability that what is said does not hold.
         clumping: f32[], κ of the number of things.
-
-    Returns:
-        f32[] in [0, 1].
     """
     grown = jnp.log1p(clumping * unseen / (1.0 + clumping * (1.0 - unseen)))
     share = jnp.where(clumping > 0.0, grown / jnp.maximum(clumping, 1e-9), unseen)
@@ -93,9 +88,6 @@ def chances(
         absent: f32[], ν, probability that what is spoken of is nowhere in the area.
         maps: α, ε and κ.
         missed: f32[], v, probability that a thing anywhere would have escaped every look.
-
-    Returns:
-        The probabilities, in [0, 1].
     """
     nowhere = (1.0 - maps.misleading) * absent
     wrong = maps.misleading + nowhere

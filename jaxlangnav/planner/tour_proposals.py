@@ -20,15 +20,14 @@ def greedy(
 ) -> Tour:
     """Draft tours over the lattice of viewpoints: always the most mass per metre next.
 
+    They are leaves [NUM_GREEDY, K], and start at different viewpoints.
+
     Args:
         search: where looking is worth while.
         robot_x: f32[], metres, map frame.
         robot_y: f32[], metres.
         range_max: f32[], sensing range, metres.
         area: f32[4], operating area, metres.
-
-    Returns:
-        Tours, leaves [NUM_GREEDY, K], that start at different viewpoints.
     """
     view_x, view_y = viewpoints(area)
     sees = visibility(view_x, view_y, search, range_max, area)
@@ -50,31 +49,20 @@ def greedy(
 
 
 def change(key: Array, tour: Tour, search: SearchMap, area: Array) -> Tour:
-    """Change a tour in NUM_CHANGES ways at random.
+    """Change a tour, leaves [K], in NUM_CHANGES ways at random, leaves [NUM_CHANGES, K].
 
-    Args:
-        key: random key, consumed.
-        tour: leaves [K].
-        search: new stops are drawn where mass is.
-        area: f32[4], operating area, metres; stops stay in it.
-
-    Returns:
-        Tours, leaves [NUM_CHANGES, K].
+    New stops are drawn where mass is, and stay in the area f32[4].
     """
     uniform = batching.uniforms(key[None], 5 * NUM_CHANGES).reshape(5, NUM_CHANGES)
     kind = (jnp.arange(NUM_CHANGES) % 5)[:, None]
     place = jnp.arange(NUM_STOPS)[None, :]
     one, other = jnp.floor(uniform[:2] * NUM_STOPS).astype(jnp.int32)[:, :, None]
     low, high = jnp.minimum(one, other), jnp.maximum(one, other)
-    source = jnp.select(
-        [kind == _INSERT, kind == _REVERSE, kind == _REMOVE],
-        [
-            jnp.where(place > one, place - 1, place),
-            jnp.where((place >= low) & (place <= high), low + high - place, place),
-            jnp.where(place >= one, jnp.minimum(place + 1, NUM_STOPS - 1), place),
-        ],
-        place,
-    )
+    inserted = jnp.where(place > one, place - 1, place)
+    reversed_ = jnp.where((place >= low) & (place <= high), low + high - place, place)
+    removed = jnp.where(place >= one, jnp.minimum(place + 1, NUM_STOPS - 1), place)
+    kinds = [kind == _INSERT, kind == _REVERSE, kind == _REMOVE]
+    source = jnp.select(kinds, [inserted, reversed_, removed], place)
     cumulative = jnp.cumsum(search.mass)
     drawn = jnp.sum(cumulative[None, :] <= (uniform[2] * cumulative[-1])[:, None], axis=1)
     drawn = jnp.minimum(drawn, cumulative.shape[0] - 1)[:, None]

@@ -1,12 +1,10 @@
 """The way that finds things soonest: tours improved step by step (section 3.4; ours).
 
 Each decision starts from the tour under way and from greedy tours over a lattice of viewpoints, and
-improves the best of them by a few rounds of random changes: move a stop, put one in, take one out,
-turn a stretch round. The best is that of least ``latency``. The tour is kept from step to step, so
-the search goes on while the robot is on its way; and as the tour under way is among the candidates,
-it is left only for one that costs less.
-
-Stops near what is forbidden cost the way in and out (``constraints``).
+improves the best, that of least ``latency``, by a few rounds of random changes: move a stop, put
+one in, take one out, turn a stretch round. As the tour under way is among the candidates, it is
+left only for one that costs less. Stops near what is forbidden cost the way in and out
+(``constraints``).
 """
 
 import chex
@@ -40,15 +38,7 @@ class Plan:
 
 
 def best_tour(plan: Plan, value: Array) -> Tour:
-    """Take the tour whose first stop is valued most.
-
-    Args:
-        plan: T candidates.
-        value: f32[A], values of the nodes, the first T of them for the tours.
-
-    Returns:
-        Leaves [K].
-    """
+    """Take, of T tours, the one whose first stop is valued most by the first T values f32[A]."""
     index = jnp.argmax(value[: plan.latency.shape[0]])
     return Tour(x=plan.tours.x[index], y=plan.tours.y[index])
 
@@ -62,15 +52,13 @@ def no_tour(x: Array, y: Array) -> Tour:
 def _drop_reached(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
     """Drop the first stop once the robot is there; the last one is repeated."""
     is_there = is_underfoot(tour.x[0], tour.y[0], robot_x, robot_y)
-    return Tour(
-        x=jnp.where(is_there, jnp.append(tour.x[1:], tour.x[-1]), tour.x),
-        y=jnp.where(is_there, jnp.append(tour.y[1:], tour.y[-1]), tour.y),
-    )
+    later = jax.tree.map(lambda stops: jnp.append(stops[1:], stops[-1]), tour)
+    return jax.tree.map(lambda new, old: jnp.where(is_there, new, old), later, tour)
 
 
-def _join(first: Tour, second: Tour) -> Tour:
-    """Put candidates behind one another."""
-    return Tour(x=jnp.concatenate([first.x, second.x]), y=jnp.concatenate([first.y, second.y]))
+def _before(first: Tour, others: Tour) -> Tour:
+    """Put a tour, leaves [K], before others, leaves [T, K]."""
+    return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, others)
 
 
 def plan(
@@ -92,19 +80,13 @@ def plan(
         robot_y: f32[], metres.
         sensor: how far and how wide one sees.
         area: f32[4], operating area, metres.
-
-    Returns:
-        The candidates and what each of them costs.
     """
     chex.assert_shape([tour.x, tour.y, area], [(NUM_STOPS,), (NUM_STOPS,), (4,)])
     chex.assert_equal_shape([search.x, search.y, search.free, search.hung, search.partner_x])
     chex.assert_rank([robot_x, robot_y, sensor.range_max, sensor.field_of_view], 0)
     chex.assert_type([tour.x, search.free, area], float)
     here = _drop_reached(_drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
-    drafts = _join(
-        Tour(x=here.x[None], y=here.y[None]),
-        greedy(search, robot_x, robot_y, sensor.range_max, area),
-    )
+    drafts = _before(here, greedy(search, robot_x, robot_y, sensor.range_max, area))
     keys = jax.random.split(key, NUM_ROUNDS)
     # As many drafts as changes: one program weighs them all.
     drafts = jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)], drafts)
@@ -124,7 +106,7 @@ def plan(
         if search.forbidden is not None:
             stops = jnp.sum(price_of_stop(tried.x, tried.y, search.forbidden), axis=1)
             weighed = weighed + jnp.sum(search.mass) * stops
-        return _join(Tour(x=best.x[None], y=best.y[None]), tried), jnp.append(cost[least], weighed)
+        return _before(best, tried), jnp.append(cost[least], weighed)
 
     # Nothing has been weighed yet: the first best is any of those that cost too much to be kept.
     untried = jax.tree.map(lambda one: jnp.tile(one, (NUM_CHANGES + 1, 1)), here)

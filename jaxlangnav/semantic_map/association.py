@@ -6,8 +6,6 @@ conditional distribution, so that the weight is the predictive probability of th
 Everything takes one particle, or all of them with the particle axis last ("…" in shapes).
 """
 
-import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -50,9 +48,6 @@ def clutter_odds(sensor: SensorParams, num_types: Array) -> ClutterOdds:
     Args:
         sensor: the specification; its ``detection_probability`` is of detections rightly labelled.
         num_types: i32[], T, types that the detector tells apart.
-
-    Returns:
-        The doubt.
     """
 
     def log_of(share: Array) -> Array:
@@ -81,10 +76,6 @@ class Association(NamedTuple):
     existence: Array  # f32[O, ...] as in the particle
 
 
-Weights = tuple[Array, tuple[Array, Array] | None]
-"""Of one detection, see ``_weigh``."""
-
-
 def associate(
     particle: SemanticMap,
     detections: Detections,
@@ -110,20 +101,19 @@ def associate(
         growth: f32[], by how much more of λ each thing of the type that is held makes it (κ / α).
         doubt: how far detections are to be doubted, of particles that hold ``existence``.
         is_pooled: whether things of any type that are held make it more.
-
-    Returns:
-        The grounding and its weight.
     """
-    predicted = _predicted(particle, noise_variance)
+    num_objects = particle.object_type.shape[0]
+    own = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])
+    robot = particle.covariance[num_objects]
+    spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
+    x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
+    y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
+    predicted = x, y, jnp.maximum(spread, 0.0) + noise_variance
 
     def ground(so_far: Association, one: tuple[Detections, Array]) -> tuple[Association, None]:
-        seen, chance = one
-        weigh = functools.partial(
-            _weigh, seen.object_type, so_far=so_far, growth=growth, doubt=doubt, is_pooled=is_pooled
-        )
-        return _ground(so_far, seen, chance, predicted, weigh), None
+        return _ground(so_far, *one, predicted, growth, doubt, is_pooled), None
 
-    nobody, nowhere = jnp.zeros(predicted[0].shape, bool), jnp.zeros_like(predicted[0])
+    nobody, nowhere = jnp.zeros(x.shape, bool), jnp.zeros_like(x)
     before = Association(
         object_type=particle.object_type,
         is_hit=nobody,
@@ -142,13 +132,15 @@ def _ground(
     seen: Detections,
     chance: Array,
     predicted: tuple[Array, Array, Array],
-    weigh: Callable[[Array, Array], Weights],
+    growth: Array | float,
+    doubt: ClutterOdds | None,
+    is_pooled: bool,
 ) -> Association:
     """Ground one detection, leaves [], given how those before it are grounded."""
     num_objects, kind, is_there = so_far.object_type.shape[0], seen.object_type, seen.is_detection
     x, y, spread = predicted
     log_existing = gaussian.log_normal_isotropic(seen.offset_x - x, seen.offset_y - y, spread)
-    log_weight, doubted = weigh(log_existing, seen.log_new)
+    log_weight, doubted = _weigh(seen, log_existing, so_far, growth, doubt, is_pooled)
     choice, log_total = categorical.draw(log_weight, chance)
     slots = append_axes(jnp.arange(num_objects), so_far.object_type.ndim)
     free = jnp.min(jnp.where(so_far.object_type == NONE, slots, num_objects), axis=0)
@@ -172,35 +164,21 @@ def _ground(
     )
 
 
-def _predicted(particle: SemanticMap, noise_variance: Array) -> tuple[Array, Array, Array]:
-    """Predict where things would be detected: f32[O, ...] x, y from the robot, and variance S."""
-    num_objects = particle.object_type.shape[0]
-    own = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])
-    robot = particle.covariance[num_objects]
-    spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
-    return (
-        particle.mean_x[:num_objects] - particle.mean_x[num_objects:],
-        particle.mean_y[:num_objects] - particle.mean_y[num_objects:],
-        jnp.maximum(spread, 0.0) + noise_variance,
-    )
-
-
 def _weigh(
-    kind: Array,
+    seen: Detections,
     log_existing: Array,
-    log_new: Array,
     so_far: Association,
     growth: Array | float,
     doubt: ClutterOdds | None,
     is_pooled: bool,
-) -> Weights:
+) -> tuple[Array, tuple[Array, Array] | None]:
     """Weigh what a detection may be, f32[O + 1, ...], something new last; log N of each slot given.
 
     And f32[O, ...] twice, how probable things are then to exist: of the slot that it falls to, and
     of the others if it is something new. None where all that is detected exists.
     """
     # Attributes decide nothing here: a detector that wavers must not make two of one thing.
-    is_alike = label_of(so_far.object_type) == label_of(kind)
+    is_alike, log_new = label_of(so_far.object_type) == label_of(seen.object_type), seen.log_new
     may_be = is_alike & ~so_far.is_hit
     is_counted = so_far.object_type != NONE if is_pooled else is_alike
     if doubt is None:
@@ -232,9 +210,6 @@ def _doubted(
 
     with r the probability that o exists, c₀ the density of false detections, k the odds that a
     label is wrong and h those of a certain wrong one; λ₀ is λ of a type of which nothing is held.
-    What does not exist as what it was entered as is a thing of another type, mislabelled each time:
-    so it may be detected again, but rarely.
-
     Returns both log-weights, doubted, and f32[O, ...], r of each slot if the detection falls to it.
     """
     log_real = jnp.log(jnp.maximum(existence, 1e-9))

@@ -53,9 +53,6 @@ def infer_clause_behaviors(
         instruction: grounded sentence.
         clause: i32[], which of its commands.
         previous_goal: i32[], observed slot at which the command before ended; NONE.
-
-    Returns:
-        Behaviors, leaves [..., P].
     """
     program = select_row(instruction.program, clause)
     number = particles.reading.shape[-1]
@@ -78,9 +75,8 @@ def infer_clause_behaviors(
         )
         slots = None
         if is_crowded:
-            worlds, slots = jax.vmap(likeliest_slots, in_axes=(-1, None), out_axes=-1)(
-                worlds, named
-            )
+            choose = jax.vmap(likeliest_slots, in_axes=(-1, None), out_axes=-1)
+            worlds, slots = choose(worlds, named)
         behaviors = grounding.infer_behaviors(program, worlds, num_phrases=program.num_phrases)
         if slots is not None:
             behaviors = _spread(behaviors, slots, num_slots)
@@ -104,15 +100,8 @@ def infer_clause_behaviors(
 def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, Array]:
     """Leave out the slots that a behavior hardly speaks of, where masks of bits hold fewer.
 
-    What the words refer to and the last goal come first, then what they name, then the rest; the
-    robot stays the last.
-
-    Args:
-        world: one particle's, N + 1 slots, more than ``MAX_SLOTS``.
-        named: i32[n], labels that the words name; NONE.
-
-    Returns:
-        The world of ``MAX_SLOTS`` slots, and i32[MAX_SLOTS], which ones they are.
+    What the words refer to and the last goal come first, then what they name, i32[n] labels, then
+    the rest; the robot stays the last. i32[MAX_SLOTS] tells which slots they are.
     """
     kind = world.object_type
     is_meant = jnp.any(world.is_related, axis=(0, 1)) | jnp.any(world.is_related, axis=(0, 2))
@@ -163,10 +152,6 @@ def filter_untyped_goals(
         readings: what is said.
         context: from where relations were said, and what mentions are not.
         relations: prepared relations.
-
-    Returns:
-        The behavior, without goals at observed slots that are taken for such a thing and stand
-        elsewhere.
     """
     num_objects, number = particles.object_type.shape[0], particles.reading.shape[0]
     is_any = jnp.broadcast_to(jnp.any(is_anything(readings.mention_type)), (number,))
@@ -188,23 +173,17 @@ def _misplaced(particles: SemanticMap, queries: Query) -> Array:
     num_objects = particles.object_type.shape[0]
     slots = jnp.arange(num_objects)[:, None]
     is_open = particles.referent == NONE
-    x, y = (
-        jnp.where(is_open, thought, lookup(seen[:num_objects, None], particles.referent))
-        for thought, seen in (
-            (particles.hypothesis_x, particles.mean_x),
-            (particles.hypothesis_y, particles.mean_y),
-        )
-    )
+    seen_x = lookup(particles.mean_x[:num_objects, None], particles.referent)
+    x = jnp.where(is_open, particles.hypothesis_x, seen_x)
+    seen_y = lookup(particles.mean_y[:num_objects, None], particles.referent)
+    y = jnp.where(is_open, particles.hypothesis_y, seen_y)
 
     def of_one(query: Query) -> Array:
         figure, landmark = query.mention[FIGURE], query.mention[LANDMARK]
         viewer_x, viewer_y, _ = jnp.unstack(query.viewer)
         # The second relation of "between" is seen from the other landmark.
-        other = query.is_between, lookup(x, query.other), lookup(y, query.other)
-        viewer_x, viewer_y = (
-            jnp.where(other[0], place, own)
-            for place, own in zip(other[1:], (viewer_x, viewer_y), strict=True)
-        )
+        viewer_x = jnp.where(query.is_between, lookup(x, query.other), viewer_x)
+        viewer_y = jnp.where(query.is_between, lookup(y, query.other), viewer_y)
         query = query._replace(viewer=jnp.stack([viewer_x, viewer_y, query.viewer[2]]))
         landmark_x = jnp.where(query.is_by_object, lookup(x, landmark), viewer_x)
         landmark_y = jnp.where(query.is_by_object, lookup(y, landmark), viewer_y)

@@ -50,11 +50,9 @@ def is_led(belief: ParticleBelief) -> Array:
 def fix(belief: ParticleBelief, is_chosen: Array) -> Fix:
     """Compute where some particles, bool[P], have the robot; meaningless of none."""
     weight = jnp.where(is_chosen, jnp.exp(belief.log_weight), 0.0)
-    weight = weight / jnp.maximum(jnp.sum(weight), 1e-30)
-    held = belief.particles
-    return Fix(
-        *(jnp.sum(weight * one) for one in (held.mean_x[-1], held.mean_y[-1], held.drift[0]))
-    )
+    weight, held = weight / jnp.maximum(jnp.sum(weight), 1e-30), belief.particles
+    places = held.mean_x[-1], held.mean_y[-1], held.drift[0]
+    return Fix(*(jnp.sum(weight * one) for one in places))
 
 
 def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
@@ -64,12 +62,9 @@ def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
     """
     if belief.particles.drift.shape[0]:
         return fix(belief, is_led(belief))[:2]
-    weight = jnp.exp(belief.log_weight)
-    robot = belief.particles.object_type.shape[0]
-    return (
-        jnp.sum(weight * belief.particles.mean_x[robot]),
-        jnp.sum(weight * belief.particles.mean_y[robot]),
-    )
+    weight, particles = jnp.exp(belief.log_weight), belief.particles
+    robot = particles.object_type.shape[0]
+    return jnp.sum(weight * particles.mean_x[robot]), jnp.sum(weight * particles.mean_y[robot])
 
 
 def mean_drift(belief: ParticleBelief) -> Array | None:
@@ -80,15 +75,7 @@ def mean_drift(belief: ParticleBelief) -> Array | None:
 
 
 def in_map(belief: ParticleBelief, pose: Array) -> Array:
-    """Take a dead-reckoned pose to the map, as far as the heading may have drifted.
-
-    Args:
-        belief: at its last look.
-        pose: f32[3], x, y, heading by dead reckoning, metres and radians.
-
-    Returns:
-        f32[3], map frame; as it was where a compass gives the heading.
-    """
+    """Take a dead-reckoned pose f32[3] to the map frame; as it was where a compass guides."""
     drift = mean_drift(belief)
     if drift is None:
         return pose
@@ -99,16 +86,10 @@ def in_map(belief: ParticleBelief, pose: Array) -> Array:
 
 
 def about_robot(belief: ParticleBelief) -> ParticleBelief:
-    """Lay the particles' maps over each other so that the robot has one pose in all of them.
+    """Move and turn the particles' maps so that the robot has one pose in all of them.
 
     Drifted apart, what they agree on, which is where things are from the robot, is in none of
-    their averages.
-
-    Args:
-        belief: any.
-
-    Returns:
-        The belief with every map moved and turned as a whole; as it was with a compass.
+    their averages. With a compass the belief stays as it was.
     """
     drift, particles = mean_drift(belief), belief.particles
     if drift is None:

@@ -7,21 +7,16 @@ area, a further one anywhere in it is expected as often as
 
     (α + κ n) / (1 + κ s)
 
-Where things of a type stand in numbers one more is likelier than a lie; where one stands alone,
-and all has been looked at, it is the one that is meant. The joint probability of what has been seen
-is the product of these, one for each thing in any order, and of ((1 + κ s) / (1 + κ s'))ⁿ for each
-look that takes s to s' (what all particles have in common is left out).
+The joint probability of what has been seen is the product of these, one for each thing in any
+order, and of ((1 + κ s) / (1 + κ s'))ⁿ for each look that takes s to s' (what all particles have in
+common is left out).
 
-Types may have a rate each, or one in common (``MapConfig.pools_counts``): who has put up many
-cones has put up many hydrants. Of T types that have one, n counts the things of all of them, seen
-in T times the area: s is T s. One hydrant and one cone then tell more of a second pair, and that
-nothing more comes into view tells twice against it.
+Types may have a rate each, or one in common (``MapConfig.pools_counts``). Of T types that have one,
+n counts the things of all of them, seen in T times the area: s is T s.
 
 What was detected may not exist (``association.ClutterOdds``): of things that exist with
-probabilities r independently of each other, n is their sum wherever it is expected, and what tells
-of their number tells of each of them (``made_likelier``, ``exposed``). They do hang together, for
-the number is what is not known; each r is what it is by itself, and by how much two go together is
-not kept.
+probabilities r, n is their sum, and what tells of their number tells of each of them
+(``made_likelier``, ``exposed``). That the r of two things hang together is not kept.
 
 Limits: κ → 0 leaves the fixed expectation α; r = 1 for all is as without doubt.
 """
@@ -51,9 +46,6 @@ def log_expected(
         unseen: broadcastable to it, u, share of the area that no look has shown.
         params: concentration α and clumping κ.
         num_pooled: broadcastable to it, T, types that have one rate; None: each has its own.
-
-    Returns:
-        f32[...].
     """
     return jnp.log(params.concentration + params.clumping * number) - log_exposure(
         unseen, params=params, num_pooled=num_pooled
@@ -77,9 +69,6 @@ def made_likelier(existence: Array, growth: Array | float, is_real: Array | floa
         existence: f32[O, ...], r; 0 of types with another rate and in empty slots.
         growth: f32[], g.
         is_real: f32[...], ρ, probability that the new one is itself real.
-
-    Returns:
-        f32[O, ...].
     """
     gain = is_real * growth / (1.0 + growth * jnp.sum(existence, axis=0))
     return existence * (1.0 + jnp.asarray(gain)[None] * (1.0 - existence))

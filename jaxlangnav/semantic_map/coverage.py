@@ -26,22 +26,13 @@ class Coverage:
 
 
 def unexplored(area: Array, num_cells: int) -> Coverage:
-    """Build the coverage of an area nobody has looked at.
-
-    Args:
-        area: f32[4], x_min, x_max, y_min, y_max, metres, map frame.
-        num_cells: G, cells a side.
-
-    Returns:
-        Coverage with nothing seen.
-    """
+    """Build the coverage of an area f32[4] nobody has looked at, in G × G cells."""
     return Coverage(log_miss=jnp.zeros((num_cells, num_cells), jnp.float32), area=area)
 
 
 def cell_size(coverage: Coverage) -> tuple[Array, Array]:
     """Compute the size of a cell, f32[] metres in x and in y."""
-    num_cells = coverage.log_miss.shape[-1]
-    size_x, size_y = _sides(coverage) / num_cells
+    size_x, size_y = _sides(coverage) / coverage.log_miss.shape[-1]
     return size_x, size_y
 
 
@@ -71,9 +62,6 @@ def look(coverage: Coverage, eye: Eye, detection_probability: Array, view: View)
         eye: where the robot is, f32[], and how far and wide it looks.
         detection_probability: f32[], p_d.
         view: what can be seen in this place.
-
-    Returns:
-        Coverage after the look.
     """
     centre_x, centre_y = cell_centres(coverage)
     size_x, size_y = cell_size(coverage)

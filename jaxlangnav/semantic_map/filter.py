@@ -1,8 +1,7 @@
 """The Rao-Blackwellized particle filter over semantic maps (section 3.2, eq. 5-8).
 
-One step: predict the robot's motion (``predict``), associate detections with objects and update by
-what was and was not detected (``observe``), re-ground the utterance in particles whose hypothesis
-was refuted (``proposal``), resample.
+One step: predict the robot's motion (``predict``), ground detections and update (``observe``),
+re-ground the utterance in particles whose hypothesis was refuted (``proposal``), resample.
 """
 
 import functools
@@ -26,7 +25,6 @@ from jaxlangnav.semantic_map.gating import gate_observation, sound_place
 from jaxlangnav.semantic_map.heading_bias import switch_bias_hypothesis
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, observe
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
-from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.predict import drift_noise, predict, with_drift
 from jaxlangnav.semantic_map.proposal.sparse_regrounding import Regrounded, reground
 from jaxlangnav.semantic_map.proposal.utterance import ground_words
@@ -70,17 +68,21 @@ def start(
         config: sizes.
         num_types: object types that a detection may name.
         terrain: how far one sees and walks in the area.
-
-    Returns:
-        The belief; words are grounded at the first step.
     """
     pose, area, is_placed = sound_place(pose, area)
     coverage, number = unexplored(area, config.num_cells), config.num_particles
+    has_drift = config.has_drift
+    kinds = {"has_doubts": config.has_doubts, "has_drift": has_drift}
+    one = particle.empty(config.num_objects, num_mentions, pose[0], pose[1], **kinds)
+    held = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)), one)
+    if has_drift:
+        sign = jnp.where(jnp.arange(number) % 2 == 0, 1.0, -1.0)
+        held = replace(held, drift=held.drift.at[1].set(sign))
     return ParticleBelief(
-        particles=_no_objects(pose, num_mentions, config),
+        particles=held,
         log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
         coverage=coverage,
-        alternate_miss=coverage.log_miss if config.has_drift else jnp.zeros((0, 0), jnp.float32),
+        alternate_miss=coverage.log_miss if has_drift else jnp.zeros((0, 0), jnp.float32),
         bias_sign=jnp.float32(1.0),
         terrain=terrain,
         bystanders=nobody(config.num_bystanders),
@@ -92,24 +94,6 @@ def start(
         must_ground=jnp.asarray(True),
         log_evidence=jnp.float32(0.0),
     )
-
-
-def _no_objects(pose: Array, num_mentions: int, config: MapConfig) -> SemanticMap:
-    """Build the particles of a robot that has seen nothing, leaves [..., P]."""
-    number, has_drift = config.num_particles, config.has_drift
-    one = particle.empty(
-        config.num_objects,
-        num_mentions,
-        pose[0],
-        pose[1],
-        has_doubts=config.has_doubts,
-        has_drift=has_drift,
-    )
-    held = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)), one)
-    if not has_drift:
-        return held
-    sign = jnp.where(jnp.arange(number) % 2 == 0, 1.0, -1.0)
-    return replace(held, drift=held.drift.at[1].set(sign))
 
 
 def _part(
@@ -210,23 +194,17 @@ def step(
         observation: pose and detections now; what cannot be is left out and flagged.
         params: traced numbers.
         context: from where relations were said; all from the belief's viewer by default.
-        is_sparse: under ``vmap`` over beliefs, ground the words only in the particles that need
-            it, about a third of all. The same result, but no gradient in reverse mode.
+        is_sparse: under ``vmap`` ground the words only where needed; no reverse-mode gradient.
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
-        spoken: bool[T], types that the task speaks of; where the belief has room for bystanders,
-            things of other types are remembered as such. None: it speaks of all.
+        spoken: bool[T], types that the task speaks of, the others are bystanders; None: all.
         pools_counts: whether the types that it speaks of have one rate of how many there are.
-
-    Returns:
-        The belief now, and information on the step.
     """
     _assert_arrays(belief, readings, observation)
     number, was_told = belief.log_weight.shape[0], belief.must_ground
     keys = jax.random.split(key, 4)
     associate, keep, resample = _draw(keys, observation.detection_type.shape[0], number)
-    sound = gate_observation(belief, observation, farthest)
+    sound, log_weight = gate_observation(belief, observation, farthest), belief.log_weight
     # Weights that are none become equal.
-    log_weight = belief.log_weight
     is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
     log_weight = jnp.where(is_alive, log_weight, -jnp.log(float(number)))
     belief = replace(belief, reported_pose=sound.reported_pose, log_weight=log_weight)

@@ -1,15 +1,12 @@
-"""Gating: an observation that cannot be is left out, whole or in part (section 3.2; fail safe).
+"""Gating: an observation that cannot be is left out (section 3.2; fail safe).
 
-An observation comes from outside, and one number in it that cannot be would poison every particle
-for good. So every field is held against what it can be before anything is computed from it. Where
-one of them is out of its law the whole look is left out: whoever reports what cannot be may err in
-the rest of it, too, and a false object never leaves the map. The filter then takes the step of a
-robot that has stood still with its eyes shut, and the next sound look is taken as if nothing had
-been.
+Every field is held against what it can be, as one impossible number would poison every particle.
+Where one is out of its law the whole look is left out, as whoever reports it may err in the rest,
+too: the filter takes the step of a robot that has stood still with its eyes shut.
 
 A pose that is farther from the last one than the robot can have gone is doubted at first. Where the
 next look stands by it, it is taken over, and all of the jump that motion does not explain becomes
-doubt of where the robot is: from then on what it sees tells. Both looks are said to be at fault.
+doubt of where the robot is. Both looks are said to be at fault.
 """
 
 from collections.abc import Sequence
@@ -55,15 +52,7 @@ def is_pose(pose: Array, area: Array) -> Array:
 
 
 def check_place(pose: Sequence[float], area: Sequence[float]) -> None:
-    """Refuse an operating area or a start pose that cannot be (host only).
-
-    Args:
-        pose: x, y, heading, metres and radians, map frame.
-        area: x_min, x_max, y_min, y_max, metres.
-
-    Raises:
-        ValueError: names the value, the limits and the remedy.
-    """
+    """Refuse an operating area or a start pose that cannot be with a ValueError (host only)."""
     with np.errstate(over="ignore"):
         bounds, start = (jnp.asarray(np.array(one, float), jnp.float32) for one in (area, pose))
     # An area that was laid about a pose that cannot be is not to blame.
@@ -82,14 +71,9 @@ def check_place(pose: Sequence[float], area: Sequence[float]) -> None:
 
 
 def sound_place(pose: Array, area: Array) -> tuple[Array, Array, Array]:
-    """Put something harmless in place of a start pose or an operating area that cannot be.
+    """Put something harmless in place of a start pose f32[3] or an area f32[4] that cannot be.
 
-    Args:
-        pose: f32[3], x, y, heading, metres and radians, map frame.
-        area: f32[4], x_min, x_max, y_min, y_max, metres.
-
-    Returns:
-        Pose and area, and bool[], whether both are as they were given.
+    Pose and area, and bool[], whether both are as they were given.
     """
     has_area = is_area(area)
     area = jnp.where(has_area, area, jnp.array([-1.0, 1.0, -1.0, 1.0], jnp.float32))
@@ -158,8 +142,7 @@ def gate_observation(
     Args:
         belief: at the last look.
         observation: as it came; any of its fields may hold anything.
-        farthest: f32[], metres that the robot can have gone since the last look; None lets it have
-            gone anywhere in the area.
+        farthest: f32[], metres that the robot can have gone since the last look; None: anywhere.
 
     Returns:
         What is to be believed of it, all of it finite, and what was wrong.

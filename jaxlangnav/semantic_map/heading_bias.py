@@ -1,10 +1,8 @@
 """Coverage maps for both signs of a constant heading bias; the robot plans by the likelier (ours).
 
-Of a steady drift only the size is known. Until something is seen again nothing tells its sign, and
-after twenty metres at 3° each the two places where the robot may be are ten metres apart: what lies
-between them is nowhere. So the robot goes by one of them, and where it has looked is kept by
-either. Particles ground the words each by its own, so that they live by what they were to see;
-where all that could be seen by the one has been looked at in vain, the robot goes by the other.
+The magnitude of a constant heading bias is known but not its sign, until something is seen again.
+So one coverage map per sign is kept, the robot plans by the likelier one, and particles ground the
+words each by its own.
 
 Limits: with a compass, and with no steady drift, there is one way, and nothing of this is computed.
 """
@@ -24,10 +22,9 @@ at every doubt would be to search by both at once, and to finish neither."""
 
 
 def both_ways(belief: ParticleBelief) -> tuple[Coverage, Array]:
-    """Stack the coverage by the active sign of the bias, f32[G, G], on that by the other.
+    """Stack the coverages by the active sign of the bias and by the other, f32[2 G, G].
 
-    Returns:
-        Coverage f32[2 G, G]; i32[P] row at which the map of a particle's own sign begins.
+    i32[P], row at which the map of a particle's own sign begins.
     """
     maps = belief.coverage.log_miss, belief.alternate_miss
     rows = jnp.where(is_led(belief), 0, belief.alternate_miss.shape[0]).astype(jnp.int32)
@@ -35,15 +32,9 @@ def both_ways(belief: ParticleBelief) -> tuple[Coverage, Array]:
 
 
 def log_missed(belief: ParticleBelief, x: Array, y: Array) -> Array:
-    """Look up by which probability something at offsets from the robot has been missed so far.
+    """Look up the log-probability that something at offsets from the robot was missed so far.
 
-    Args:
-        belief: where the robot is and has looked.
-        x: f32[D] metres, map axes; f32[D, 1, P] where headings differ.
-        y: see ``x``.
-
-    Returns:
-        f32[D], or f32[D, P]: log-probabilities.
+    x and y are f32[D] metres, map axes; f32[D, 1, P] where headings differ, for f32[D, P].
     """
     if mean_drift(belief) is None:
         robot_x, robot_y = robot_position(belief)

@@ -42,9 +42,6 @@ def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: Moti
         turn: f32[], φ, radians.
         noise: f32[...], ε.
         motion: heading_bias b, heading_noise σ, turn_noise τ.
-
-    Returns:
-        f32[2, ...], e' and ζ.
     """
     variance = motion.heading_noise**2 * way + motion.turn_noise**2 * jnp.abs(turn)
     error = drift[0] + motion.heading_bias * drift[1] * way + jnp.sqrt(variance) * noise
@@ -61,9 +58,6 @@ def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -
         step_x: f32[] or f32[1, ...], odometry u, metres, map axes.
         step_y: see ``step_x``.
         variance: f32[], square metres per axis.
-
-    Returns:
-        The particle with the old pose marginalised out.
     """
     robot = particle.object_type.shape[0]
     unit = append_axes((jnp.arange(robot + 1) == robot).astype(jnp.float32), particle.mean_x.ndim)

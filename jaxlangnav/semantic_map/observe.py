@@ -1,9 +1,8 @@
 """The second half of a step: ground what is seen, and weigh what is and is not (eq. 7b, 8).
 
 Beyond the paper: objects of hardly any existence probability are pruned, so that false detections
-do not fill the map; and an observation that contradicts the map is said to. No particle need die of
-it: an impossible detection becomes a new object, and an object that has vanished stays where it
-was. What is left of the contradiction is its improbability.
+do not fill the map; and an observation that contradicts the map is flagged. No particle need die of
+it: an impossible detection becomes a new object, and a vanished object stays where it was.
 """
 
 import functools
@@ -15,7 +14,7 @@ from jax import Array
 
 from jaxlangnav.inputs.object_types import kind_of
 from jaxlangnav.inputs.observations import MIN_NOISE
-from jaxlangnav.messages import Observation, SensorParams
+from jaxlangnav.messages import Observation
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import replace
@@ -58,18 +57,21 @@ def observe(
 ) -> tuple[ParticleBelief, MeasurementUpdate]:
     """Ground the detections, condition, and weigh what was and what was not seen.
 
+    The weights of the belief stay as they were.
+
     Args:
         uniform: f32[D, P], which decides what each detection is taken for.
         belief: after the motion.
         observation: pose and detections now, all of them sound.
         params: traced numbers.
         num_pooled: see ``ground_words``.
-
-    Returns:
-        The belief with its weights as they were, and the likelihoods.
     """
     believed, observation = belief.particles, with_drift(belief, observation)
-    sensor, doubt = _doubted(belief, observation.sensor)
+    sensor, doubt = observation.sensor, None
+    if believed.existence.shape[0] > 0:  # the sensor's probability is of right labels
+        right = sensor.detection_probability * (1.0 - sensor.mislabelled)
+        sensor = replace(sensor, detection_probability=right)
+        doubt = association.clutter_odds(sensor, belief.num_types)
     noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
     seen = _detections(belief, observation, params, num_pooled)
     growth, is_pooled = params.clumping / params.concentration, num_pooled is not None
@@ -80,7 +82,11 @@ def observe(
     if belief.particles.existence.shape[0] > 0:  # some doubt is left of all that is held
         existence = jnp.minimum(belief.particles.existence, 1.0 - LEAST_DOUBT)
         belief = replace(belief, particles=replace(belief.particles, existence=existence))
-    belief, exposure = _looked(belief, observation, sensor, params, num_pooled)
+    exposed_by = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
+    before = exposed_by(share_unseen(belief.coverage))
+    coverage, alternate_miss = look_around(belief, observation, sensor)
+    exposure = exposed_by(share_unseen(coverage)) - before
+    belief = replace(belief, coverage=coverage, alternate_miss=alternate_miss)
     log_objects, log_hypotheses, existence = log_absence(
         belief.particles,
         grounded.is_hit,
@@ -101,17 +107,6 @@ def observe(
         overflow=grounded.overflow,
         surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
     )
-
-
-def _doubted(
-    belief: ParticleBelief, sensor: SensorParams
-) -> tuple[SensorParams, association.ClutterOdds | None]:
-    """Tell how often what is there is rightly detected, and how far detections are doubted."""
-    if belief.particles.existence.shape[0] == 0:
-        return sensor, None
-    right = sensor.detection_probability * (1.0 - sensor.mislabelled)
-    sensor = replace(sensor, detection_probability=right)
-    return sensor, association.clutter_odds(sensor, belief.num_types)
 
 
 def _detections(
@@ -146,27 +141,11 @@ def kinds_seen(observation: Observation) -> Array:
     return kind_of(observation.detection_type, observation.detection_attribute)
 
 
-def _looked(
-    belief: ParticleBelief,
-    observation: Observation,
-    sensor: SensorParams,
-    params: MapParams,
-    num_pooled: Array | None,
-) -> tuple[ParticleBelief, Array]:
-    """Enter the look; f32[], by how much less probable one more of a type has become, log."""
-    exposed_by = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
-    before = exposed_by(share_unseen(belief.coverage))
-    coverage, alternate_miss = look_around(belief, observation, sensor)
-    exposure = exposed_by(share_unseen(coverage)) - before
-    return replace(belief, coverage=coverage, alternate_miss=alternate_miss), exposure
-
-
 def _counted(
     belief: ParticleBelief, believed: SemanticMap, existence: Array, exposure: Array
 ) -> tuple[ParticleBelief, Array, Array, Array | None]:
     """Hold against what has been seen that more of the area shows no more of its type.
 
-    What the words refer to weighs above what its map weighs: it is no bystander, and exists.
     f32[P], log-likelihood of the maps, what that of a particle with its words is above it, is lost.
     """
     particles, is_meant = belief.particles, believed.is_meant
@@ -189,14 +168,7 @@ _SPARE_SLOTS = 2
 
 
 def forget(particles: SemanticMap) -> tuple[SemanticMap, Array]:
-    """Empty the slots of what hardly exists, in all particles: slots stay of one thing.
-
-    Args:
-        particles: leaves [..., P], which hold ``existence``.
-
-    Returns:
-        The particles, and bool[P], whose words refer to such a thing.
-    """
+    """Empty the slots of what hardly exists, in all particles; bool[P], whose words refer to it."""
     is_held = particles.is_observed
     likeliest = jnp.max(jnp.where(is_held, particles.existence, 0.0), axis=-1, keepdims=True)
     is_taken = jnp.any(is_held, axis=-1, keepdims=True)
@@ -227,8 +199,6 @@ def surprise(
 
     p* is what the same grounding would weigh if every new object stood where nobody has looked,
     every known one as far from its place as the noise takes it on average, and none were missed.
-    So many objects that come into view at once surprise nobody, and objects that are seen where
-    nothing can be, are away from where they were, or vanish in plain view, do.
 
     Args:
         log_weight: f32[P], before the observation, normalised.

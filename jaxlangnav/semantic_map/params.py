@@ -11,28 +11,24 @@ from jaxlangnav.relations import RelationModel, default_params, prepare
 
 @pytree
 class MapParams:
-    """Numbers of the filter; traced, so that new values never recompile."""
+    """Numbers of the filter, scalars f32[]; traced, so that new values never recompile."""
 
-    concentration: Array = field(  # f32[]
+    concentration: Array = field(
         "α, expected number of further objects of a type in the area", default=0.3
     )
-    clumping: Array = field(  # f32[]
+    clumping: Array = field(
         "κ, how much more of a type each one seen makes probable; 0: not at all", default=0.0
     )
-    kernel: Array = field(  # f32[]
-        "metres, standard deviation of a sampled metric constraint", default=0.1
-    )
-    superlative_softness: Array = field(  # f32[]
+    kernel: Array = field("metres, standard deviation of a sampled metric constraint", default=0.1)
+    superlative_softness: Array = field(
         "metres within which two distances count as equal", default=0.3
     )
-    misleading: Array = field(  # f32[]
+    misleading: Array = field(
         "ε, probability that a relation said does not hold at all; the policy "
         "``faithful`` takes every word to be true",
         default=0.05,
     )
-    resample_threshold: Array = field(  # f32[]
-        "resample where ESS / P falls below this", default=0.5
-    )
+    resample_threshold: Array = field("resample where ESS / P falls below this", default=0.5)
     relations: RelationModel  # densities of the six relations
     motion: MotionParams  # odometry as the belief assumes it
 

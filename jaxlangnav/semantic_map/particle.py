@@ -2,9 +2,7 @@
 
 One particle is S = {G, X, w}. Its topology G is which objects exist, of what type, observed or
 hypothesised, and which of them the words refer to; X is a joint Gaussian over the robot and all
-objects; w is its weight. The paper leaves the form of X open. It is kept in moment form, as mean
-and covariance Σ, and not as information: with old poses marginalised out both hold the same, and
-Σ needs no inversion to say how surprising a detection is (``numerics.gaussian``).
+objects, kept as mean and covariance Σ (``numerics.gaussian``); w is its weight.
 
 Slots 0 … O−1 hold observed objects, slots O … O+M−1 one hypothesis for each mention of the
 instruction that has not been observed; N = O + M. The matrix Σ covers the observed objects and
@@ -72,7 +70,7 @@ def empty(
     has_doubts: bool = False,
     has_drift: bool = False,
 ) -> SemanticMap:
-    """Build the map of a robot that has seen and heard nothing.
+    """Build the map, one particle, of a robot that has seen and heard nothing.
 
     Args:
         num_objects: O, capacity for observed objects.
@@ -81,23 +79,20 @@ def empty(
         start_y: f32[], metres.
         has_doubts: whether what is detected may not exist.
         has_drift: whether the heading may drift.
-
-    Returns:
-        One particle.
     """
-    size = num_objects + 1
-    robot = jnp.zeros(size, jnp.float32).at[num_objects].set(1.0)
+    robot = jnp.zeros(num_objects + 1, jnp.float32).at[num_objects].set(1.0)
+    none, nowhere = jnp.full(num_mentions, NONE, jnp.int32), jnp.zeros(num_mentions, jnp.float32)
     return SemanticMap(
         object_type=jnp.full(num_objects, NONE, jnp.int32),
         covariance=jnp.diag(robot * START_VARIANCE),
         mean_x=robot * start_x,
         mean_y=robot * start_y,
         reading=jnp.int32(0),
-        referent=jnp.full(num_mentions, NONE, jnp.int32),
-        anchor=jnp.full(num_mentions, NONE, jnp.int32),
-        root=jnp.full(num_mentions, NONE, jnp.int32),
-        hypothesis_x=jnp.zeros(num_mentions, jnp.float32),
-        hypothesis_y=jnp.zeros(num_mentions, jnp.float32),
+        referent=none,
+        anchor=none,
+        root=none,
+        hypothesis_x=nowhere,
+        hypothesis_y=nowhere,
         is_mentioned=jnp.zeros(num_mentions, bool),
         existence=jnp.zeros(num_objects if has_doubts else 0, jnp.float32),
         drift=jnp.zeros(2 if has_drift else 0, jnp.float32),
@@ -119,20 +114,14 @@ def clear(particle: SemanticMap, is_gone: Array) -> SemanticMap:
 
 
 def positions(particle: SemanticMap) -> tuple[Array, Array]:
-    """Gather the mean position of every slot.
+    """Gather the mean positions of one particle's slots, observed first, then hypothesised.
 
-    Args:
-        particle: one particle.
-
-    Returns:
-        x and y, f32[N] each, metres, map frame: observed slots first, then hypotheses. Zero
-        where a slot is empty.
+    x and y, f32[N] each, metres, map frame; zero where a slot is empty.
     """
     num_objects = particle.object_type.shape[0]
-    return (
-        jnp.concatenate([particle.mean_x[:num_objects], particle.hypothesis_x]),
-        jnp.concatenate([particle.mean_y[:num_objects], particle.hypothesis_y]),
-    )
+    x = jnp.concatenate([particle.mean_x[:num_objects], particle.hypothesis_x])
+    y = jnp.concatenate([particle.mean_y[:num_objects], particle.hypothesis_y])
+    return x, y
 
 
 def joint_gaussian(particle: SemanticMap, kernel_variance: Array) -> tuple[Array, Array, Array]:
@@ -161,8 +150,5 @@ def joint_gaussian(particle: SemanticMap, kernel_variance: Array) -> tuple[Array
     links = jnp.pad(chain.astype(jnp.float32), ((num_objects, 1), (0, 0)))
     covariance = source @ particle.covariance @ source.T + kernel_variance * links @ links.T
     x, y = positions(particle)
-    return (
-        covariance,
-        jnp.append(x, particle.mean_x[num_objects]),
-        jnp.append(y, particle.mean_y[num_objects]),
-    )
+    robot_x, robot_y = particle.mean_x[num_objects], particle.mean_y[num_objects]
+    return covariance, jnp.append(x, robot_x), jnp.append(y, robot_y)

@@ -34,9 +34,6 @@ def predict(
         is_jump: bool[], motion does not explain it: the robot may be there or where it was.
         noise: f32[P], standard normal, of particles that hold a ``drift``.
         params: odometry noise.
-
-    Returns:
-        The belief after the motion.
     """
     step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
     share = jnp.where(is_jump, 1.0, params.motion.odometry_noise)

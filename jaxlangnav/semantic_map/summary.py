@@ -26,14 +26,9 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
     size = num_objects + num_mentions + 1
     slots, mentions = jnp.arange(size), jnp.arange(num_mentions)
     read = select_row(readings, particle.reading)
-    mention_type = read.mention_type
-    object_type = jnp.concatenate(
-        [
-            particle.object_type,
-            jnp.where(particle.is_hypothesised, mention_type, NONE),
-            jnp.full(1, ROBOT, jnp.int32),
-        ]
-    )
+    mention_type, robot = read.mention_type, jnp.full(1, ROBOT, jnp.int32)
+    hypothesised = jnp.where(particle.is_hypothesised, mention_type, NONE)
+    object_type = jnp.concatenate([particle.object_type, hypothesised, robot])
     is_object = jnp.concatenate([particle.is_observed, particle.is_hypothesised, jnp.ones(1, bool)])
     place = jnp.where(particle.referent == NONE, num_objects + mentions, particle.referent)
     place = jnp.where(mention_type == ROBOT, size - 1, place)
@@ -72,11 +67,7 @@ def _pack(fields: Array, base: int) -> Array:
 def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
     """Find which particles share one topology: types, reading and what each mention refers to.
 
-    Particles of one topology have the same behavior, and there are far fewer topologies than
-    particles, because observed objects are common to most.
-
-    Args:
-        particles: leaves [..., P].
+    They have the same behavior, and there are far fewer topologies than particles.
 
     Returns:
         i32[P], the topology of each particle, counted from 0 in order of first appearance;
@@ -85,14 +76,8 @@ def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
     """
     num_objects, number = particles.object_type.shape[0], particles.reading.shape[-1]
     flags = jnp.concatenate([particles.is_mentioned.astype(jnp.int32), particles.reading[None]])
-    words = jnp.concatenate(
-        [
-            particles.object_type,
-            _pack(particles.referent, num_objects + 3),
-            _pack(flags, 8),
-        ]
-    )
-    index = jnp.arange(number)
+    packed = _pack(particles.referent, num_objects + 3), _pack(flags, 8)
+    words, index = jnp.concatenate([particles.object_type, *packed]), jnp.arange(number)
 
     def is_left(carry: tuple[Array, Array, Array]) -> Array:
         return jnp.any(carry[0] < 0)

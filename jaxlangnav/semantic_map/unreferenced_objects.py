@@ -1,10 +1,9 @@
 """Unreferenced objects: one shared map of things that no utterance has mentioned yet (ours).
 
-A particle asks of every thing that it holds whether the words mean it, which is dear: the ways to
-ground a relation grow with the square of the things. Of a tree nobody spoke of there is nothing to
-ask. So things of types that the task does not name are kept in one list for all particles, with no
-hypotheses, and take no room from the others. Where a later sentence names their type they are
-entered into every particle (``promote``), and what it speaks of no more goes back to the list.
+The ways to ground a relation grow with the square of the things that a particle holds. So things of
+types that the task does not name are kept in one list for all particles. Where a later sentence
+names their type they are entered into every particle (``promote``), and what it speaks of no more
+goes back to the list.
 
 Limits: a list of no room (B = 0) is never looked at, and everything seen enters the particles.
 """
@@ -66,21 +65,11 @@ def is_spoken_of(object_type: Array, spoken: Array) -> Array:
 
 
 def part(observation: Observation, spoken: Array) -> tuple[Observation, Observation]:
-    """Part what is seen into what the task speaks of and all else.
-
-    Args:
-        observation: sound.
-        spoken: bool[T], types that the task speaks of.
-
-    Returns:
-        The observation of either kind.
-    """
+    """Part what is seen into what the task speaks of, bool[T], and all else."""
     is_of_task = is_spoken_of(observation.detection_type, spoken)
     seen = observation.is_detection
-    return (
-        replace(observation, is_detection=seen & is_of_task),
-        replace(observation, is_detection=seen & ~is_of_task),
-    )
+    ours = replace(observation, is_detection=seen & is_of_task)
+    return ours, replace(observation, is_detection=seen & ~is_of_task)
 
 
 def remember_bystanders(
@@ -130,6 +119,9 @@ def _enter(known: Bystanders, seen: Sighting) -> tuple[Bystanders, Array]:
     return after, (seen.is_there & ~is_known & ~has_room).astype(jnp.int32)
 
 
+_Both = tuple[SemanticMap, Bystanders]
+
+
 def promote(
     particles: SemanticMap, known: Bystanders, spoken: Array, log_weight: Array, is_told: Array
 ) -> tuple[SemanticMap, Bystanders]:
@@ -145,26 +137,22 @@ def promote(
         spoken: bool[T], types that the task speaks of.
         log_weight: f32[P].
         is_told: bool[], a sentence has been heard that nothing has been grounded of.
-
-    Returns:
-        Particles and list; as they were where nothing has been heard.
     """
     num_objects = particles.object_type.shape[0]
     likeliest = jnp.argmax(log_weight)
 
-    def put_aside(
-        slot: Array, both: tuple[SemanticMap, Bystanders]
-    ) -> tuple[SemanticMap, Bystanders]:
+    def put_aside(slot: Array, both: _Both) -> _Both:
         held, known = both
-        thing = _sighting(held, slot, likeliest)
-        is_there = thing.is_there & ~is_spoken_of(thing.object_type, spoken)
-        known, _ = _enter(known, thing._replace(is_there=is_there))
-        return held, known
+        leaves = held.object_type, held.mean_x, held.mean_y, jnp.diagonal(held.covariance).T
+        kind, x, y, spread = (select_row(one, slot)[likeliest] for one in leaves)
+        is_there = (kind != NONE) & ~is_spoken_of(kind, spoken)
+        return held, _enter(known, Sighting(kind, x, y, spread, is_there))[0]
 
-    def put_away(held: SemanticMap) -> SemanticMap:
-        return clear(held, held.is_observed & ~is_spoken_of(held.object_type, spoken))
+    def put_away(_: Array, both: _Both) -> _Both:
+        held, known = both
+        return clear(held, held.is_observed & ~is_spoken_of(held.object_type, spoken)), known
 
-    def bring_in(_: Array, both: tuple[SemanticMap, Bystanders]) -> tuple[SemanticMap, Bystanders]:
+    def bring_in(_: Array, both: _Both) -> _Both:
         held, known = both
         is_meant = is_spoken_of(known.object_type, spoken)
         chosen = jnp.argmax(is_meant)
@@ -176,18 +164,9 @@ def promote(
     # Nearly always no round of either loop.
     rounds = jnp.where(is_told, num_objects, 0)
     both = jax.lax.fori_loop(0, rounds, put_aside, (particles, known))
-    both = jax.lax.fori_loop(
-        0, jnp.where(is_told, 1, 0), lambda _, now: (put_away(now[0]), now[1]), both
-    )
+    both = jax.lax.fori_loop(0, jnp.where(is_told, 1, 0), put_away, both)
     rounds = jnp.where(is_told, jnp.sum(is_spoken_of(known.object_type, spoken)), 0)
     return jax.lax.fori_loop(0, rounds, bring_in, both)
-
-
-def _sighting(particles: SemanticMap, slot: Array, which: Array) -> Sighting:
-    """Tell what one particle holds in a slot."""
-    leaves = particles.mean_x, particles.mean_y, jnp.diagonal(particles.covariance).T
-    kind, x, y, spread = (select_row(one, slot)[which] for one in (particles.object_type, *leaves))
-    return Sighting(kind, x, y, spread, kind != NONE)
 
 
 def _hold(particles: SemanticMap, thing: Bystanders, is_there: Array) -> SemanticMap:
@@ -199,13 +178,12 @@ def _hold(particles: SemanticMap, thing: Bystanders, is_there: Array) -> Semanti
     here = jnp.concatenate([is_slot, jnp.zeros_like(is_slot[:1])])
     own = append_axes(jnp.eye(num_objects + 1, dtype=bool), particles.covariance.ndim)
     covariance = jnp.where(here[:, None] | here[None], 0.0, particles.covariance)
+    existence = particles.existence
     return replace(
         particles,
         object_type=jnp.where(is_slot, thing.object_type, particles.object_type),
         covariance=jnp.where(own & here[:, None], thing.variance, covariance),
         mean_x=jnp.where(here, thing.x, particles.mean_x),
         mean_y=jnp.where(here, thing.y, particles.mean_y),
-        existence=jnp.where(is_slot, _REMEMBERED, particles.existence)
-        if particles.existence.shape[0]
-        else particles.existence,
+        existence=jnp.where(is_slot, _REMEMBERED, existence) if existence.shape[0] else existence,
     )

@@ -30,9 +30,6 @@ def condition(
         particle: one particle.
         association: from ``associate``.
         noise_variance: f32[], R, square metres per axis.
-
-    Returns:
-        The particle with new objects entered and the rest corrected.
     """
     num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
     is_new = _with_robot(association.is_new)
@@ -42,19 +39,13 @@ def condition(
     joint = gaussian.enter(
         joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
     )
+    pairs, is_known = [(o, num_objects) for o in range(num_objects)], ~association.is_new
     joint = gaussian.condition_offsets(
-        joint,
-        [(slot, num_objects) for slot in range(num_objects)],
-        association.is_hit & ~association.is_new,
-        offset_x,
-        offset_y,
-        variance,
+        joint, pairs, association.is_hit & is_known, offset_x, offset_y, variance
     )
     # A root of NONE is no slot: a hypothesis on the ground does not move.
-    moved_x, moved_y = (
-        lookup((after - before)[:num_objects], particle.root)
-        for after, before in ((joint.mean_x, particle.mean_x), (joint.mean_y, particle.mean_y))
-    )
+    moved_x = lookup((joint.mean_x - particle.mean_x)[:num_objects], particle.root)
+    moved_y = lookup((joint.mean_y - particle.mean_y)[:num_objects], particle.root)
     return replace(
         particle,
         object_type=association.object_type,

@@ -99,9 +99,6 @@ def list_candidates(
         grounding: what earlier relations have decided.
         scene: area and viewer.
         params: concentration, clumping.
-
-    Returns:
-        The candidates.
     """
     decided = [lookup(leaf, query.mention) for leaf in grounding[:-1]]
     earlier = Grounding(*decided, log_weight=grounding.log_weight)
@@ -118,12 +115,11 @@ def list_candidates(
         return jnp.concatenate([objects, place[:, None]], axis=1)
 
     viewer_x, viewer_y, _ = (prepend_axes(one, is_open.ndim) for one in jnp.unstack(query.viewer))
+    log_bystander = jnp.where(may_be, log_bystander, -jnp.inf)
     return Candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
-        log_prior=append(
-            jnp.where(may_be, log_bystander, -jnp.inf), jnp.where(is_open, -jnp.inf, 0.0)
-        ),
+        log_prior=append(log_bystander, jnp.where(is_open, -jnp.inf, 0.0)),
         log_alike=log_alike,
         is_open=is_open,
         earlier=earlier,
@@ -142,21 +138,24 @@ def _log_bystanders(
 
     f32[2, 1, ...] or f32[2, O, ...]; and ``Candidates.log_alike``: of a pair all but two are.
     """
-    counted = _counted(seen, is_kind, grounding, scene)
-    number, unseen = counted.number, counted.unseen
+    ndim, is_counted, pooled, num_meant = is_kind.ndim - 1, is_kind, None, None
+    if scene.num_pooled is not None:  # things of all types count, but those meant already
+        is_counted = jnp.broadcast_to((seen.object_type != NONE)[None], is_kind.shape)
+        pooled = prepend_axes(scene.num_pooled, ndim)
+        num_meant = jnp.sum(grounding.slot != NONE, axis=0)[None]
+    number, unseen = jnp.sum(is_counted, axis=1), jnp.exp(prepend_axes(scene.log_unseen, ndim))
+    number = number if num_meant is None else number - num_meant
     expected = functools.partial(log_expected, params=params)
-    log_area = prepend_axes(scene.log_area, number.ndim)
+    log_area = prepend_axes(scene.log_area, ndim)
     log_one, log_two = (
-        expected(jnp.maximum(number - but, 0), unseen, num_pooled=counted.num_pooled)
-        for but in (1, 2)
+        expected(jnp.maximum(number - but, 0), unseen, num_pooled=pooled) for but in (1, 2)
     )
     log_bystander = (log_area - log_one)[:, None]
     if seen.existence is not None:
-        real = jnp.where(counted.is_counted, seen.existence[None], 0.0)
+        real = jnp.where(is_counted, seen.existence[None], 0.0)
         others = jnp.sum(real, axis=1, keepdims=True) - real
-        pooled = counted.num_pooled
-        if pooled is not None:
-            others, pooled = others - counted.num_meant[:, None], pooled[:, None]
+        if pooled is not None and num_meant is not None:
+            others, pooled = others - num_meant[:, None], pooled[:, None]
         log_others = expected(jnp.maximum(others, 0.0), unseen[:, None], num_pooled=pooled)
         log_bystander = log_area[:, None] - log_others
         log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
@@ -173,32 +172,6 @@ def _log_bystanders(
     hang_together = is_alike if scene.num_pooled is None else jnp.ones_like(is_alike)
     log_alike = jnp.where(hang_together, log_gain[:, None], 0.0)
     return jnp.where(is_any[:, None], log_of_any[None], log_bystander), log_alike
-
-
-class _Counted(NamedTuple):
-    """By what it is told how many bystanders there are."""
-
-    is_counted: Array  # bool[2, O, ...] things that tell of it
-    number: Array  # i32[2, ...] how many of them
-    unseen: Array  # f32[1, ...] u
-    num_meant: (
-        Array  # i32[1, ...] of them that earlier relations have taken, where types are pooled
-    )
-    num_pooled: Array | None  # f32[1, ...] as of ``Unexplored``
-
-
-def _counted(seen: Observed, is_kind: Array, grounding: Grounding, scene: Unexplored) -> _Counted:
-    """Count what tells of how many there are of the types of a relation's ends."""
-    ndim, is_counted, num_pooled = is_kind.ndim - 1, is_kind, None
-    num_meant = np.zeros(1, np.int32)
-    if scene.num_pooled is not None:
-        is_counted = jnp.broadcast_to((seen.object_type != NONE)[None], is_kind.shape)
-        num_pooled = prepend_axes(scene.num_pooled, ndim)
-        num_meant = jnp.sum(grounding.slot != NONE, axis=0)[None]
-    number, unseen = jnp.sum(is_counted, axis=1), jnp.exp(prepend_axes(scene.log_unseen, ndim))
-    if num_pooled is not None:
-        number = number - num_meant
-    return _Counted(is_counted, number, unseen, jnp.asarray(num_meant), num_pooled)
 
 
 def _of_any_type(

@@ -66,25 +66,18 @@ def _of_landmarks(known: Array, new: Array, unseen: Array) -> Array:
 
 def _of_new(figure: Array, landmark: Array, figure_of_pair: Array, size: int) -> Array:
     """Lay out what is new in the ways told: figures, landmarks, the figures of new pairs."""
-    numbers = (size, size, NUM_UNSEEN)
+    parts = (figure, size), (landmark, size), (figure_of_pair, NUM_UNSEEN)
     return jnp.concatenate(
-        [
-            jnp.broadcast_to(part, (number, *part.shape[1:]))
-            for part, number in zip((figure, landmark, figure_of_pair), numbers, strict=True)
-        ]
+        [jnp.broadcast_to(part, (number, *part.shape[1:])) for part, number in parts]
     )
 
 
 @functools.cache
 def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tell what each way stands for.
+    """Tell what each way stands for, with O slots for objects.
 
-    Args:
-        num_objects: O.
-
-    Returns:
-        i32[2, W], the observed slot that each end is; NONE where it is new or decided already; and
-        bool[2, W], whether the end hangs on the other, having been drawn there or being said of it.
+    i32[2, W], the observed slot that each end is; NONE where it is new or decided already; and
+    bool[2, W], whether the end hangs on the other, having been drawn there or being said of it.
     """
     with jax.ensure_compile_time_eval():
         slots = jnp.append(jnp.arange(num_objects), NONE)
@@ -94,10 +87,7 @@ def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
         is_told = jnp.arange(figure.size) < slots.size**2 + new.size
         no = jnp.zeros(slots.size, bool)
         is_drawn = _of_landmarks(no, new == NONE, no[:NUM_UNSEEN])
-        return (
-            np.stack([np.asarray(figure, np.int32), np.asarray(landmark, np.int32)]),
-            np.stack([np.asarray(is_told), np.asarray(is_drawn)]),
-        )
+        return np.stack([figure, landmark], dtype=np.int32), np.stack([is_told, is_drawn])
 
 
 def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) -> Proposals:
@@ -108,9 +98,6 @@ def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) 
         ends: what its ends may be.
         draws: random numbers.
         model: prepared relations, for drawing.
-
-    Returns:
-        The places of all ways.
     """
     size = ends.x.shape[1]
     along, lateral, log_drawn = query.draw(draws.distance, draws.angle, model)

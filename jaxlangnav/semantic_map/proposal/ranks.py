@@ -61,12 +61,8 @@ def log_rank(
         params: concentration, softness.
         num_known: the first ``num_known``² pairs are of so many figures, each with the landmarks of
             the first so many pairs behind them: what depends on these alone is worked out once.
-
-    Returns:
-        f32[n, ...] log-weight.
     """
     is_nearest = (query.rank > 0) & ~query.is_order
-
     softness = params.superlative_softness
     log_nearest = skip_unless_any(
         is_nearest, lambda here: -_excess(query, here, seen, num_known) / softness, pairs
@@ -106,7 +102,11 @@ def _log_order(
     num_seen, num_others = seen.x.shape[0], seen.x.shape[0] + draws.unseen_x.shape[0]
     x = jnp.concatenate([seen.x, draws.unseen_x, pairs.x])
     y = jnp.concatenate([seen.y, draws.unseen_y, pairs.y])
-    is_where_said = _is_where_said(query, x, y)
+    viewer_x, viewer_y, heading = (prepend_axes(one, x.ndim) for one in jnp.unstack(query.viewer))
+    robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
+    side = insert_axes(query.sides, x.ndim + 1)
+    is_on_sides = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)
+    is_where_said = functools.reduce(jnp.logical_and, jnp.unstack(is_on_sides))
     own = _merit(query, pairs, pairs.x[None], pairs.y[None])[0]
     others = (insert_axes(part[:num_others], own.ndim + 1) for part in (x, y))
     merit, counts = _merit(query, pairs, *others), insert_axes(is_where_said, own.ndim + 1)
@@ -150,12 +150,3 @@ def _merit(query: Query, pairs: Pairs, x: Array, y: Array) -> Array:
     distance = jnp.sqrt(dx * dx + dy * dy + 1e-9)
     sideways = dx * robot.lateral_x + dy * robot.lateral_y
     return -degree(prepend_axes(query.relation, dx.ndim), distance, sideways)
-
-
-def _is_where_said(query: Query, x: Array, y: Array) -> Array:
-    """Tell which places [n, ...] are on the sides of the robot where the figure is said to be."""
-    viewer_x, viewer_y, heading = (prepend_axes(one, x.ndim) for one in jnp.unstack(query.viewer))
-    robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
-    side = insert_axes(query.sides, x.ndim + 1)
-    holds = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)
-    return functools.reduce(jnp.logical_and, jnp.unstack(holds))

@@ -69,14 +69,9 @@ class Query(NamedTuple):
         return (self.mention[LANDMARK] != NONE) & ~self.is_by_robot
 
     def frame(self, x: Array, y: Array) -> ReferenceFrame:
-        """Build the frame in which the relation is meant.
+        """Build the frame in which a relation to landmarks at f32[n, ...] metres is meant.
 
-        Args:
-            x: f32[n, ...] metres, map frame, of the landmark.
-            y: f32[n, ...]
-
-        Returns:
-            The viewer's frame, or the robot's own where the robot is the landmark.
+        It is the viewer's frame, or the robot's own where the robot is the landmark.
         """
         viewer_x, viewer_y, heading = (prepend_axes(v, x.ndim) for v in jnp.unstack(self.viewer))
         is_by_robot = prepend_axes(self.is_by_robot, x.ndim)
@@ -89,14 +84,7 @@ class Query(NamedTuple):
     def log_density(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
         """Evaluate how likely figures are placed against landmarks, each in its own frame.
 
-        Args:
-            x: f32[n, ...] metres, map frame, of the figures.
-            y: f32[n, ...]
-            landmark_x: f32[n, ...]
-            landmark_y: f32[n, ...]
-
-        Returns:
-            f32[n, ...], log of the density per square metre.
+        Places are f32[n, ...] metres, map frame; f32[n, ...], log of the density per square metre.
         """
         frame = self.frame(landmark_x, landmark_y)
         log_one = log_density_of(self.law, x - landmark_x, y - landmark_y, frame)
@@ -110,18 +98,9 @@ class Query(NamedTuple):
         return jnp.where(self.is_between[None], log_two, log_one)
 
     def holds(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
-        """Tell whether people would say it of figures at places, where it says where they are.
+        """Tell whether people would say it of figures at places, bool[n, ...]; see ``log_density``.
 
         Limits: what merely exists, or has a rank, holds anywhere.
-
-        Args:
-            x: f32[n, ...] metres, map frame, of the figures.
-            y: f32[n, ...]
-            landmark_x: f32[n, ...]
-            landmark_y: f32[n, ...]
-
-        Returns:
-            bool[n, ...].
         """
         frame, dx, dy = self.frame(landmark_x, landmark_y), x - landmark_x, y - landmark_y
         along = dx * frame.along_x + dy * frame.along_y
@@ -138,40 +117,24 @@ class Query(NamedTuple):
     ) -> tuple[Array, Array, Array]:
         """Draw a new figure against its landmark, and a new landmark against its figure.
 
-        Args:
-            distance: f32[2, ...], standard normal draws.
-            angle: f32[2, ...]
-            model: prepared relations.
-
-        Returns:
-            f32[2, ...] along and lateral in the frame, from landmark to figure; and f32[1, ...],
-            the log-density of the landmark's draw; both in the units of ``offset``.
+        Of standard normal draws f32[2, ...] it makes along and lateral in the frame, f32[2, ...]
+        from landmark to figure, and the log-density of the landmark's draw, f32[1, ...]; in the
+        units of ``offset``.
         """
         relation = jnp.maximum(self.relation, 0)[None]
         along, lateral = sample_law(self.law, model, relation, distance, angle)
         log_drawn = log_density_in_frame(self.law, along[LANDMARK:], lateral[LANDMARK:])
         of_one, of_two = (along, lateral, log_drawn), between.sample(distance, angle)
         is_two = self.is_between[None]
-        along, lateral, log_drawn = (
-            jnp.where(is_two, two, one) for two, one in zip(of_two, of_one, strict=True)
-        )
-        return along, lateral, log_drawn
+        return jax.tree.map(lambda two, one: jnp.where(is_two, two, one), of_two, of_one)
 
     def offset(
         self, x: Array, y: Array, along: Array, lateral: Array
     ) -> tuple[Array, Array, Array]:
-        """Turn what was drawn into map axes.
+        """Turn what was drawn, f32[n, ...] units, into map axes: metres, and log m² a square unit.
 
-        The unit is a metre; of what lies between two landmarks it is the way from the other one.
-
-        Args:
-            x: f32[n, ...] metres, map frame: what it was drawn against.
-            y: f32[n, ...]
-            along: f32[n, ...] units, in the frame of that.
-            lateral: f32[n, ...]
-
-        Returns:
-            f32[n, ...] x and y, metres, map axes, and log square metres of a square unit.
+        The unit is a metre; of what lies between two landmarks it is the way from the other one. x
+        and y are the places that it was drawn against, metres, map frame.
         """
         way_x, way_y = x - self.viewer[0][None], y - self.viewer[1][None]
         squared = way_x * way_x + way_y * way_y + 1e-6
@@ -182,12 +145,7 @@ class Query(NamedTuple):
 
 
 def current_context(readings: Readings, viewer: Array) -> UtteranceContext:
-    """Build the context of a single utterance: all said from one place, and nothing ruled out.
-
-    Args:
-        readings: the sentence.
-        viewer: f32[3], x, y, heading of the robot as it hears it.
-    """
+    """Build the context of a sentence heard at f32[3]: all said from there, nothing ruled out."""
     return UtteranceContext(
         viewer=jnp.broadcast_to(viewer, (*readings.relation.shape, 3)),
         excluded=jnp.zeros_like(readings.mention_type),
@@ -197,16 +155,13 @@ def current_context(readings: Readings, viewer: Array) -> UtteranceContext:
 def build_queries(
     readings: Readings, context: UtteranceContext, model: RelationModel, log_area: Array
 ) -> Query:
-    """Look up all that the readings say.
+    """Look up all relations of K readings, leaves [J, ..., K].
 
     Args:
-        readings: what is said, K readings.
+        readings: what is said.
         context: from where relations were said, and what mentions are not.
         model: prepared relations.
         log_area: f32[], log square metres of the operating area.
-
-    Returns:
-        All relations of each reading, leaves [J, ..., K].
     """
     say = jax.vmap(_say, in_axes=(0, 0, None, None), out_axes=-1)
     return say(readings, context, model, log_area)
@@ -265,8 +220,7 @@ def queries_of(queries: Query, reading: Array) -> Query:
 def _paired(one: Readings) -> tuple[Readings, Array]:
     """Take the first relation of each "between" for the existence of its landmark.
 
-    So the second, with which figure and landmark are grounded together, has the other landmark's
-    place to be understood by, i32[J] (NONE elsewhere): the evidence is unbiased in either order.
+    The second then has the other landmark's place to be understood by, i32[J]; NONE elsewhere.
     """
     is_between = one.rank == BETWEEN
     is_alike = (one.figure[:, None] == one.figure[None]) & is_between[:, None] & is_between[None]

@@ -60,6 +60,8 @@ def ground_relation(
 ) -> Grounding:
     """Ground one annotated relation of one particle's reading (eq. 7a).
 
+    The grounding is unchanged where the reading has no such relation.
+
     Args:
         seen: what the particle has seen.
         query: the relation.
@@ -67,12 +69,12 @@ def ground_relation(
         draws: random numbers.
         scene: coverage.
         params: relations, concentration.
-
-    Returns:
-        The carry with figure and landmark decided; unchanged where the reading has no such
-        relation.
     """
-    query = materialize(_from_other(_apart(query, grounding), grounding))
+    # What other mentions refer to already is nothing that is called by no type.
+    bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
+    taken = jax.lax.reduce_or(bits, axes=(0,))[None]
+    excluded = query.excluded | jnp.where(is_anything(query.kind), taken, 0)
+    query = materialize(_from_other(query._replace(excluded=excluded), grounding))
     ends = list_candidates(seen, query, grounding, scene, params=params)
     ways = materialize(propose(query, ends, draws, params.relations))
     num_known = ends.x.shape[1]
@@ -89,13 +91,6 @@ def ground_relation(
     # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
     choice = jnp.where(log_total <= _LOG_FLOOR, log_weight.shape[0] - 1, choice)
     return _enter(grounding, query, ends, ways, choice, log_total)
-
-
-def _apart(query: Query, grounding: Grounding) -> Query:
-    """Take what other mentions refer to already for nothing that is called by no type."""
-    bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
-    taken = jax.lax.reduce_or(bits, axes=(0,))[None]
-    return query._replace(excluded=query.excluded | jnp.where(is_anything(query.kind), taken, 0))
 
 
 def _from_other(query: Query, grounding: Grounding) -> Query:
@@ -154,13 +149,10 @@ def _weigh(
     # That the relation says nothing is weighed in every particle and not drawn: a draw in twenty
     # leaves what it alone explains to two or three particles, which soon die out.
     log_free = log_misleads + log_unseen
-    return jnp.concatenate(
-        [
-            log_known + _log_prior_known(ends),
-            log_new + jnp.concatenate([log_other, *log_each]),
-            log_free + jnp.concatenate([log_other, log_both]),
-        ]
-    )
+    log_known = log_known + _log_prior_known(ends)
+    log_new = log_new + jnp.concatenate([log_other, *log_each])
+    log_free = log_free + jnp.concatenate([log_other, log_both])
+    return jnp.concatenate([log_known, log_new, log_free])
 
 
 def _log_new(query: Query, ways: Proposals, log_density: Array, scene: Unexplored) -> Array:
@@ -169,9 +161,8 @@ def _log_new(query: Query, ways: Proposals, log_density: Array, scene: Unexplore
     # A new figure was drawn from f; a landmark from its figure's frame, not from its own.
     size = (log_miss.shape[0] - NUM_UNSEEN) // 2
     log_ratio = log_density[size : 2 * size] - ways.log_drawn
-    log_drawn = jnp.concatenate(
-        [log_miss[:size], log_miss[size : 2 * size] + log_ratio, log_miss[2 * size :]]
-    )
+    log_landmark = log_miss[size : 2 * size] + log_ratio
+    log_drawn = jnp.concatenate([log_miss[:size], log_landmark, log_miss[2 * size :]])
     # Drawn from all that is unseen, q is m / u A.
     log_anywhere = log_density + prepend_axes(scene.log_unseen + scene.log_area, log_miss.ndim)
     # There are several of the figures, not of what they are placed against.

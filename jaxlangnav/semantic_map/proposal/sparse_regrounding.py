@@ -61,9 +61,6 @@ def reground(
         readings: what the instruction says.
         weighed: of ``observe``.
         ground: ``ground_words`` with all that holds for every particle.
-
-    Returns:
-        The particles, properly weighted.
     """
     number, particles = belief.log_weight.shape[0], belief.particles
     # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
@@ -71,7 +68,12 @@ def reground(
     (kept_weight, map_weight), log_totals, are_dead = categorical.log_normalize(
         jnp.stack([log_map + weighed.log_hypotheses, log_map])
     )
-    must_ground = belief.must_ground | _is_reopened(particles, readings, weighed.is_other)
+    # Words that speak of a type or an attribute newly seen are grounded anew, too.
+    new_type = jnp.where(weighed.is_other, label_of(particles.object_type), -3)
+    kinds = readings.mention_type.reshape(-1)
+    is_named = jnp.any(label_of(kinds)[:, None, None] == new_type[None], axis=(0, 1))
+    is_named = is_named | (jnp.any(is_anything(kinds)) & jnp.any(new_type >= 0, axis=0))
+    must_ground = belief.must_ground | is_named
     keep_uniform, ancestor_uniform = uniform
     is_fresh = must_ground | (keep_uniform > kept_weight * number)
     is_fresh = is_fresh if weighed.is_lost is None else is_fresh | weighed.is_lost
@@ -82,34 +84,22 @@ def reground(
     is_asked = is_fresh | (jnp.arange(number) % max(1, number // _ASKED) == 0)
     belief = replace(belief, particles=take(particles, ancestors))
     fresh, log_language = ground(key, belief, readings, is_asked=is_asked)
-    language, log_evidence = _language(log_language, is_asked)
+    # Fresh groundings weigh by the evidence of the words against its mean.
+    num_asked = jnp.sum(is_asked).astype(jnp.float32)
+    share, log_evidence, _ = categorical.log_normalize(log_language)
+    language = jnp.clip(share * num_asked, 1e-6, 50.0)
     fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
     weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
-    return Regrounded(
+
+    def renewed(new: Array, old: Array) -> Array:
         # What is not grounded is the same in both.
-        particles=jax.tree.map(
-            lambda new, old: old if new is old else jnp.where(is_fresh, new, old),
-            fresh,
-            belief.particles,
-        ),
+        return old if new is old else jnp.where(is_fresh, new, old)
+
+    return Regrounded(
+        particles=jax.tree.map(renewed, fresh, belief.particles),
         weight=weight / jnp.sum(weight),
         is_fresh=is_fresh,
         log_total=log_totals[0],
-        log_language=log_evidence,
+        log_language=log_evidence - jnp.log(num_asked),
         is_dead=are_dead[0],
     )
-
-
-def _is_reopened(particles: SemanticMap, readings: Readings, is_other: Array) -> Array:
-    """Reopen particles, bool[P], whose words speak of a type or an attribute newly seen."""
-    new_type = jnp.where(is_other, label_of(particles.object_type), -3)
-    kinds = readings.mention_type.reshape(-1)
-    is_named = jnp.any(label_of(kinds)[:, None, None] == new_type[None], axis=(0, 1))
-    return is_named | (jnp.any(is_anything(kinds)) & jnp.any(new_type >= 0, axis=0))
-
-
-def _language(log_language: Array, is_asked: Array) -> tuple[Array, Array]:
-    """Weigh fresh groundings by the evidence of the words, f32[P]; and its mean, f32[], log."""
-    num_asked = jnp.sum(is_asked).astype(jnp.float32)
-    share, log_total, _ = categorical.log_normalize(log_language)
-    return jnp.clip(share * num_asked, 1e-6, 50.0), log_total - jnp.log(num_asked)

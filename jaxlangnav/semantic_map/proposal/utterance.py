@@ -1,8 +1,7 @@
 """Ground an utterance in particles: draw a reading and what its words refer to (eq. 7a).
 
-At most steps few hypotheses are refuted, but which and how many differs from episode to episode,
-so plain ``vmap`` would ground the words in every particle of every lane. Under ``vmap`` the
-particles whose hypothesis was refuted are gathered across the batch into chunks of fixed size.
+Plain ``vmap`` would ground the words in every particle of every lane. Instead the particles whose
+hypothesis was refuted, few at most steps, are gathered across the batch into chunks of fixed size.
 """
 
 import functools
@@ -204,7 +203,18 @@ def _ground_gathered(
 
     form = jax.eval_shape(lambda: nothing_grounded(num_mentions, size))
     rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(form))
-    found = _piecewise(ground_piece, jnp.sum(asked), piece, jnp.zeros((rows, room), jnp.float32))
+    number_asked = jnp.sum(asked)
+
+    def is_left(carry: tuple[Array, Array]) -> Array:
+        return carry[0] < number_asked
+
+    def fill(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        start, found = carry
+        found = jax.lax.dynamic_update_slice_in_dim(found, ground_piece(start), start, axis=1)
+        return start + piece, found
+
+    nothing = jnp.int32(0), jnp.zeros((rows, room), jnp.float32)
+    found = jax.lax.while_loop(is_left, fill, nothing)[1]
     place = jnp.maximum(jnp.cumsum(asked) - 1, 0)
     return jax.tree.map(
         lambda leaf: jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], num_lanes, number), -2, 0),
@@ -226,22 +236,6 @@ def _scene_of(scene: Unexplored, chosen: Array, lane: Array) -> Unexplored:
         log_unseen=own(scene.log_unseen),
         num_pooled=None if scene.num_pooled is None else scene.num_pooled[lane],
     )
-
-
-def _piecewise(
-    ground: Callable[[Array], Array], number: Array, piece: int, nothing: Array
-) -> Array:
-    """Fill the first columns of a table, f32[rows, room], by pieces; at most a piece too many."""
-
-    def is_left(carry: tuple[Array, Array]) -> Array:
-        return carry[0] < number
-
-    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        start, found = carry
-        found = jax.lax.dynamic_update_slice_in_dim(found, ground(start), start, axis=1)
-        return start + piece, found
-
-    return jax.lax.while_loop(is_left, body, (jnp.int32(0), nothing))[1]
 
 
 def ground_words(
@@ -271,12 +265,16 @@ def ground_words(
         Particles with fresh groundings, and f32[P], log of the evidence estimated by each. Of
         particles that were not asked the groundings mean nothing and the evidence is −∞.
     """
-    particles, number = belief.particles, belief.log_weight.shape[0]
-    asked = jnp.ones(number, bool) if is_asked is None else is_asked
+    particles, num_objects = belief.particles, belief.particles.object_type.shape[0]
+    asked = jnp.ones(belief.log_weight.shape, bool) if is_asked is None else is_asked
     uniform, draws, scene = _draw_places(key, belief, readings.figure.shape[1])
     scene = scene._replace(num_pooled=num_pooled)
-    reading = _reading(readings, uniform)
-    own = _seen(particles), draws, reading
+    share = jnp.cumsum(jnp.exp(readings.log_probability))
+    point = uniform * share[-1]
+    reading = jnp.sum(share[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
+    seen_x, seen_y = particles.mean_x[:num_objects], particles.mean_y[:num_objects]
+    existence = particles.existence if particles.existence.shape[0] else None
+    own = Observed(particles.object_type, seen_x, seen_y, existence), draws, reading
     context = current_context(readings, belief.viewer) if context is None else context
     queries = build_queries(readings, context, params.relations, scene.log_area)
     num_mentions = readings.mention_type.shape[1]
@@ -295,21 +293,3 @@ def ground_words(
         is_mentioned=grounding.is_grounded,
     )
     return fresh, jnp.where(asked, grounding.log_weight, -jnp.inf)
-
-
-def _reading(readings: Readings, uniform: Array) -> Array:
-    """Choose the readings that particles believe by their probability, i32[P]; given f32[P]."""
-    share = jnp.cumsum(jnp.exp(readings.log_probability))
-    point = uniform * share[-1]
-    return jnp.sum(share[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
-
-
-def _seen(particles: SemanticMap) -> Observed:
-    """Tell what particles have seen, leaves [..., P]."""
-    num_objects = particles.object_type.shape[0]
-    return Observed(
-        particles.object_type,
-        particles.mean_x[:num_objects],
-        particles.mean_y[:num_objects],
-        particles.existence if particles.existence.shape[0] else None,
-    )
