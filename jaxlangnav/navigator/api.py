@@ -126,9 +126,6 @@ class Navigator:
                 of the robot by default.
             terrain: how far one sees and walks there; the open field by default.
 
-        Returns:
-            The state before the first observation.
-
         Raises:
             ValueError: the instruction is not understood or asks for nothing, or pose or area
                 cannot be.
@@ -140,9 +137,8 @@ class Navigator:
             )
         grounded = self.grounder.ground(text, Context(is_under_way=False))
         if int(grounded.instruction.num_clauses) == 0:
-            raise ValueError(
-                f"{cut(text)!r} informs but asks for nothing to be done: add a command"
-            )
+            why = "informs but asks for nothing to be done: add a command"
+            raise ValueError(f"{cut(text)!r} {why}")
         for note in grounded.notes:
             _log.warning("%s: %s", cut(text), note)
         return self._start(grounded, pose, area, terrain)
@@ -152,15 +148,7 @@ class Navigator:
     ) -> NavigatorState:
         """Place a robot that has seen nothing and been told nothing: it is idle until it hears.
 
-        Args:
-            pose: see ``start``.
-            area: see ``start``.
-
-        Returns:
-            The state before the first observation.
-
-        Raises:
-            ValueError: pose or area cannot be.
+        Pose and area are those of ``start``; a ValueError where they cannot be.
         """
         silent = replace(returning(), num_clauses=jnp.int32(0))
         grounded = Grounded(instruction=silent, annotations=())
@@ -214,8 +202,7 @@ class Navigator:
             The new state, what the robot is to do, and why.
 
         Raises:
-            ValueError: a state or an observation that is none, or whose parts are of shapes that
-                cannot be; one line.
+            ValueError: a state or an observation that is none or of shapes that cannot be.
         """
         state, look = self._checked(state), canonicalize(observation)
         return _step(key, state, look, params=self.params, config=self.config)
@@ -234,9 +221,6 @@ class Navigator:
                 {"colour": "red"}), as ``Observation.of`` takes them.
             sensor: specification of the detector; ``default_sensor()`` if None.
 
-        Returns:
-            The observation.
-
         Raises:
             ValueError: what cannot be; one line.
         """
@@ -250,9 +234,6 @@ class Navigator:
 
         Returns:
             Seconds that it took: most of a minute the first time, next to nothing once compiled.
-
-        Raises:
-            ValueError: more detections than are held, or no number.
         """
         count = bounded(detections, 0, SLOTS[-1], "detections", "give as many as a look may hold")
         if count != int(count):
@@ -312,25 +293,14 @@ class Navigator:
         return Listener(self.grounder).take(self._checked(state), text)
 
     def candidates(self, state: NavigatorState) -> list[Candidate]:
-        """List the things that may be meant, the nearest first: what a question is about.
-
-        Args:
-            state: after any step.
-
-        Returns:
-            Things seen that may be the goal, with where they are believed to be.
-        """
+        """List the things seen that may be meant, the nearest first: what a question is about."""
         return candidates(self._checked(state), names_of(self.grounder))
 
     def spoken(self, state: NavigatorState) -> list[str]:
         """Name the object types that the running task speaks of: what a detector should look for.
 
-        Args:
-            state: of any robot.
-
-        Returns:
-            Names of object types, in the order of the sentence; those of all its readings but
-            the least likely. All that there are where it speaks of "the thing".
+        They are those of all its readings but the least likely, in the order of the sentence; all
+        that there are where it speaks of "the thing".
         """
         kinds = mentioned_types(self._checked(state))
         if any(map(is_anything, kinds)):
@@ -340,11 +310,7 @@ class Navigator:
     def missing(self, state: NavigatorState) -> list[str]:
         """Name what the task speaks of and the robot has not seen, such as its goal's landmark.
 
-        Args:
-            state: after any step; of a robot that has not found its goal, it tells why.
-
-        Returns:
-            Names of things, in the order of the sentence; none where all has been seen.
+        The names are in the order of the sentence; none where all has been seen.
         """
         missing = unseen_types(self._checked(state))
         return [name_of(kind, names_of(self.grounder)) for kind in missing]

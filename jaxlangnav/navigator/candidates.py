@@ -19,8 +19,7 @@ _PLACES: dict[Wording | None, int] = {Wording[name]: n for n, name in enumerate(
 _PLACES |= {Wording.NEAREST: 0, Wording.FARTHEST: -1, Wording.LAST: -1}
 _LEAST_MENTIONED = 1e-3
 """Probability of a reading below which the types that it mentions are left out."""
-_LEAST = 0.01
-"""Goal probability below which a thing is no candidate for a question."""
+_LEAST = 0.01  # goal probability below which a thing is no candidate for a question
 
 _in_map = jax.jit(in_map)
 
@@ -37,31 +36,14 @@ class Candidate:
 
 
 def candidates(state: NavigatorState, names: Sequence[str]) -> list[Candidate]:
-    """List the things that may be meant, the nearest first: what a question is about.
-
-    Args:
-        state: after any step.
-        names: of the object types, by index.
-
-    Returns:
-        Things seen that may be the goal, with where they are believed to be.
-    """
+    """List the things seen that may be meant, the nearest first: what a question is about."""
     share, pose = np.asarray(state.talk.candidate), believed_pose(state)
     found = [thing_at(state, slot, names) for slot in np.flatnonzero(share >= _LEAST).tolist()]
     return sorted(found, key=lambda one: np.hypot(one.x - pose[0], one.y - pose[1]))
 
 
 def thing_at(state: NavigatorState, slot: int, names: Sequence[str]) -> Candidate:
-    """Name the thing in an observed slot, as the belief has it.
-
-    Args:
-        state: after any step.
-        slot: an observed slot that holds something.
-        names: of the object types, by index.
-
-    Returns:
-        Its type, where it is believed to be, and its probability of being the goal.
-    """
+    """Name the thing in an observed slot, as the belief has it; ``names`` are of object types."""
     particles = state.belief.particles
     weight = np.exp(np.asarray(state.belief.log_weight))
     own = weight * (np.asarray(particles.object_type)[slot] != NONE)

@@ -1,9 +1,5 @@
-"""Input checks of the API: states of this navigator, observations in shapes compiled already.
+"""Input checks of the API on the host: states of this navigator, observations in known shapes."""
 
-All of it runs on the host.
-"""
-
-import dataclasses
 import zlib
 from collections.abc import Sequence
 from typing import Any
@@ -70,19 +66,17 @@ def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -
 def canonicalize(observation: Observation) -> Observation:
     """Give an observation of the host the shapes and dtypes that have been compiled already.
 
-    Args:
-        observation: of one robot; one that is being traced is left as it is.
-
-    Returns:
-        The observation, detections padded as ``Observation.of`` pads them; a detector that reports
-        no attributes is one to which none are known, so that one program serves both.
+    Detections are padded as ``Observation.of`` pads them; a detector that reports no attributes is
+    one to which none are known, so that one program serves both. One that is being traced is left
+    as it is.
 
     Raises:
         ValueError: it is none, or its parts are of shapes that cannot be; one line.
     """
-    if not isinstance(observation, Observation) or not isinstance(observation.sensor, SensorParams):
-        what = "observation's sensor" if isinstance(observation, Observation) else "observation"
-        given = observation.sensor if isinstance(observation, Observation) else observation
+    is_one = isinstance(observation, Observation)
+    if not is_one or not isinstance(observation.sensor, SensorParams):
+        what = "observation's sensor" if is_one else "observation"
+        given = observation.sensor if is_one else observation
         raise ValueError(
             f"{what} is {quoted(given)}, but must be made by navigator.observation(pose, "
             "detections, sensor)"
@@ -96,20 +90,12 @@ def canonicalize(observation: Observation) -> Observation:
     if observation.detection_attribute is None:
         observation = replace(observation, detection_attribute=np.zeros(slots, np.int32))
     spare = padded(slots[0]) - slots[0]
-    rows = {
-        name: np.pad(
-            _cast(getattr(observation, name), name, dtype, slots),
-            (0, spare),
-            constant_values=filler,
-        )
-        for name, (dtype, filler) in _FILLERS.items()
-    }
-    sensor = {
-        field.name: _cast(
-            getattr(observation.sensor, field.name), f"sensor.{field.name}", np.float32, ()
-        )
-        for field in dataclasses.fields(SensorParams)
-    }
+    rows, sensor = dict[str, np.ndarray](), dict[str, np.ndarray]()
+    for name, (dtype, filler) in _FILLERS.items():
+        row = _cast(getattr(observation, name), name, dtype, slots)
+        rows[name] = np.pad(row, (0, spare), constant_values=filler)
+    for name, leaf in vars(observation.sensor).items():
+        sensor[name] = _cast(leaf, f"sensor.{name}", np.float32, ())
     return replace(
         observation,
         pose=_cast(observation.pose, "pose", np.float32, (3,)),

@@ -1,8 +1,7 @@
 """The agent: one decision cycle from an observation to an action (Figure 2 of the paper).
 
 ``step`` is a pure function of arrays: filter the semantic map, infer the behavior in every
-particle, choose a waypoint. It knows nothing of where observations come from; a simulated world,
-a physics simulator and a robot drive it alike.
+particle, choose a waypoint.
 """
 
 import chex
@@ -50,8 +49,7 @@ from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 _PLANNING = 77
 """Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
-_SPARE = 0.01
-"""Metres by which odometry may round up what the robot has been sent."""
+_SPARE = 0.01  # metres by which odometry may round up what the robot has been sent
 
 
 @pytree
@@ -89,15 +87,13 @@ def start(
         terrain: how far one sees and walks in the area; the open field by default.
         words: what the readings are about, where more may be said (``speech_acts``); by default the
             task speaks of all of it.
-
-    Returns:
-        The state before the first observation.
     """
     chex.assert_shape([pose, area], [(3,), (4,)])
     num_mentions = instruction.readings.mention_type.shape[-1]
     belief = semantic_filter.start(
         pose, area, num_mentions, config=config.map, num_types=num_types, terrain=terrain
     )
+    home, slots = belief.last_pose, config.map.num_objects
     return NavigatorState(
         belief=belief,
         instruction=instruction,
@@ -107,10 +103,8 @@ def start(
         memory=strong(config.planner.chosen.init(belief)),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
-        talk=dialogue.begin_conversation(
-            instruction, belief.last_pose, config.map.num_objects, words
-        ),
-        way=start_progress(belief.last_pose),
+        talk=dialogue.begin_conversation(instruction, home, slots, words),
+        way=start_progress(home),
     )
 
 
@@ -141,16 +135,17 @@ def step(
     chex.assert_rank([state.clause, state.status, state.is_halted, state.previous_goal], 0)
     chex.assert_type([state.clause, state.status, state.is_halted], [int, int, bool])
     chex.assert_equal_shape([params.mode_speed, params.mode_clearance])
-    params = _as_told(state, params)
+    # As close as it has been told to; a place told in metres is stood on.
+    reach = params.planner.reach * state.talk.closeness
+    reach = jnp.where(_metres(state) > 0.0, policy.UNDERFOOT, reach)
+    params = replace(params, planner=replace(params.planner, reach=reach))
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
-    sensor, usual = observation.sensor, default_sensor()
-    sensor = replace(
-        usual,
-        range_max=jnp.where(fault == 0, sensor.range_max, usual.range_max),
-        field_of_view=jnp.where(fault == 0, sensor.field_of_view, usual.field_of_view),
-    )
+    given, sensor = observation.sensor, default_sensor()
+    far = jnp.where(fault == 0, given.range_max, sensor.range_max)
+    wide = jnp.where(fault == 0, given.field_of_view, sensor.field_of_view)
+    sensor = replace(sensor, range_max=far, field_of_view=wide)
     task = _infer(state, fault, params)
     state, choice = _decide(key, state, task, sensor, filter_info.is_news, params, config)
     after = update_task_state(state, task, choice, params=params, config=config)
@@ -164,13 +159,6 @@ def step(
         robot=jnp.stack([task.robot_x, task.robot_y]),
     )
     return after, action, info
-
-
-def _as_told(state: NavigatorState, params: NavigatorParams) -> NavigatorParams:
-    """Go as close as the robot has been told to; a place told in metres is stood on."""
-    reach = params.planner.reach * state.talk.closeness
-    reach = jnp.where(_metres(state) > 0.0, policy.UNDERFOOT, reach)
-    return replace(params, planner=replace(params.planner, reach=reach))
 
 
 def _metres(state: NavigatorState) -> Array:
@@ -225,24 +213,18 @@ def _spoken(state: NavigatorState) -> Array:
 
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> InferredTask:
     """Infer the behavior of the present clause, and where its goal may be (section 3.3)."""
-    belief = state.belief
-    behavior = infer_clause_behaviors(
-        belief.particles, state.instruction, state.clause, state.previous_goal
-    )
-    readings, talk = state.instruction.readings, state.talk
-    behavior = filter_untyped_goals(
-        behavior, belief.particles, readings, talk.context, params.map.relations
-    )
+    particles, talk, clause = state.belief.particles, state.talk, state.clause
+    readings, relations = state.instruction.readings, params.map.relations
+    behavior = infer_clause_behaviors(particles, state.instruction, clause, state.previous_goal)
+    behavior = filter_untyped_goals(behavior, particles, readings, talk.context, relations)
     behavior = dialogue.without(behavior, talk.ruled_out)
-    behavior = dialogue.pinned(
-        behavior, belief.particles, readings.mention_type, talk.words, state.clause
-    )
-    behavior = dialogue.avoided(behavior, belief.particles, readings.mention_type, talk.words)
-    belief = replace(belief, particles=dialogue.focus(belief.particles, talk.words))
-    belief = about_robot(belief)
+    behavior = dialogue.pinned(behavior, particles, readings.mention_type, talk.words, clause)
+    behavior = dialogue.avoided(behavior, particles, readings.mention_type, talk.words)
+    belief = about_robot(replace(state.belief, particles=dialogue.focus(particles, talk.words)))
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = robot_position(belief)
+    has_open = has_open_partner(group, belief.particles)
     return InferredTask(
         fault=fault,
         belief=belief,
@@ -254,13 +236,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
             lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
         ),
         is_relevant=bears_on_goal(group, belief.particles, behavior),
-        goals=gather(
-            belief,
-            behavior,
-            params.map.relations,
-            has_open_partner(group, belief.particles),
-            _metres(state),
-        ),
+        goals=gather(belief, behavior, relations, has_open, _metres(state)),
     )
 
 
@@ -277,10 +253,10 @@ def _decide(
     goals, planner = task.goals, params.planner
     robot_x, robot_y = task.robot_x, task.robot_y
     visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)
-    is_find = task.expected.action[ACTIONS.index("find")]
-    view = task.belief.terrain.view
+    is_find, view = task.expected.action[ACTIONS.index("find")], task.belief.terrain.view
     eye = Eye(robot_x, robot_y, sensor.range_max)
     may_stop = policy.may_stop(goals, eye, is_find, params=planner, view=view)
+    readings, context = state.instruction.readings, state.talk.context
     situation = policy.Situation(
         belief=task.belief,
         nodes=graph.known_nodes(visited, goals.object_x, goals.object_y, goals.is_object),
@@ -299,14 +275,11 @@ def _decide(
         may_stop=may_stop & ~task.stands,
         params=planner,
         map_params=params.map,
-        spoken=Utterances(
-            readings=state.instruction.readings, context=state.talk.context, params=params.map
-        ),
+        spoken=Utterances(readings=readings, context=context, params=params.map),
         num_blocks=config.planner.num_blocks,
     )
-    memory, choice = policy.choose(
-        config.planner.chosen, jax.random.fold_in(key, _PLANNING), state.memory, situation
-    )
+    key = jax.random.fold_in(key, _PLANNING)
+    memory, choice = policy.choose(config.planner.chosen, key, state.memory, situation)
     robot, waypoint = (robot_x, robot_y), (choice.next_x, choice.next_y)
     is_under_way = ~task.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
     way = update_progress(state.way, waypoint, robot, is_under_way, patience=config.patience)

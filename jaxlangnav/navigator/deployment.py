@@ -28,12 +28,9 @@ _NUMBERS = {
     "absent": 0.05,
     "give_up": 0.15,
 }
-"""How many things there are is hardly known, and is taken to be alike for all types spoken of: one
-hydrant and one cone that do not stand as is said are rather two of several than a false sentence,
-until enough has been looked at to tell that there are no more. Of 500 places each (``searching`` of
-the tests) a false sentence costs 47 m and one whose landmark is nowhere 81 m (49, 86: 1.35, 0.1).
-How often what is spoken of is nowhere, and how improbable what is missing must be to give up: the
-more likely it is nowhere, the more the way counts until all has been looked at."""
+"""How many things there are is hardly known, and is taken to be alike for all types spoken of. Of
+500 places each (``searching`` of the tests) a false sentence costs 47 m and one whose landmark is
+nowhere 81 m (49, 86: 1.35, 0.1)."""
 _KNOWN: dict[str, dict[str, Quantity]] = {
     "sensor": {
         "field_of_view": Quantity(kind="angle", low=VIEWS[0], high=2.0 * math.pi + 1e-6),
@@ -95,23 +92,16 @@ def deployment_params() -> NavigatorParams:
 def deployment_config(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorConfig:
     """Build sizes with room for bystanders and for doubts of what exists.
 
-    Args:
-        policy: of the planner.
-        params: concrete numbers: a heading that drifts takes a program of its own.
-
-    Returns:
-        Sizes and policy.
+    The parameters are concrete: a heading that drifts takes a program of its own.
     """
-    return NavigatorConfig(
-        map=MapConfig(
-            num_objects=OBJECTS,
-            num_bystanders=BYSTANDERS,
-            has_doubts=True,
-            has_drift=is_drifting(params.map.motion),
-            pools_counts=True,
-        ),
-        planner=PlannerConfig(policy=policy),
+    sizes = MapConfig(
+        num_objects=OBJECTS,
+        num_bystanders=BYSTANDERS,
+        has_doubts=True,
+        has_drift=is_drifting(params.map.motion),
+        pools_counts=True,
     )
+    return NavigatorConfig(map=sizes, planner=PlannerConfig(policy=policy))
 
 
 def with_numbers(numbers: Mapping[str, float | str], *, params: NavigatorParams) -> NavigatorParams:
@@ -121,9 +111,6 @@ def with_numbers(numbers: Mapping[str, float | str], *, params: NavigatorParams)
         numbers: by the names of fields of ``MapParams``, ``MotionParams`` or ``PlannerParams``; a
             number, or a text with a unit as on the command line ("50 cm").
         params: of a navigator.
-
-    Returns:
-        The parameters with these numbers.
 
     Raises:
         ValueError: no such number, or one that cannot be.

@@ -65,9 +65,8 @@ class Listener:
         is_asked = int(state.status) == Status.WHICH_ONE
         said = classify(text, is_asked=is_asked)
         if said.kind is not None and said.kind in _ACTS:
-            return speech_acts.obey(state, _ACTS[said.kind]), UtteranceOutcome(
-                text=text, kind=said.kind
-            )
+            outcome = UtteranceOutcome(text=text, kind=said.kind)
+            return speech_acts.obey(state, _ACTS[said.kind]), outcome
         if said.wording is not None:
             return self._by_wording(state, text, said)
         opening = opening_of(text)
@@ -83,20 +82,19 @@ class Listener:
 
     def _alarmed(self, state: NavigatorState, text: str, refusal: ValueError) -> _Updated:
         """Halt a robot under way for words that alarm and were refused; else refuse them."""
-        taken = None if bool(state.is_resting) else alarm_in(text, self._is_object)
+
+        def is_object(words: str) -> bool:
+            return type_called(words) is not None or words in names_of(self.grounder)
+
+        taken = None if bool(state.is_resting) else alarm_in(text, is_object)
         if taken is None:
             raise refusal
         note = (
             f"halted, for it is not understood and {taken}: say 'go on', or what to do instead; "
             f"{refusal}"
         )
-        return speech_acts.obey(state, Act.HALT), UtteranceOutcome(
-            text=text, kind=Kind.HALT, notes=(note,)
-        )
-
-    def _is_object(self, words: str) -> bool:
-        """Tell whether words name a thing that the robot may know."""
-        return type_called(words) is not None or words in names_of(self.grounder)
+        outcome = UtteranceOutcome(text=text, kind=Kind.HALT, notes=(note,))
+        return speech_acts.obey(state, Act.HALT), outcome
 
     def _opened(self, state: NavigatorState, text: str, act: Act, rest: str) -> _Updated:
         """Halt, or drop the task, and then take in the rest of what was said."""
@@ -112,9 +110,10 @@ class Listener:
     def _by_wording(self, state: NavigatorState, text: str, said: Utterance) -> _Updated:
         """Take in what its wording says all of."""
         at, kind = int(state.talk.approached), said.kind or Kind.ANSWER
+        heard = UtteranceOutcome(text=text, kind=kind)
         if said.wording == Wording.RETURN:
             joined = self._join(state, Grounded(instruction=returning(), annotations=()))
-            return _come_back(state, joined), UtteranceOutcome(text=text, kind=kind)
+            return _come_back(state, joined), heard
         if kind == Kind.ANSWER:
             return self._answered(state, text, said)
         if int(state.instruction.num_clauses) == 0 or at == NONE:
@@ -123,24 +122,19 @@ class Listener:
                 "the hydrant by the cone'"
             )
         if said.wording == Wording.CLOSER:
-            return _come_closer(state), UtteranceOutcome(text=text, kind=kind)
-        return _rule_out(state, jnp.int32(1 << at)), UtteranceOutcome(
-            text=text, kind=kind, ruled_out=(at,)
-        )
+            return _come_closer(state), heard
+        return _rule_out(state, jnp.int32(1 << at)), dataclasses.replace(heard, ruled_out=(at,))
 
     def _answered(self, state: NavigatorState, text: str, said: Utterance) -> _Updated:
         """Take in the answer to a question."""
-        heard, found = (
-            UtteranceOutcome(text=text, kind=Kind.ANSWER),
-            candidates(state, names_of(self.grounder)),
-        )
+        heard = UtteranceOutcome(text=text, kind=Kind.ANSWER)
+        found = candidates(state, names_of(self.grounder))
         if said.wording == Wording.ANY:
             return _choose_freely(state), heard
-        slots = [one.slot for one in found]
+        slots = tuple(one.slot for one in found)
         if said.wording == Wording.NO:
-            none = sum(1 << slot for slot in slots)
-            ruled = dataclasses.replace(heard, ruled_out=tuple(slots))
-            return _rule_out(state, jnp.int32(none)), ruled
+            none = jnp.int32(sum(1 << slot for slot in slots))
+            return _rule_out(state, none), dataclasses.replace(heard, ruled_out=slots)
         chosen = chosen_by(said.wording, found, believed_pose(state))
         if chosen is None:
             raise ValueError(
@@ -165,9 +159,8 @@ class Listener:
             kind = Kind.CONSTRAINT if spoken.avoided else Kind.STATEMENT
             joined = self._join(state, grounded, how=How.INFORM)
             after = _tell(state, joined, pose, how=How.INFORM)
-            return after, UtteranceOutcome(
-                text=text, kind=kind, notes=notes + _dropped(state, after)
-            )
+            notes += _dropped(state, after)
+            return after, UtteranceOutcome(text=text, kind=kind, notes=notes)
         how = How.REPLACE
         has_more = int(state.instruction.num_clauses) > 0 and not bool(state.is_done)
         if said.kind == Kind.ADDITION and has_more:
@@ -214,10 +207,7 @@ class Listener:
         )
 
     def _about(self, state: NavigatorState) -> tuple[int, bool]:
-        """Find the type of what has been spoken of, and whether the robot is at one of them.
-
-        It is ``ANYTHING`` where the task calls it by no type, and none has been approached.
-        """
+        """Find the type of what has been spoken of, and whether the robot is at one of them."""
         at = int(state.talk.approached)
         if at != NONE:
             return type_at(state, at), True
@@ -244,11 +234,8 @@ class Listener:
         spoken = grounded.spoken or Spoken()
         kind = spoken.goals[0] if spoken.goals else NONE
         at, last = int(state.talk.approached), int(state.previous_goal)
-        slots = [
-            slot
-            for slot in (at, last)
-            if slot != NONE and label_of(type_at(state, slot)) in spoken.may_be(kind)
-        ]
+        slots = [slot for slot in (at, last) if slot != NONE]
+        slots = [one for one in slots if label_of(type_at(state, one)) in spoken.may_be(kind)]
         if len(spoken.goals) == 1 and kind in spoken.others:
             if not slots:
                 name = noun_of(kind, names_of(self.grounder))
@@ -260,20 +247,16 @@ class Listener:
         return at if said.is_not_that and at in slots else NONE
 
     def warm_up(self, state: NavigatorState) -> None:
-        """Compile all that an utterance may do to a state, so that nobody waits for it.
-
-        Args:
-            state: of any robot; it is left as it is.
-        """
+        """Compile all that an utterance may do to a state, so that nobody waits for it."""
         grounded = Grounded(instruction=returning(), annotations=())
         joined, slot = self._join(state, grounded), jnp.int32(0)
         for how in How:
             _tell(state, joined, state.belief.last_pose, how=how)
         _come_back(state, joined)
-        for change in (_choose, _rule_out):
-            change(state, slot)
-        for change in (_come_closer, _choose_freely):
-            change(state)
+        _choose(state, slot)
+        _rule_out(state, slot)
+        _come_closer(state)
+        _choose_freely(state)
         believed_pose(state)
 
 
@@ -283,16 +266,7 @@ def _acted(state: NavigatorState, heard: UtteranceOutcome, act: Act) -> _Updated
 
 
 def check_measures(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:
-    """Refuse to move out of the operating area (host only).
-
-    Args:
-        spoken: what is asked for, of a robot that hears it now.
-        pose: x, y, heading, metres and radians, map frame.
-        area: x_min, x_max, y_min, y_max, metres.
-
-    Raises:
-        ValueError: names the place, the limits and the remedy.
-    """
+    """Refuse, with a ValueError, to move out of the operating area (host only)."""
     for end in () if spoken is None else spoken.steps:
         x, y, _ = seen_from(np.array(pose), np.array([[*end, 0.0]]))[0]
         if not (area[0] <= x <= area[1] and area[2] <= y <= area[3]):

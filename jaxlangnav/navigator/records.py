@@ -77,10 +77,7 @@ class NavigatorState:
 
     @property
     def is_done(self) -> Array:
-        """Whether the task has ended, unless more is heard: it is carried out, or cannot be.
-
-        bool[].
-        """
+        """Whether the task has ended, bool[], unless more is heard: done, or it cannot be."""
         endings = (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE, Status.BLOCKED)
         return functools.reduce(jnp.logical_or, [self.status == one for one in endings])
 
@@ -109,8 +106,7 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
 
     Args:
         params: concrete parameters.
-        policy: which decides by them. One that takes the likeliest thing in the end may be told
-            that there are as many of a type as there are.
+        policy: which decides by them.
 
     Raises:
         ValueError: names the value, the limit and the remedy.
@@ -118,10 +114,9 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
     alpha, kappa = float(jnp.max(params.map.concentration)), float(jnp.min(params.map.clumping))
     tau = float(jnp.max(params.planner.stop_probability))
     gamma = float(jnp.max(params.planner.discount))
-    if not 0.0 < gamma < 1.0:
-        raise ValueError(f"discount is {gamma:g}, but must be above 0 and below 1")
-    if not 0.0 < tau < 1.0:
-        raise ValueError(f"stop_probability is {tau:g}, but must be above 0 and below 1")
+    for name, value in {"discount": gamma, "stop_probability": tau}.items():
+        if not 0.0 < value < 1.0:
+            raise ValueError(f"{name} is {value:g}, but must be above 0 and below 1")
     if alpha <= 0.0:
         raise ValueError(f"concentration is {alpha:g}, but must be positive")
     odds = 1.0 / tau - 1.0
@@ -180,9 +175,6 @@ def make_action(
         task: what the belief comes to.
         choice: of the policy.
         params: traced numbers.
-
-    Returns:
-        What the robot is to do.
     """
     mode = jnp.argmax(task.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
@@ -223,9 +215,7 @@ def update_task_state(
     params: NavigatorParams,
     config: NavigatorConfig,
 ) -> NavigatorState:
-    """Remember what the next decision needs.
-
-    A command carried out makes way for the next one, if the instruction has one.
+    """Remember what the next decision needs; a command carried out makes way for the next one.
 
     Args:
         state: as the policy decided.
@@ -233,9 +223,6 @@ def update_task_state(
         choice: of the policy.
         params: traced numbers.
         config: how many waypoints may be given up.
-
-    Returns:
-        The state after the cycle.
     """
     is_last = _is_last_clause(state)
     # Of the objects that would do, the last command ended at the one gone up to.

@@ -1,8 +1,7 @@
 """Speech acts: what an utterance does to a navigator's state, as pure functions of arrays.
 
-``Navigator.take`` interprets the utterance on the host; its effect is computed here. None of it
-computes on the map or compiles with the words: the next decision does what there is to do. So each
-may be ``vmap``-ed over the states of a batch that hears the same, and ``jit`` sees no new shapes.
+None of it compiles with the words: each may be ``vmap``-ed over the states of a batch that hears
+the same, and ``jit`` sees no new shapes.
 """
 
 import enum
@@ -43,9 +42,6 @@ def obey(state: NavigatorState, act: Act) -> NavigatorState:
     Args:
         state: of any robot, or of a batch of them, leaves [...].
         act: what it was told.
-
-    Returns:
-        The state, to be followed by the next observation.
     """
 
     def everywhere(value: int | bool, like: Array) -> Array:
@@ -78,9 +74,6 @@ def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> Nav
         pose: f32[3], where the robot is as it hears it, by dead reckoning, map frame; one that
             cannot be is taken to be where it last was.
         how: what the new utterance does to the task.
-
-    Returns:
-        The state, to be followed by the next observation.
     """
     belief, talk = state.belief, state.talk
     pose = jnp.where(is_pose(pose, belief.coverage.area), pose, belief.last_pose)
@@ -92,7 +85,19 @@ def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> Nav
         talk=replace(talk, words=joined.words, context=_merged_context(talk.context, joined, pose)),
     )
     if how is How.REPLACE:
-        return _begun(_arranged(heard, joined, pose, jnp.int32(0)))
+        begun = _arranged(heard, joined, pose, jnp.int32(0))
+        # What was being approached is then what was gone up to before the task.
+        former, talk = begun.previous_goal, begun.talk
+        former = jnp.where(talk.approached != NONE, talk.approached, former)
+        talk = replace(
+            talk,
+            approached=jnp.int32(NONE),
+            ruled_out=jnp.int32(0),
+            candidate=jnp.zeros_like(talk.candidate),
+            closeness=jnp.float32(1.0),
+            may_ask=jnp.asarray(True),
+        )
+        return _under_way(replace(begun, previous_goal=former, talk=talk))
     if how is How.APPEND:
         left = state.instruction.num_clauses - state.clause
         return _arranged(heard, joined, pose, jnp.maximum(left, 0))
@@ -115,9 +120,8 @@ def _merged_context(context: UtteranceContext, joined: Joined, pose: Array) -> U
 def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -> NavigatorState:
     """Put the new commands behind ``left`` of the old ones; the present one comes first."""
     old, talk = state.instruction, state.talk
-    place = jnp.arange(talk.viewer.shape[0])
+    place, last = jnp.arange(talk.viewer.shape[0]), talk.viewer.shape[0] - 1
     is_old = place < left
-    last = place.shape[0] - 1
     kept, new = jnp.minimum(state.clause + place, last), jnp.clip(place - left, 0, last)
 
     def arrange(old: Array, fresh: Array) -> Array:
@@ -144,25 +148,6 @@ def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -
     )
 
 
-def _begun(state: NavigatorState) -> NavigatorState:
-    """Begin a task; what was being approached is then what was gone up to before it."""
-    talk = state.talk
-    return _under_way(
-        replace(
-            state,
-            previous_goal=jnp.where(talk.approached != NONE, talk.approached, state.previous_goal),
-            talk=replace(
-                talk,
-                approached=jnp.int32(NONE),
-                ruled_out=jnp.int32(0),
-                candidate=jnp.zeros_like(talk.candidate),
-                closeness=jnp.float32(1.0),
-                may_ask=jnp.asarray(True),
-            ),
-        )
-    )
-
-
 def _under_way(state: NavigatorState) -> NavigatorState:
     """Set out, halted or at an end as the robot may be."""
     return replace(
@@ -174,17 +159,7 @@ def _under_way(state: NavigatorState) -> NavigatorState:
 
 
 def rule_out(state: NavigatorState, slots: Array) -> NavigatorState:
-    """Take observed slots not to be what the present command is about, and go on.
-
-    Limits: of no slots, only goes on.
-
-    Args:
-        state: of a robot with a task, under way, halted or at its end.
-        slots: i32[], a bit for each slot: ``slot_bit``.
-
-    Returns:
-        The state, to be followed by the next observation.
-    """
+    """Take observed slots, i32[] of a bit each, not to be what is meant, and go on."""
     talk = excluding(state.talk, state.clause, slots)
     belief = replace(state.belief, must_ground=jnp.asarray(True))
     is_out = (talk.ruled_out & _slot_bit(talk.approached)) != 0
@@ -203,15 +178,7 @@ def correct(state: NavigatorState) -> NavigatorState:
 
 
 def choose(state: NavigatorState, slot: Array) -> NavigatorState:
-    """Take an observed slot, of all that the question was about, to be what is meant.
-
-    Args:
-        state: of a robot that has asked which one.
-        slot: i32[], the answer.
-
-    Returns:
-        The state, in which all other candidates are ruled out, and nothing more is asked.
-    """
+    """Take an observed slot to be what is meant: all other candidates of the question are not."""
     slots = jnp.arange(state.talk.candidate.shape[0])
     others = (state.talk.candidate > 0.0) & (slots != slot)
     return choose_freely(rule_out(state, jnp.sum(jnp.where(others, jnp.left_shift(1, slots), 0))))
@@ -229,15 +196,7 @@ def come_closer(state: NavigatorState) -> NavigatorState:
 
 
 def come_back(state: NavigatorState, joined: Joined) -> NavigatorState:
-    """Return to where the conversation began.
-
-    Args:
-        state: of any robot.
-        joined: what has been said, with ``returning`` as the new task.
-
-    Returns:
-        The state, to be followed by the next observation.
-    """
+    """Return to where the conversation began; ``joined`` has ``returning`` as the new task."""
     heard = tell(state, joined, state.belief.last_pose, how=How.REPLACE)
     talk = heard.talk
     return replace(heard, talk=replace(talk, viewer=jnp.broadcast_to(talk.home, talk.viewer.shape)))

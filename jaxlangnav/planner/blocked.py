@@ -13,12 +13,9 @@ from jaxlangnav.pytree import pytree, replace
 
 NUM_CLOSED = 4
 """Waypoints given up that are remembered; the oldest is forgotten first."""
-_LEAST_WAY = 0.1
-"""Metres by which a robot that gets on has moved within its patience."""
-_AROUND = 0.75
-"""Metres about a waypoint given up in which nodes are closed."""
-_CYCLES = 25
-"""Cycles for which they are."""
+_LEAST_WAY = 0.1  # metres by which a robot that gets on has moved within its patience
+_AROUND = 0.75  # metres about a waypoint given up in which nodes are closed
+_CYCLES = 25  # cycles for which they are
 
 
 @pytree

@@ -24,8 +24,7 @@ NUM_TURNS = 12
 """Corners at which an object is gone round: their polygon just touches the berth."""
 RADIUS = float(BERTH / np.cos(np.pi / NUM_TURNS))
 """Metres from an object to these corners."""
-_LEAST = 0.05
-"""Probability from which on an object counts as forbidden."""
+_LEAST = 0.05  # probability from which on an object counts as forbidden
 
 
 @pytree

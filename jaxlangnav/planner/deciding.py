@@ -26,8 +26,7 @@ UNDERFOOT = 0.25
 """Metres from a place that count as standing on it; an object is reached from further off."""
 APPROACH = 0.9
 """Share of ``reach`` at which the robot halts before an object that it goes to."""
-_HALF_WORTH = 10.0
-"""Metres of detour for which a place is worth half as much."""
+_HALF_WORTH = 10.0  # metres of detour for which a place is worth half as much
 
 
 def has_goal(goals: Goals, x: Array, y: Array, radius: Array, view: View) -> Array:

@@ -28,10 +28,8 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import Eye
 from jaxlangnav.terrain.view import NEVER
 
-_MOST_CORNERS = 12
-"""Corners of one way."""
-_UNDERFOOT = 0.1
-"""Metres from a corner that count as having been there."""
+_MOST_CORNERS = 12  # corners of one way
+_UNDERFOOT = 0.1  # metres from a corner that count as having been there
 _TURNS = np.linspace(0.0, 2.0 * np.pi, NUM_TURNS, endpoint=False, dtype=np.float32)
 _PAIRS = np.array(list(itertools.combinations(range(MOST_FORBIDDEN), 2))).T
 

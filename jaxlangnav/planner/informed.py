@@ -28,8 +28,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig
 
-_SETTLED = 10.0
-"""Value of a goal that is settled; information values stay below 1."""
+_SETTLED = 10.0  # value of a goal that is settled; information values stay below 1
 
 
 @dataclasses.dataclass(frozen=True)

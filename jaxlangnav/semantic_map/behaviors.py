@@ -36,8 +36,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import (
     queries_of,
 )
 
-_BLOCK = 8
-"""Topologies whose behavior is inferred at a time."""
+_BLOCK = 8  # topologies whose behavior is inferred at a time
 
 
 def infer_clause_behaviors(

@@ -14,8 +14,7 @@ from jaxlangnav.semantic_map import motion
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.params import MapParams
 
-_DRIFT = 1
-"""Folded into the key of the detections for the drift of the heading."""
+_DRIFT = 1  # folded into the key of the detections for the drift of the heading
 
 
 def predict(

@@ -20,8 +20,7 @@ from jaxlangnav.numerics.batching import append_axes, select_row
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 
-_DEVIATIONS = 5.0
-"""Standard deviations within which two sightings of one type are of one thing."""
+_DEVIATIONS = 5.0  # standard deviations within which two sightings of one type are of one thing
 
 _REMEMBERED = 0.95
 """Probability that what the list holds exists, where that is in doubt: looks will tell."""

@@ -18,10 +18,8 @@ from jaxlangnav.terrain.walls import Walls
 
 CLEARANCE = 0.2
 """Metres past a wall's end at which a way turns round it."""
-_UNDERFOOT = 0.1
-"""Metres from such a turn that count as there: what comes next is made for."""
-_DETOUR = 0.01
-"""Metres by which a way is longer than the line before it counts as none."""
+_UNDERFOOT = 0.1  # metres from such a turn that count as there: what comes next is made for
+_DETOUR = 0.01  # metres by which a way is longer than the line before it counts as none
 
 
 @pytree
@@ -34,18 +32,9 @@ class Geodesic:
     between: Array  # f32[K, K] metres from turn to turn; ``NEVER`` where there is no way
 
     def metres(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
-        """Compute the length of the shortest way among the walls.
+        """Compute the length of the shortest way among the walls, f32[...] metres.
 
         Limits: with no wall in between the straight line; ``NEVER`` or more where there is no way.
-
-        Args:
-            from_x: f32[...], metres, map frame.
-            from_y: f32[...].
-            to_x: f32[...].
-            to_y: f32[...].
-
-        Returns:
-            f32[...], metres.
         """
         line = StraightLines().metres(from_x, from_y, to_x, to_y)
         first, last = self._to_turns(from_x, from_y), self._to_turns(to_x, to_y)
@@ -61,14 +50,7 @@ class Geodesic:
     ) -> tuple[Array, Array]:
         """Find the turn to make for in a straight line, or the end where no wall stands before it.
 
-        Args:
-            from_x: f32[], metres, map frame: of one robot.
-            from_y: f32[].
-            to_x: f32[].
-            to_y: f32[].
-
-        Returns:
-            f32[] x and y, metres, map frame; the end itself, too, where there is no way.
+        It is the end itself, too, where there is no way.
         """
         if not self.turn_x.size:
             return to_x, to_y
@@ -102,22 +84,14 @@ class Geodesic:
     def _to_turns(self, x: Array, y: Array) -> Array:
         """Compute the straight ways to all turns, f32[..., K]; ``NEVER`` to those out of sight."""
         here = jnp.asarray(x)[..., None], jnp.asarray(y)[..., None]
-        turns = (prepend_axes(turn, here[0].ndim) for turn in (self.turn_x, self.turn_y))
-        turn_x, turn_y = turns
-        line = StraightLines().metres(*here, turn_x, turn_y)
-        return jnp.where(self.walls.is_between(*here, turn_x, turn_y), NEVER, line)
+        turns = [prepend_axes(turn, here[0].ndim) for turn in (self.turn_x, self.turn_y)]
+        line = StraightLines().metres(*here, *turns)
+        return jnp.where(self.walls.is_between(*here, *turns), NEVER, line)
 
 
 @jax.jit
 def geodesic(walls: Walls) -> Geodesic:
-    """Work out the shortest ways between the ends of walls.
-
-    Args:
-        walls: what is in the way.
-
-    Returns:
-        The ways, for as many questions as one likes.
-    """
+    """Work out the shortest ways between the ends of walls, for any number of questions."""
     one_x, one_y, other_x, other_y = walls.ends.T
     length = StraightLines().metres(one_x, one_y, other_x, other_y)
     past_x = CLEARANCE * (other_x - one_x) / length

@@ -29,17 +29,7 @@ class Eye(NamedTuple):
 
 
 def eye_of(x: Array, y: Array, heading: Array, sensor: SensorParams) -> Eye:
-    """Put a detector somewhere.
-
-    Args:
-        x: f32[...], metres, map frame.
-        y: f32[...], metres.
-        heading: f32[], radians.
-        sensor: range and field of view.
-
-    Returns:
-        The eye.
-    """
+    """Put a detector at f32[...] metres, map frame, with a heading f32[], radians."""
     return Eye(x, y, sensor.range_max, heading, sensor.field_of_view)
 
 
@@ -82,7 +72,7 @@ class OpenField:
     """Nothing stands in the way: range and opening angle alone."""
 
     def share(self, eye: Eye, x: Array, y: Array, softness: Array) -> Array:
-        """Compute which share of something spread over ``softness`` metres is in view.
+        """Compute which share of something spread over ``softness`` metres is in view, f32[...].
 
         Limits: 1 well inside, 0 well outside, and the 0/1 test as softness → 0.
 
@@ -91,9 +81,6 @@ class OpenField:
             x: f32[...], metres, map frame.
             y: f32[...], metres.
             softness: f32[] or broadcastable, metres, > 0.
-
-        Returns:
-            f32[...] in [0, 1].
         """
         offset_x, offset_y = x - eye.x, y - eye.y
         distance = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
@@ -136,9 +123,6 @@ class OpenField:
             y: f32[C], metres.
             radius: f32[], metres.
             opening: f32[], radians, full opening angle about the way ahead; None: all round.
-
-        Returns:
-            f32[..., C], metres.
         """
         span_x, span_y = stretch.to_x - stretch.from_x, stretch.to_y - stretch.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
@@ -160,19 +144,16 @@ class OpenField:
 
 
 def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Array) -> Array:
-    """Measure how far out of range or out of the opening angle something is.
+    """Measure how far, f32[...] metres, out of range or out of the opening angle something is.
 
     Limits: 0 inside; more than a right angle past the edge, the way to the view is back
-    to the eye.
+    to the eye; NaN of NaN.
 
     Args:
         distance: f32[...], metres from the eye.
         bearing: f32[...], radians from the heading, any number of turns.
         range_max: f32[], metres.
         field_of_view: f32[], radians, full opening angle.
-
-    Returns:
-        f32[...], metres to the view; NaN of NaN.
     """
     turned = jnp.abs(bearing - 2.0 * jnp.pi * jnp.round(bearing / (2.0 * jnp.pi)))
     past = jnp.clip(turned - 0.5 * field_of_view, 0.0, 0.5 * jnp.pi)

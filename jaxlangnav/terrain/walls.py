@@ -1,8 +1,8 @@
 """Walls as straight segments: what is behind one is not in view.
 
 Seen from an eye a wall throws a shadow: the wedge between the lines of sight past its two ends,
-from the wall on. The wedge is convex, so how far outside of it a place lies is the greatest of its
-distances to three lines; a thing spread over some metres comes out of the shadow over as many.
+from the wall on. It is convex, so how far outside of it a place lies is the greatest of its
+distances to three lines.
 """
 
 import jax.numpy as jnp
@@ -15,8 +15,7 @@ from jaxlangnav.terrain.view import NEVER, Eye, OpenField, Stretch
 
 NUM_GLANCES = 9
 """Places along a stretch, both ends included, from which one looks past walls."""
-_CLEAR = 1e6
-"""Metres outside of a shadow that there is none of."""
+_CLEAR = 1e6  # metres outside of a shadow that there is none of
 
 
 @pytree
@@ -28,16 +27,7 @@ class Walls:
     def share(self, eye: Eye, x: Array, y: Array, softness: Array) -> Array:
         """Compute which share of something is within the eye's view and behind no wall.
 
-        Limits: without walls, or with none in between, what the open field gives.
-
-        Args:
-            eye: where the robot is, and how far and wide it looks.
-            x: f32[...], metres, map frame.
-            y: f32[...], metres.
-            softness: f32[] or broadcastable, metres, > 0.
-
-        Returns:
-            f32[...] in [0, 1].
+        Limits: without walls, or with none in between, what ``OpenField.share`` gives.
         """
         past = self._past_shadows(eye, x, y)
         return OpenField().share(eye, x, y, softness) * jnp.clip(past / softness + 0.5, 0.0, 1.0)
@@ -52,17 +42,8 @@ class Walls:
         """Compute after how many metres of stretches points come into view past the walls.
 
         It is looked for from ``NUM_GLANCES`` places along the stretch, so what shows only in
-        between is missed, and the metres are up to one step between glances too many.
-
-        Args:
-            stretch: straight stretches, f32[...].
-            x: f32[C], metres, map frame.
-            y: f32[C], metres.
-            radius: f32[], metres.
-            opening: f32[], radians, full opening angle about the way ahead; None: all round.
-
-        Returns:
-            f32[..., C], metres; ``NEVER`` where they do not.
+        between is missed, and the metres are up to one step between glances too many. Arguments
+        are those of ``OpenField.first_sight``.
         """
         first = OpenField().first_sight(stretch, x, y, radius, opening)
         stretch = Stretch(*(end[..., None] for end in stretch))
@@ -108,16 +89,9 @@ def _left_of(line_x: Array, line_y: Array, x: Array, y: Array) -> Array:
 
 
 def walls(*ends: tuple[float, float, float, float]) -> Walls:
-    """Build walls by hand (host only).
+    """Build walls by hand, of x, y of one end and of the other, metres, map frame (host only).
 
-    Args:
-        ends: x, y of one end and of the other, metres, map frame; of each wall.
-
-    Returns:
-        The walls.
-
-    Raises:
-        ValueError: a wall is not four finite numbers.
+    A ValueError where a wall is not four finite numbers.
     """
     if not all(len(one) == 4 and np.isfinite(one).all() for one in ends):
         raise ValueError(f"walls are {ends}, but each must be x, y, x, y, finite, in metres")

@@ -25,14 +25,12 @@ from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplo
 from jaxlangnav.semantic_map.proposal.enumerate import Pairs
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
 
-_TIE = 1e-3
-"""Metres within which a seen thing is the figure itself."""
+_TIE = 1e-3  # metres within which a seen thing is the figure itself
 _LEAST_BEFORE, _LEAST_AFTER = 0.01, 0.1
 """Share of the unseen that may come before, and after, where neither of few draws does. Much of a
 place is unseen where nothing can come before any more: "the third" of three in view was then as
 well the first of them, with two before it that nobody had seen."""
-_OFF_SIDE = 1e-3
-"""Weight of a figure that is not on the side where it is said to be."""
+_OFF_SIDE = 1e-3  # weight of a figure that is not on the side where it is said to be
 PLURAL = 10.0
 """Who says "the second" or "the rightmost" speaks of several: so much likelier are unseen ones."""
 
