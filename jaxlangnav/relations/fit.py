@@ -62,15 +62,9 @@ class RelationFit:
     is_converged: Array  # bool[] the gradient has vanished
 
 
-@pytree
-class _Free:
-    """What is optimised, unconstrained."""
-
-    log_distance: Array  # f32[6]
-    log_spread: Array  # f32[6]
-    axis: Array  # f32[6]
-    log_concentration: Array  # f32[6]
-    frame_logit: Array  # f32[6, F]
+_Free = tuple[RelationParams, Array]
+"""What is optimised, unconstrained: relations with log σ and log κ in place of σ and κ, and logits
+of the frames f32[6, F]."""
 
 
 def default_prior() -> RelationPrior:
@@ -86,25 +80,20 @@ def default_prior() -> RelationPrior:
 
 def _decode(free: _Free) -> tuple[RelationParams, Array]:
     """Turn unconstrained numbers into relations and log-shares of the frames f32[6, F]."""
+    params, logit = free
     is_ring = jnp.isin(jnp.arange(len(RELATIONS)), jnp.asarray(_RINGS))
-    params = RelationParams(
-        log_distance=free.log_distance,
-        log_distance_sd=jnp.exp(free.log_spread),
-        axis=free.axis,
-        concentration=jnp.where(is_ring, 0.0, jnp.exp(free.log_concentration)),
-    )
-    return params, jax.nn.log_softmax(free.frame_logit, axis=1)
+    concentration = jnp.where(is_ring, 0.0, jnp.exp(params.concentration))
+    spread = jnp.exp(params.log_distance_sd)
+    params = replace(params, log_distance_sd=spread, concentration=concentration)
+    return params, jax.nn.log_softmax(logit, axis=1)
 
 
 def _encode(params: RelationParams) -> _Free:
     """Start from relations, with all frames alike."""
-    return _Free(
-        log_distance=params.log_distance,
-        log_spread=jnp.log(params.log_distance_sd),
-        axis=params.axis,
-        log_concentration=jnp.log(jnp.maximum(params.concentration, _MIN_CONCENTRATION)),
-        frame_logit=jnp.zeros((len(RELATIONS), len(FRAMES)), jnp.float32),
-    )
+    log_spread = jnp.log(params.log_distance_sd)
+    log_concentration = jnp.log(jnp.maximum(params.concentration, _MIN_CONCENTRATION))
+    params = replace(params, log_distance_sd=log_spread, concentration=log_concentration)
+    return params, jnp.zeros((len(RELATIONS), len(FRAMES)), jnp.float32)
 
 
 def _log_joint(free: _Free, pairs: RelationPairs) -> Array:
@@ -115,21 +104,22 @@ def _log_joint(free: _Free, pairs: RelationPairs) -> Array:
 
 def _log_prior(free: _Free, start: _Free, prior: RelationPrior) -> Array:
     """Log-prior of the unconstrained numbers, up to a constant."""
-
-    def normal(value: Array, centre: Array, deviation: Array) -> Array:
-        return -0.5 * jnp.sum(((value - centre) / deviation) ** 2)
-
-    shares = jax.nn.log_softmax(free.frame_logit, axis=1)
-    # Shares do not change with the sum of the logits: hold that at zero.
-    anchor = -0.5 * jnp.sum(jnp.sum(free.frame_logit, axis=1) ** 2)
-    return (
-        normal(free.log_distance, start.log_distance, prior.log_distance)
-        + normal(free.log_spread, start.log_spread, prior.log_distance_sd)
-        + normal(free.axis, start.axis, prior.axis)
-        + normal(free.log_concentration, start.log_concentration, prior.log_concentration)
-        + prior.frame_pairs / len(FRAMES) * jnp.sum(shares)
-        + anchor
+    deviations = RelationParams(
+        log_distance=prior.log_distance,
+        log_distance_sd=prior.log_distance_sd,
+        axis=prior.axis,
+        concentration=prior.log_concentration,
     )
+    far = jax.tree.map(
+        lambda value, centre, deviation: -0.5 * jnp.sum(((value - centre) / deviation) ** 2),
+        free[0],
+        start[0],
+        deviations,
+    )
+    shares = jax.nn.log_softmax(free[1], axis=1)
+    # Shares do not change with the sum of the logits: hold that at zero.
+    anchor = -0.5 * jnp.sum(jnp.sum(free[1], axis=1) ** 2)
+    return sum(jax.tree.leaves(far)) + prior.frame_pairs / len(FRAMES) * jnp.sum(shares) + anchor
 
 
 @jax.jit
