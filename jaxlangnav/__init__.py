@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jaxlangnav.relations.fit import fit_relations as fit_relations
     from jaxlangnav.task.follow import follow as follow
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _MESSAGES = ("Action", "Behavior", "Fault", "Observation", "SensorParams", "Status")
 _HOMES = dict.fromkeys((*_MESSAGES, "default_sensor"), "jaxlangnav.messages") | {

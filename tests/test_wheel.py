@@ -1,4 +1,4 @@
-"""The wheel works outside the checkout: code, weights, corpora, worlds and pages are in it."""
+"""Wheel and source archive, installed in fresh environments: code, weights, corpora and worlds."""
 
 import json
 import os
@@ -14,56 +14,54 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the wheel and install it, alone, into a folder."""
-    folder = tmp_path_factory.mktemp("wheel")
-    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(folder), str(ROOT)]
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build both, the wheel from the archive."""
+    folder = tmp_path_factory.mktemp("built")
+    build = [sys.executable, "-m", "build", "--outdir", str(folder), str(ROOT)]
     subprocess.run(build, check=True, capture_output=True)
-    wheel = next(folder.glob("jaxlangnav-*.whl"))
-    target = folder / "site"
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target"]
-    subprocess.run([*install, str(target), str(wheel)], check=True, capture_output=True)
-    with zipfile.ZipFile(wheel) as archive:
-        names = archive.namelist()
-    assert "jaxlangnav/py.typed" in names
-    assert not [name for name in names if name.startswith(("tests/", "docs/", "examples/"))]
-    return target
+    return folder
 
 
-def run(site: Path, *words: str) -> str:
-    """Run Python outside the checkout, the installed wheel first on its path."""
-    done = subprocess.run(
-        [sys.executable, *words],
-        cwd=site.parent,
-        env={**os.environ, "PYTHONPATH": str(site)},
+@pytest.fixture(scope="module", params=["*.whl", "*.tar.gz"])
+def installed(request: pytest.FixtureRequest, built: Path) -> Path:
+    """Install one into an environment of its own, what it depends on too."""
+    (package,) = built.glob(request.param)
+    python = built / f"environment-{package.suffix[1:]}" / "bin" / "python"
+    subprocess.run([sys.executable, "-m", "venv", str(python.parent.parent)], check=True)
+    install = [str(python), "-m", "pip", "install", "--quiet", "--constraint"]
+    subprocess.run(
+        [*install, str(ROOT / "constraints.txt"), f"{package}[viz]"],
+        check=True,
         capture_output=True,
-        text=True,
-        check=False,
+    )
+    return python
+
+
+def run(python: Path, *words: str) -> str:
+    """Run Python outside the checkout."""
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [python, *words], cwd=python.parent, env=clean, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
-def test_the_wheel_is_what_runs(site: Path) -> None:
-    where = run(site, "-c", "import jaxlangnav; print(jaxlangnav.__file__)")
-    assert where.strip() == str(site / "jaxlangnav" / "__init__.py")
+def test_what_is_built_holds_what_it_should(built: Path) -> None:
+    names = [name for one in built.glob("*.whl") for name in zipfile.ZipFile(one).namelist()]
+    assert "jaxlangnav/py.typed" in names
+    assert not [name for name in names if name.startswith(("tests/", "docs/", "examples/"))]
 
 
-def test_data_files_are_in_it(site: Path) -> None:
-    code = (
-        "from jaxlangnav.grounding.form import annotation_schema;"
-        "from jaxlangnav.language.corpus import load_corpus;"
-        "from jaxlangnav.world.files import open_world, shipped_worlds;"
-        "print(annotation_schema()['type'], len(load_corpus('corpus39')));"
-        "print(*[open_world(name).name for name in shipped_worlds()])"
-    )
-    worlds = ["empty-corner", "figure1", "figure4", "street", "yard"]
-    assert run(site, "-c", code).split() == ["object", "39", *worlds]
-
-
-def test_a_sentence_is_followed(site: Path) -> None:
+def test_a_sentence_is_followed(installed: Path) -> None:
+    assert str(ROOT) not in run(installed, "-c", "import jaxlangnav; print(jaxlangnav.__file__)")
     text = "go to the hydrant behind the cone"
     words = ["-m", "jaxlangnav", "follow", text, "--world", "yard", "--out", "pictures", "--json"]
-    document = json.loads(run(site, *words))
+    document = json.loads(run(installed, *words))
     assert document["success"]
-    assert all((site.parent / name).is_file() for name in document["pictures"])
+    assert all((installed.parent / name).is_file() for name in document["pictures"])
+
+
+def test_data_files_are_in_it(installed: Path) -> None:
+    code = "from jaxlangnav.language.corpus import load_corpus; print(len(load_corpus('corpus39')))"
+    assert run(installed, "-c", code).split() == ["39"]
