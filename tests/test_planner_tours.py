@@ -13,7 +13,7 @@ from situations import nodes_at, seen_goal, situation
 from test_planner_policy import CONFIG, P, believe, random_places
 
 from jaxlangnav.messages import NONE, default_sensor
-from jaxlangnav.planner import prior, tour_proposals, tours
+from jaxlangnav.planner import prior, tours
 from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.planner.informed import decide_on
 from jaxlangnav.planner.latency import (
@@ -27,14 +27,14 @@ from jaxlangnav.planner.latency import (
 from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
 from jaxlangnav.planner.termination import Chances
-from jaxlangnav.planner.tour_proposals import NUM_CHANGES
+from jaxlangnav.planner.tours import NUM_CHANGES
 from jaxlangnav.pytree import replace
 from jaxlangnav.terrain.view import GLANCE
 
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
 K, RANGE = NUM_STOPS, 3.0
 SENSOR = default_sensor(RANGE)
-SEARCH_MAP, PLAN, CHANGE = jax.jit(search_map), jax.jit(tours.plan), jax.jit(tour_proposals.change)
+SEARCH_MAP, PLAN, CHANGE = jax.jit(search_map), jax.jit(tours.plan), jax.jit(tours.change)
 FIRST_SIGHT, LATENCY = jax.jit(first_sight), jax.jit(latency)
 DENSITY = jax.jit(prior.relative_density)
 NOT = jnp.float32(0.0)

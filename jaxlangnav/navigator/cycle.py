@@ -47,8 +47,7 @@ from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.proposal.relation_query import Utterances
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
-_PLANNING = 77
-"""Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
+_PLANNING = 77  # folded into a cycle's key for the planner, beyond the keys of the filter
 _SPARE = 0.01  # metres by which odometry may round up what the robot has been sent
 
 

@@ -31,54 +31,31 @@ _NUMBERS = {
 """How many things there are is hardly known, and is taken to be alike for all types spoken of. Of
 500 places each (``searching`` of the tests) a false sentence costs 47 m and one whose landmark is
 nowhere 81 m (49, 86: 1.35, 0.1)."""
-_KNOWN: dict[str, dict[str, Quantity]] = {
-    "sensor": {
-        "field_of_view": Quantity(kind="angle", low=VIEWS[0], high=2.0 * math.pi + 1e-6),
-        "detection_probability": Quantity(kind="share", high=1.0, is_low_open=True),
-        "noise": Quantity(kind="length"),
-        "false_detections": Quantity(high=MOST_FALSE),
-        "mislabelled": Quantity(kind="share", high=MOST_WRONG),
-    },
-    "motion": {
-        "step_length": LENGTH,
-        "odometry_noise": SHARE,
-        "heading_bias": Quantity(kind="angle"),
-        "heading_noise": Quantity(kind="angle"),
-        "turn_noise": Quantity(kind="angle"),
-    },
-    "map": {
-        "concentration": Quantity(is_low_open=True),
-        "clumping": Quantity(),
-        "kernel": LENGTH,
-        "superlative_softness": LENGTH,
-        "misleading": SHARE,
-        "resample_threshold": SHARE,
-    },
-    "planner": {
-        "discount": Quantity(kind="share", high=1.0, is_low_open=True),
-        "stop_probability": Quantity(kind="share", high=1.0, is_low_open=True),
-        "reach": LENGTH,
-        "frontier_miss": Quantity(kind="share", high=1.0, is_low_open=True),
-        "visit_spacing": LENGTH,
-        "rival_share": Quantity(),
-        "rest_share": Quantity(),
-        "prior_share": SHARE,
-        "ahead": Quantity(),
-        "give_up": SHARE,
-        "absent": SHARE,
-        "constraint_cost": Quantity(),
-        "question_cost": Quantity(),
-        "look_cost": Quantity(),
-    },
-}
-_RECORDS = SensorParams, MotionParams, MapParams, PlannerParams
+_KINDS = (
+    (LENGTH, "step_length kernel superlative_softness reach visit_spacing"),
+    (SHARE, "odometry_noise misleading resample_threshold prior_share give_up absent"),
+    (
+        Quantity(kind="share", high=1.0, is_low_open=True),
+        "detection_probability discount stop_probability frontier_miss",
+    ),
+    (Quantity(kind="angle"), "heading_bias heading_noise turn_noise"),
+    (Quantity(kind="angle", low=VIEWS[0], high=2.0 * math.pi + 1e-6), "field_of_view"),
+    (Quantity(kind="length"), "noise"),
+    (Quantity(kind="share", high=MOST_WRONG), "mislabelled"),
+    (Quantity(high=MOST_FALSE), "false_detections"),
+    (Quantity(is_low_open=True), "concentration"),
+    (Quantity(), "clumping rival_share rest_share ahead constraint_cost question_cost look_cost"),
+)
+"""What numbers there are of every kind, whose unit and limits they share."""
+_KNOWN = {name: kind for kind, names in _KINDS for name in names.split()}
+_TABLES = ("sensor", SensorParams), ("motion", MotionParams), ("map", MapParams)
 FIELDS = {
     table: {
-        field.name: known.get(field.name, Quantity(low=-math.inf))
+        field.name: _KNOWN.get(field.name, Quantity(low=-math.inf))
         for field in dataclasses.fields(record)
         if field.type in (Array, "Array") and field.name != "range_max"
     }
-    for (table, known), record in zip(_KNOWN.items(), _RECORDS, strict=True)
+    for table, record in (*_TABLES, ("planner", PlannerParams))
 }
 """Keys of the four tables of Params in a sweep's configuration: the records' own single numbers.
 One whose unit is not known here is a plain number."""

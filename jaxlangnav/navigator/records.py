@@ -21,8 +21,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.motion import rotated
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 
-_MOST_LOOKED = 0.75
-"""Share of the area beyond which a robot that waits to be sure as good as never stops."""
+_MOST_LOOKED = 0.75  # share of the area beyond which a robot that waits as good as never stops
 
 
 @pytree
@@ -168,13 +167,8 @@ def make_action(
 ) -> Action:
     """Turn the choice into a step in the manner asked for: quickly, carefully.
 
-    Limits: where it stands, the waypoint is where the robot believes itself to be.
-
-    Args:
-        state: the new one, of ``update_task_state``.
-        task: what the belief comes to.
-        choice: of the policy.
-        params: traced numbers.
+    The state is the new one, of ``update_task_state``. Limits: where it stands, the waypoint is
+    where the robot believes itself to be.
     """
     mode = jnp.argmax(task.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
@@ -215,15 +209,7 @@ def update_task_state(
     params: NavigatorParams,
     config: NavigatorConfig,
 ) -> NavigatorState:
-    """Remember what the next decision needs; a command carried out makes way for the next one.
-
-    Args:
-        state: as the policy decided.
-        task: what the belief comes to.
-        choice: of the policy.
-        params: traced numbers.
-        config: how many waypoints may be given up.
-    """
+    """Remember what the next decision needs; a command carried out makes way for the next one."""
     is_last = _is_last_clause(state)
     # Of the objects that would do, the last command ended at the one gone up to.
     goals, robot_x, robot_y = task.goals, task.robot_x, task.robot_y

@@ -130,22 +130,16 @@ def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -
     words = talk.words
     goal = jnp.where(is_old[None], words.goal[:, kept], joined.new_goal[:, new])
     is_pinned = jnp.where(is_old[None], words.is_pinned[:, kept], joined.new_pinned[:, new])
-    return replace(
-        state,
-        instruction=replace(
-            old,
-            program=jax.tree.map(arrange, old.program, joined.program),
-            num_clauses=(left + joined.num_clauses).astype(jnp.int32),
-            metres=arrange(old.metres, joined.metres),
-            frame=arrange(old.frame, joined.frame),
-        ),
-        clause=jnp.int32(0),
-        talk=replace(
-            talk,
-            words=replace(words, goal=goal, is_pinned=is_pinned),
-            viewer=arrange(talk.viewer, seen_from(pose, joined.frame)),
-        ),
+    instruction = replace(
+        old,
+        program=jax.tree.map(arrange, old.program, joined.program),
+        num_clauses=(left + joined.num_clauses).astype(jnp.int32),
+        metres=arrange(old.metres, joined.metres),
+        frame=arrange(old.frame, joined.frame),
     )
+    viewer = arrange(talk.viewer, seen_from(pose, joined.frame))
+    talk = replace(talk, words=replace(words, goal=goal, is_pinned=is_pinned), viewer=viewer)
+    return replace(state, instruction=instruction, clause=jnp.int32(0), talk=talk)
 
 
 def _under_way(state: NavigatorState) -> NavigatorState:

@@ -41,14 +41,8 @@ def forbidden_objects(
 ) -> Forbidden:
     """Find the observed objects that are forbidden; hypotheses are not.
 
-    The nearest of them, where they are in the particles that forbid them.
-
-    Args:
-        belief: weighted particles.
-        constraint: f32[R, N + 1, P], probability that a region of a slot is forbidden.
-        robot_x: f32[], metres, map frame.
-        robot_y: f32[], metres.
-        cost: f32[], c, of what is surely forbidden.
+    They are the nearest ones, where the particles that forbid them have them; ``constraint`` is
+    f32[R, N + 1, P], the probability that a region of a slot is forbidden, and ``cost`` c.
     """
     particles = belief.particles
     num_objects = particles.object_type.shape[0]
@@ -72,14 +66,8 @@ def price_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: 
 
         c Σ_k p_k ∫ max(0, 1 − d_k(s) / B)² ds
 
-    Limits: 0 outside all berths; 2 c p B / 3 from side to side through the midst of one.
-
-    Args:
-        from_x: f32[...], metres, map frame; all four broadcast to the same shape.
-        from_y: f32[...].
-        to_x: f32[...].
-        to_y: f32[...].
-        things: leaves [K].
+    f32[...] metres; the places, metres, map frame, broadcast to one shape. Limits: 0 outside all
+    berths; 2 c p B / 3 from side to side through the midst of one.
     """
     span_x, span_y = to_x - from_x, to_y - from_y
     length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
@@ -122,15 +110,8 @@ def keep_out(
 ) -> tuple[Array, Array]:
     """Move places out of the berths, where one sees the thing from outside.
 
-    Limits: places outside stay, as all do where nothing is forbidden; out of the area nothing is
-    moved, but to the other side of the thing.
-
-    Args:
-        x: f32[...], metres, map frame.
-        y: f32[...], metres.
-        things: leaves [K].
-        range_max: f32[], sensing range, metres.
-        area: f32[4], operating area, metres.
+    Limits: places outside stay, as all do where nothing is forbidden; out of the area f32[4]
+    nothing is moved, but to the other side of the thing.
     """
     for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
         off_x, off_y = x - at_x, y - at_y

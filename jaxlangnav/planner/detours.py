@@ -101,14 +101,9 @@ def _cheapest(x: Array, y: Array, spare: Array, things: Forbidden, situation: Si
 def detours(situation: Situation, x: Array, y: Array, spare: Array) -> Detours:
     """Find the cheapest ways to places round what is forbidden.
 
-    Limits: with nothing forbidden they are straight, and nothing is computed; a place within the
-    berth has a finite price. Corners behind walls are not made use of.
-
-    Args:
-        situation: where the robot is, and what is forbidden.
-        x: f32[A], places, metres, map frame.
-        y: f32[A], metres.
-        spare: f32[A], metres short of each place that are enough.
+    Places are f32[A] metres, map frame; to be ``spare`` metres short of each is enough. Limits:
+    with nothing forbidden they are straight, and nothing is computed; a place within the berth has
+    a finite price. Corners behind walls are not made use of.
     """
     things = situation.forbidden
     is_meant = jnp.broadcast_to(jnp.any(things.price > 0.0), x.shape)

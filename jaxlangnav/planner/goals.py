@@ -130,12 +130,8 @@ def gather(
 ) -> Goals:
     """Gather the goals of all particles.
 
-    Args:
-        belief: weighted particles.
-        behavior: of every particle, leaves [..., P].
-        relations: prepared relations, for goal regions.
-        has_open: bool[M, P], mentions that are tied to something not seen (``relevance``).
-        metres: f32[], told from a region's object to the goal place; 0: none.
+    ``has_open``, bool[M, P], are the mentions tied to something not seen (``relevance``); metres,
+    f32[], are told from a region's object to the goal place, 0 where none are.
     """
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
     num_objects = particles.object_type.shape[0]

@@ -46,13 +46,9 @@ def nowhere(num_visited: int) -> Visited:
 
 
 def visit(visited: Visited, x: Array, y: Array, spacing: Array) -> Visited:
-    """Enter the robot's place as a node unless one is near; a full list overwrites its oldest.
+    """Enter the robot's place f32[] as a node unless one is nearer than ``spacing`` metres.
 
-    Args:
-        visited: nodes so far.
-        x: f32[], metres, map frame.
-        y: f32[], metres.
-        spacing: f32[], metres between nodes.
+    A full list overwrites its oldest.
     """
     squared = (visited.x - x) ** 2 + (visited.y - y) ** 2
     is_known = jnp.any(visited.is_node & (squared < spacing * spacing))
@@ -104,14 +100,7 @@ def frontiers(
 
 
 def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes:
-    """Collect the waypoints that every policy is shown: places visited and objects seen.
-
-    Args:
-        visited: places the robot has been.
-        x: f32[O], metres, map frame: goal places of observed objects.
-        y: f32[O], metres.
-        is_object: bool[O].
-    """
+    """Collect the waypoints that every policy is shown: places visited and goal places [O]."""
     sizes = visited.x.shape[0], x.shape[0]
     return Nodes(
         x=jnp.concatenate([visited.x, x]),
@@ -122,14 +111,7 @@ def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes
 
 
 def put_first(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
-    """Put frontiers, or what a policy has in their place, before other nodes (eq. 9).
-
-    Args:
-        x: f32[K], metres, map frame.
-        y: f32[K], metres.
-        is_node: bool[K].
-        nodes: what follows them, leaves [A].
-    """
+    """Put frontiers [K], or what a policy has in their place, before other nodes [A] (eq. 9)."""
     kind = jnp.full(x.shape, FRONTIER, jnp.int32)
     first = Nodes(x=x, y=y, is_node=is_node, kind=kind)
     return jax.tree.map(lambda *both: jnp.concatenate(both), first, nodes)

@@ -119,12 +119,8 @@ def judge(situation: Situation, plan: tours.Plan, chance: Chances) -> Judgement:
     seen and next to nothing speaks for an unseen rival beside things seen; the object is then
     worth more than anything there is to learn. Unsettled goals break ties. Where next to nothing
     is left to be found and several things may still be meant, the likeliest has to do, unless it is
-    meant in relation to something not seen: that is looked for.
-
-    Args:
-        situation: nodes (first stops of the plan's tours lead), goals, where the robot is.
-        plan: candidate tours.
-        chance: that what is spoken of, and has not been seen, is there.
+    meant in relation to something not seen: that is looked for. First stops of the plan's tours
+    lead the situation's nodes.
     """
     params, goals, nodes = situation.params, situation.goals, situation.nodes
     here = situation.robot_x, situation.robot_y

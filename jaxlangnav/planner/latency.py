@@ -39,8 +39,7 @@ NUM_STOPS = 6
 """K, stops of a tour."""
 _ARRIVAL = 0.5  # metres from a stop that count as having been there
 SIGHT_MARGIN = 0.5
-"""Metres by which a thing must be inside the sensing range to count on seeing it: cells have width,
-looks are a step apart, and a look may miss."""
+"""Metres by which a thing must be inside the sensing range to count on seeing it."""
 
 
 @pytree

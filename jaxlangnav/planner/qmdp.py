@@ -39,16 +39,8 @@ def mass_within(
 ) -> tuple[Array, Array]:
     """Compute the goal probability within a radius of a place, and in view from there.
 
-    Args:
-        x: f32[], metres, map frame.
-        y: f32[], metres.
-        goals: weighed goals.
-        radius: f32[], metres.
-        view: what can be seen; a thing behind a wall has not been reached.
-
-    Returns:
-        f32[], the probability that the goal, or an object that fits as well, is there; and f32[],
-        the same for the best confirmed object alone.
+    f32[], the probability that the goal, or an object that fits as well, is there; and f32[], the
+    same for the best confirmed object alone. A thing behind a wall has not been reached.
     """
     eye = Eye(x, y, radius)
     near = view.sees(eye, goals.object_x, goals.object_y)

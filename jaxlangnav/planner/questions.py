@@ -28,8 +28,7 @@ from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree
 
-_OPEN = 0.5
-"""Share of the candidates' fit that hangs on things unseen, above which these may tell which."""
+_OPEN = 0.5  # share of the candidates' fit that hangs on things unseen, which may then tell which
 
 
 @pytree

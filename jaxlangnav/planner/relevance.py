@@ -59,12 +59,8 @@ def has_open_partner(group: Array, particles: SemanticMap) -> Array:
 def bears_on_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> Array:
     """Tell which mentions are tied to the goal of the present command.
 
-    Limits: in a particle whose goal is none of the mentions, such as "the other cone", all do.
-
-    Args:
-        group: of ``believed_groups``.
-        particles: leaves [..., P].
-        behavior: of the present command in every particle, leaves [..., P].
+    bool[M, P], of the groups that ``believed_groups`` finds. Limits: in a particle whose goal is
+    none of the mentions, such as "the other cone", all do.
     """
     num_objects, num_mentions = particles.object_type.shape[0], particles.referent.shape[0]
     goal = jnp.sum(behavior.goal, axis=0)  # [N + 1, P]

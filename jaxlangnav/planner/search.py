@@ -24,11 +24,9 @@ CELLS = 12
 LATTICE = 6
 """Viewpoints a side, for first drafts of tours."""
 _TILT = 2e-3
-"""Share by which a cell at one end of the area counts for more than one at the other. Where robot
-and area are mirror-symmetric, so is the map, and each tour would be as good as its mirror image:
-rounding, which differs between compiled programs, would choose."""
-_OFF_CENTRE = 1e-3
-"""Nats by which a part of a cell has to have been looked at less than one nearer its centre."""
+"""Share by which cells count for more from end to end of the area: else rounding would choose
+between a tour and its mirror image, otherwise in each compiled program."""
+_OFF_CENTRE = 1e-3  # nats by which a part of a cell must be seen less than one nearer its centre
 
 
 @pytree
@@ -157,16 +155,14 @@ def search_map(
 
     Hypotheses that hang on an observed object count where they are. Those that hang on nothing
     observed are spread by the coverage, by what training worlds have taught (``prior``) and by
-    what the words say of them and the robot, rather than by the few particles that sample it.
+    what the words say of them and the robot, rather than by the few particles that sample it. The
+    mass of the map sums to the expected number of things still to be found.
 
     Args:
         belief: weighted particles and coverage.
         prior_share: f32[] in [0, 1], how far the learned prior is trusted; 0 leaves it out.
         ahead: f32[], κ, how far things are taken to lie ahead of the viewer; 0: all round alike.
         spoken: what has been said; None: nothing that places a thing against the robot.
-
-    Returns:
-        The map; its mass sums to the expected number of things still to be found.
     """
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
     area = belief.coverage.area

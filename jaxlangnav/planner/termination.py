@@ -1,10 +1,9 @@
 """Termination of a search that finds nothing: P(the goal exists and is still unseen) (ours).
 
-The belief takes it for granted that what is spoken of exists, so a robot that goes by it alone
-searches for ever. Whether it exists is itself inferred. Before any look the number N of things of
-a type is Poisson with mean α, the map's ``concentration``; a sentence speaks of one that is there
-with probability 1 − ε, and of one that is not with probability ε, the map's ``misleading``. There
-are some and all have escaped every look with probability
+Before any look the number N of things of a type is Poisson with mean α, the map's
+``concentration``; a sentence speaks of one that is there with probability 1 − ε, and of one that is
+not with probability ε, the map's ``misleading``. There are some and all have escaped every look
+with probability
 
     Σ_{n≥1} e^{-α} (α u)ⁿ / n! = e^{-α} (e^{α u} − 1)
 
@@ -13,9 +12,8 @@ known but Gamma, with mean α and variance α κ (``semantic_map.counts``), e^{�
 ((1 + κ) / (1 + κ (1 − u)))^{α / κ}.
 
 That a sentence says where a thing is which stands elsewhere, and that it speaks of a thing which is
-nowhere, are two errors: ε is the probability of the first one, the planner's ``absent``, ν, of the
-second one. To take something seen that does not fit is to hold the sentence for false: the search
-for another goes on until ε says that there is none. Where nothing of it all has been seen either
+nowhere, are two errors, of probabilities ε and ν, the planner's ``absent``. Where something has
+been seen the search for another goes on until ε says that there is none. Where nothing has either
 error ends the search, so it ends sooner, by ε + (1 − ε) ν; and with the probability of the second,
 
     q = (1 − ε) ν / [(1 − ε) (1 − ν) (e^{α u} − 1) + ε + (1 − ε) ν]
@@ -81,13 +79,8 @@ def chances(
 ) -> Chances:
     """Compute how likely it is that what has not been seen is there.
 
-    Limits: at ν = 0 both are the same, and q is 0.
-
-    Args:
-        unseen: f32[], u, as of ``chance_left``.
-        absent: f32[], ν, probability that what is spoken of is nowhere in the area.
-        maps: α, ε and κ.
-        missed: f32[], v, probability that a thing anywhere would have escaped every look.
+    ``unseen`` is u, ``absent`` ν and ``missed`` v, f32[]. Limits: at ν = 0 both are the same, and q
+    is 0.
     """
     nowhere = (1.0 - maps.misleading) * absent
     wrong = maps.misleading + nowhere
@@ -102,14 +95,9 @@ def chances(
 def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:
     """List what a sentence speaks of and no look has shown (host only).
 
-    Args:
-        readings: the sentence, of one robot; the likeliest reading is taken.
-        object_type: i32[O, ...], kinds of all objects observed, in any of the maps; NONE
-            in between.
-
-    Returns:
-        Kinds, in the order of the mentions; ``ANYTHING`` where no more has been seen than what is
-        called by its type.
+    Kinds of the likeliest reading, in the order of the mentions; ``ANYTHING`` where no more has
+    been seen than what is called by its type. ``object_type``, i32[O, ...], has the kinds of all
+    objects observed, in any of the maps; NONE in between.
     """
     best = int(np.argmax(np.asarray(readings.log_probability)))
     spoken = dict.fromkeys(int(kind) for kind in np.asarray(readings.mention_type)[best])

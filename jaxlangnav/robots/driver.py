@@ -50,9 +50,10 @@ def _goal_object(state: NavigatorState, info: NavigatorInfo) -> GoalPoint | None
     return kind, float(goals.object_x[slot]), float(goals.object_y[slot])
 
 
-def _is_seen(
-    goal: GoalPoint, info: NavigatorInfo, found: Sequence[Detection], pose: np.ndarray
-) -> bool:
+_Found = Sequence[Detection]
+
+
+def _is_seen(goal: GoalPoint, info: NavigatorInfo, found: _Found, pose: np.ndarray) -> bool:
     """Tell whether one of the detections of a look is of the goal."""
     kind, *place = goal
     for one in found:
@@ -70,20 +71,15 @@ _WAIT = 0.2  # seconds between two questions whether the robot is there
 _GIVE_UPS = 4  # ways given up, one after the other, after which the robot is blocked
 _MOVED = 0.3  # metres from where it last gave up that count as a new place
 _IDLE_LOOKS = 3  # looks from as near to a waypoint as can be after which it looks about
-_TURNS = 4
-"""Turns on the spot, all of them for one waypoint, after which it tries from its other side and is
-then blocked."""
-_TURNED, _SAME_WAYPOINT = 1.3, 0.5
-"""Radians by which each turns farther off the waypoint than the last, so that they go all round;
-and metres within which a waypoint is still the same."""
-_BEYOND, _BEYOND_SECONDS = 1.2, 15.0
-"""Metres past a waypoint from where it is looked at after that, and seconds to get there."""
+_TURNS = 4  # on the spot for one waypoint, before it tries from its other side and is then blocked
+_TURNED = 1.3  # radians by which each turns farther than the last, so that they go all round
+_SAME_WAYPOINT = 0.5  # metres within which a waypoint is still the same
+_BEYOND, _BEYOND_SECONDS = 1.2, 15.0  # metres past a waypoint to look back from; to get there
 _TURN_SECONDS = 6.0  # seconds that a turn takes at most
 _BLIND = 5.0  # seconds without a picture after which the robot is blind
 _FAULTY = 10  # looks at fault, one after the other, after which the robot is lost
 _CONFIRM = (0.0, 0.5, -0.5, 1.0, -1.0, 1.8, -1.8, 3.0)
-"""Radians off the goal of the looks within which it must be seen once more before it is said to
-have been reached: it is believed to be straight ahead, but odometry may be out."""
+"""Radians off the believed goal of the looks within which it must be seen once more."""
 
 
 def drive(
@@ -144,13 +140,10 @@ class _Journey:
     ) -> None:
         self.navigator, self.robot, self.key, self.on_step = navigator, robot, key, on_step
         self.steps: list[Step] = []
-        self.seconds = 0.0
-        self.blind_for = 0.0
-        self.faulty = self.gave_up = self.idle = self.unconfirmed = 0
+        self.seconds = self.blind_for = self.turning_since = 0.0
+        self.faulty = self.gave_up = self.idle = self.unconfirmed = self.turns = 0
         self.last_place = robot.pose()[:2]
         self.facing: float | None = None
-        self.turning_since = 0.0
-        self.turns = 0
         self.turns_for = np.full(2, np.inf)
         self.beyond: np.ndarray | None = None
 
@@ -167,7 +160,11 @@ class _Journey:
         action, status = jax.device_get(action), Status(int(action.status))
         self.faulty = self.faulty + 1 if int(info.fault) else 0
         if bool(action.is_stop) and status == Status.ARRIVED:
-            return self._arrive(state, after, pose, found, info)
+            self.robot.stop()
+            self._note(pose, found, status, info, None, Progress.STANDING, after)
+            end = self._arrive(after, pose, found, info)
+            # What has been seen is kept, but unless it ends the task goes on.
+            return after if end is not None else replace(after, status=state.status), end
         self.unconfirmed = 0
         if bool(action.is_stop) or status == Status.IDLE:
             self._note(pose, found, status, info, None, Progress.STANDING, after)
@@ -198,29 +195,21 @@ class _Journey:
         return Ending.BLIND, f"the camera has delivered no picture for {self.blind_for:.0f} s"
 
     def _arrive(
-        self,
-        before: NavigatorState,
-        after: NavigatorState,
-        pose: np.ndarray,
-        found: Sequence[Detection],
-        info: NavigatorInfo,
-    ) -> tuple[NavigatorState, _End | None]:
+        self, state: NavigatorState, pose: np.ndarray, found: _Found, info: NavigatorInfo
+    ) -> _End | None:
         """Believe an arrival once the goal has been seen from there; look again if it has not."""
-        self.robot.stop()
-        self._note(pose, found, Status.ARRIVED, info, None, Progress.STANDING, after)
-        goal = _goal_object(after, info)
+        goal = _goal_object(state, info)
         if goal is None or _is_seen(goal, info, found, pose):
-            return after, (Ending.ARRIVED, "arrived")
+            return Ending.ARRIVED, "arrived"
         self.unconfirmed += 1
         name = self.navigator.type_names[goal[0]]
         if self.unconfirmed > len(_CONFIRM):
-            return after, (Ending.NOT_FOUND, f"the {name} is not where it was seen")
+            return Ending.NOT_FOUND, f"the {name} is not where it was seen"
         x, y = np.array(goal[1:]) - np.asarray(info.robot)
         facing = wrap(float(np.arctan2(y, x)) + _CONFIRM[self.unconfirmed - 1])
         self.robot.go_to(pose[None, :2], speed=1.0, clearance=0.0, facing=facing)
         self._go_on(_TURN_SECONDS)
-        # What has been seen is kept, but the task goes on.
-        return replace(after, status=before.status), None
+        return None
 
     def _name_the_end(self, status: Status, state: NavigatorState) -> _End | None:
         """Say how the task ended by the navigator's own account."""
@@ -294,7 +283,7 @@ class _Journey:
     def _note(
         self,
         pose: np.ndarray,
-        found: Sequence[Detection] | None,
+        found: _Found | None,
         status: Status,
         info: NavigatorInfo | None,
         target: np.ndarray | None,

@@ -4,7 +4,6 @@ The belief is drawn from above, straight ahead of the start upwards: dark ground
 dots are hypotheses, squares things seen, a ring the place it is sent to, a cross where it is.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ _QUALITY = 75  # of a JPEG, in percent
 class Views:
     """Takes pictures of a robot; each is u8[H, W, 3], blue, green, red, as OpenCV has them."""
 
-    def __init__(self, robot: PhysicsRobot, type_names: tuple[str, ...]) -> None:
+    def __init__(self, robot: PhysicsRobot, type_names: tuple[str, ...] = ()) -> None:
         """Set up a camera that follows a robot; tags of types without a name are not named."""
         self._robot, self._type_names = robot, type_names
         self._cv2 = libraries.opencv()
@@ -110,7 +109,7 @@ _LIGHT = (235, 235, 235)
 class Film:
     """Frames of a run, taken as it goes."""
 
-    def __init__(self, robot: PhysicsRobot, text: str, type_names: tuple[str, ...]) -> None:
+    def __init__(self, robot: PhysicsRobot, text: str, type_names: tuple[str, ...] = ()) -> None:
         """Begin a film of what was told; ``robot.on_tick`` and ``film.on_step`` take its frames."""
         self.frames: list[np.ndarray] = []
         self._robot, self._text = robot, text
@@ -159,7 +158,22 @@ class Film:
         def at(x: float, y: float) -> tuple[int, int]:
             return int(scale * (y_max - y)), int(scale * (x_max - x))
 
-        self._draw_things(map_, state, at)
+        # Hypotheses of all particles, and what the likeliest one has seen.
+        particles = state.belief.particles
+        types_of_reading = np.asarray(state.instruction.readings.mention_type)
+        mention = types_of_reading[np.asarray(particles.reading)].T
+        places = np.nonzero(np.asarray(particles.is_hypothesised))
+        thought = np.stack([particles.hypothesis_x, particles.hypothesis_y])[:, *places]
+        for x, y, kind in zip(*thought, mention[places], strict=True):
+            cv2.circle(map_, at(x, y), 3, _COLOURS[min(int(kind), 3)], -1)
+        best = int(np.argmax(np.asarray(state.belief.log_weight)))
+        types = np.asarray(particles.object_type)[:, best]
+        for slot in np.flatnonzero(types >= 0):
+            x, y = particles.mean_x[slot, best], particles.mean_y[slot, best]
+            column, row = at(float(x), float(y))
+            corners = (column - 7, row - 7), (column + 7, row + 7)
+            cv2.rectangle(map_, *corners, _COLOURS[min(int(types[slot]), 3)], -1)
+            cv2.rectangle(map_, *corners, (0, 0, 0), 1)
         here = np.asarray(step.pose[:2]) if info is None else np.asarray(info.robot)
         cv2.drawMarker(map_, at(*here), (0, 0, 0), cv2.MARKER_CROSS, 14, 2)
         ahead = here + 0.6 * np.array([np.cos(step.pose[2]), np.sin(step.pose[2])])
@@ -171,26 +185,6 @@ class Film:
         top, left = (PANEL[1] - size[1]) // 2, (PANEL[0] - size[0]) // 2
         panel[top : top + size[1], left : left + size[0]] = map_
         return panel
-
-    def _draw_things(
-        self, map_: np.ndarray, state: NavigatorState, at: Callable[[float, float], tuple[int, int]]
-    ) -> None:
-        """Draw hypotheses of all particles, and what the likeliest one has seen."""
-        cv2, belief = self._cv2, state.belief
-        particles = belief.particles
-        types_of_reading = np.asarray(state.instruction.readings.mention_type)
-        mention = types_of_reading[np.asarray(particles.reading)].T
-        for place in zip(*np.nonzero(particles.is_hypothesised), strict=True):
-            x, y = float(particles.hypothesis_x[place]), float(particles.hypothesis_y[place])
-            cv2.circle(map_, at(x, y), 3, _COLOURS[min(int(mention[place]), 3)], -1)
-        best = int(np.argmax(np.asarray(belief.log_weight)))
-        types = np.asarray(particles.object_type)[:, best]
-        for slot in np.flatnonzero(types >= 0):
-            x, y = particles.mean_x[slot, best], particles.mean_y[slot, best]
-            column, row = at(float(x), float(y))
-            corners = (column - 7, row - 7), (column + 7, row + 7)
-            cv2.rectangle(map_, *corners, _COLOURS[min(int(types[slot]), 3)], -1)
-            cv2.rectangle(map_, *corners, (0, 0, 0), 1)
 
     def write(self, path: Path) -> Path:
         """Write the film, all or nothing, as .gif or .mp4, and return its path.
@@ -228,14 +222,7 @@ def check_format(path: Path) -> None:
 def film(
     path: Path, robot: PhysicsRobot, text: str, *, navigator: Navigator, key: Any
 ) -> tuple[Path, str]:
-    """Let a robot, at its start, follow a sentence and film it.
-
-    Args:
-        path: file to write, .gif or .mp4.
-        robot: at its start.
-        text: the sentence.
-        navigator: what decides.
-        key: random key of the decisions.
+    """Let a robot, at its start, follow a sentence, see ``drive``, and film it as .gif or .mp4.
 
     Returns:
         The path, and how the run ended, in one line.

@@ -46,13 +46,8 @@ class SimulatedRobot(abc.ABC):
     ) -> None:
         """Put the robot at the start of a place, which is known to it as the place's area is.
 
-        Args:
-            mover: its motion planner.
-            scenario: the truth.
-            sensor: specification of its detector.
-            seed: of all noise.
-            scale: standard deviation of the share by which all its lengths are out, drawn once.
-            bias: that of its gyro's bias, radians a second, drawn once.
+        Its noise is drawn by the seed: once the share by which all its lengths are out and its
+        gyro's bias, radians a second, with standard deviations ``scale`` and ``bias``.
         """
         self.mover, self.scenario = mover, scenario
         self.go_to, self.stop = mover.go_to, mover.stop
@@ -184,16 +179,7 @@ class KinematicRobot(SimulatedRobot):
         steering: Steering | None = None,
         slip: Slip | None = None,
     ) -> None:
-        """Put the robot at the start of a place.
-
-        Args:
-            scenario: the truth.
-            seed: of all noise.
-            sensor: specification of the detector; the default one if None.
-            body: size and limits.
-            steering: how it follows a way; pure pursuit if None.
-            slip: of its odometry; the default one if None.
-        """
+        """Put the robot at the start of a place; ``seed`` is of all noise, and steering pursuit."""
         self._slip = Slip() if slip is None else slip
         super().__init__(
             Mover(body, Pursuit() if steering is None else steering),
@@ -233,16 +219,13 @@ class KinematicRobot(SimulatedRobot):
         )
 
     def _scan(self) -> np.ndarray:
-        ranges = np.full(len(BEAMS), np.inf)
-        x, y, heading = self._true
-        for disc_x, disc_y, radius in self.things():
-            ahead_x, ahead_y = np.cos(BEAMS + heading), np.sin(BEAMS + heading)
-            along = (disc_x - x) * ahead_x + (disc_y - y) * ahead_y
-            aside = (disc_y - y) * ahead_x - (disc_x - x) * ahead_y
-            is_hit = (along > 0.0) & (np.abs(aside) < radius)
-            depth = np.sqrt(np.maximum(radius**2 - aside**2, 0.0))
-            ranges = np.where(is_hit, np.minimum(ranges, along - depth), ranges)
-        return np.where(ranges <= SCAN_RANGE, ranges, np.inf)
+        ahead_x, ahead_y = np.cos(BEAMS + self._true[2]), np.sin(BEAMS + self._true[2])
+        disc_x, disc_y, radius = self.things().T[..., None]
+        off_x, off_y = disc_x - self._true[0], disc_y - self._true[1]
+        along, aside = off_x * ahead_x + off_y * ahead_y, off_y * ahead_x - off_x * ahead_y
+        near = along - np.sqrt(np.maximum(radius**2 - aside**2, 0.0))
+        is_hit = (along > 0.0) & (np.abs(aside) < radius) & (near <= SCAN_RANGE)
+        return np.where(is_hit, near, np.inf).min(axis=0, initial=np.inf)
 
     def _move(self, command: WheelCommand) -> np.ndarray:
         ahead, turned = command.speed * TICK, command.turn * TICK

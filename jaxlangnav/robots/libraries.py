@@ -35,8 +35,7 @@ def ros_message(name: str) -> Any:
 
 SYSTEM_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
 """Debian and Ubuntu packages that rendering off screen needs."""
-_BACKEND = "MUJOCO_GL"
-"""Environment variable by which MuJoCo chooses how to render; read as it is imported."""
+_BACKEND = "MUJOCO_GL"  # environment variable: how to render; read as MuJoCo is imported
 
 
 class MissingSystemLibraryError(ValueError):

@@ -4,7 +4,7 @@ The truth is taken at each look, with the pictures of a robot that has cameras.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import jax
 import numpy as np
@@ -19,7 +19,7 @@ from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.film import Views
-from jaxlangnav.robots.kinematic import KinematicRobot
+from jaxlangnav.robots.kinematic import KinematicRobot, SimulatedRobot
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.robot import Drive, Ending, Step, observe
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -44,20 +44,19 @@ class DriveRecorder:
         """Begin with a robot at its start; ``robot.on_look`` is taken for it."""
         self._robot, self._navigator, self._text = robot, navigator, text
         self._scenario = robot.scenario
-        self._portray: Callable[[], Mapping[str, bytes]] | None = None
-        if isinstance(robot, PhysicsRobot):
-            self._portray = Views(robot, navigator.type_names).jpegs
+        has_camera = isinstance(robot, PhysicsRobot)
+        self._views = Views(robot, navigator.type_names) if has_camera else None
         self._world = robot.world_state
         self._taken: Mapping[str, bytes] = {}
         self._frames: list[Frame] = []
         self._pictures: list[Mapping[str, bytes]] = []
         self._clause, self._contradictions = np.int32(0), 0
-        robot.on_look = lambda _: self._on_look()
+        robot.on_look = self._on_look
 
-    def _on_look(self) -> None:
-        self._world = self._robot.world_state
-        if self._portray is not None:
-            self._taken = self._portray()
+    def _on_look(self, robot: SimulatedRobot) -> None:
+        self._world = robot.world_state
+        if self._views is not None:
+            self._taken = self._views.jpegs()
 
     def on_step(self, step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
         """Keep a decision; one without a picture shows the belief as it was."""
@@ -101,7 +100,7 @@ class DriveRecorder:
         )
         told = stack_frames(scene, self._frames, self._result(ended))
         why = "" if ended.ending is Ending.ARRIVED else f"{ended.ending.value}: {ended.why}"
-        pictures = tuple(self._pictures) if self._portray is not None else ()
+        pictures = tuple(self._pictures) if self._views is not None else ()
         return dataclasses.replace(told, pictures=pictures, ended=why)
 
     def _result(self, ended: Drive) -> EpisodeResult:

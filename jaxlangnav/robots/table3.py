@@ -115,24 +115,12 @@ def navigator_of(robot: str, policy: str = "informed") -> Navigator:
 
 
 def run_trial(
-    row: TrialRow,
-    trial: int,
-    *,
-    navigator: Navigator,
-    seed: int = 0,
-    page: Path | None = None,
+    row: TrialRow, trial: int, *, navigator: Navigator, seed: int = 0, page: Path | None = None
 ) -> dict[str, Any]:
     """Run one trial, 0 or more, of a row; the robot knows of the environment but its edges.
 
-    Args:
-        row: the row.
-        trial: its number.
-        navigator: what decides; ``navigator_of`` builds it.
-        seed: root seed.
-        page: file for the recording of it, a page for the browser; none is made if None.
-
-    Returns:
-        What came of it, in JSON's types: a row of the table, and the whole drive as ``steps``.
+    ``page`` is a file for its recording. What came of it is in JSON's types: a row of the table,
+    and the whole drive as ``steps``.
     """
     begin, robot = time.perf_counter(), make_robot(row, seed, trial)
     truth: list[list[float]] = []

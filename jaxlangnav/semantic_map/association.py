@@ -175,7 +175,12 @@ def _weigh(
     """Weigh what a detection may be, f32[O + 1, ...], something new last; log N of each slot given.
 
     And f32[O, ...] twice, how probable things are then to exist: of the slot that it falls to, and
-    of the others if it is something new. None where all that is detected exists.
+    of the others if it is something new. None where all that is detected exists. A doubted one has
+
+        p(z is o) ∝ (r + (1 − r) h) N,   p(z is new) ∝ λ m + c,   c = c₀ + λ₀ m k + h Σ_other r N
+
+    with r the probability that o exists, c₀ the density of false detections, k the odds that a
+    label is wrong and h those of a certain wrong one; λ₀ is λ of a type of which nothing is held.
     """
     # Attributes decide nothing here: a detector that wavers must not make two of one thing.
     is_alike, log_new = label_of(so_far.object_type) == label_of(seen.object_type), seen.log_new
@@ -184,41 +189,20 @@ def _weigh(
     if doubt is None:
         log_more = (log_new + jnp.log1p(growth * jnp.sum(is_counted, axis=0)))[None]
         return jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_more]), None
-    held = jnp.where(is_counted, so_far.existence, 0.0)
+    existence = so_far.existence
+    held = jnp.where(is_counted, existence, 0.0)
     log_more = (log_new + jnp.log1p(growth * jnp.sum(held, axis=0)))[None]
     is_other = ~is_alike & (so_far.object_type != NONE)
     log_confused = prepend_axes(log_new + doubt.log_confused, log_more.ndim)
-    log_held, log_any, if_held = _doubted(
-        log_existing, log_more, log_confused, so_far.existence, is_other, doubt
-    )
-    likelier = made_likelier(held, growth, jnp.exp(log_more - log_any)[0])
-    log_weight = jnp.concatenate([jnp.where(may_be, log_held, -jnp.inf), log_any])
-    return log_weight, (if_held, jnp.where(is_counted, likelier, so_far.existence))
-
-
-def _doubted(
-    log_existing: Array,
-    log_new: Array,
-    log_confused: Array,
-    existence: Array,
-    is_other: Array,
-    doubt: ClutterOdds,
-) -> tuple[Array, Array, Array]:
-    """Weigh a detection that may be false: of something that is held, and of something new.
-
-        p(z is o) ∝ (r + (1 − r) h) N,   p(z is new) ∝ λ m + c,   c = c₀ + λ₀ m k + h Σ_other r N
-
-    with r the probability that o exists, c₀ the density of false detections, k the odds that a
-    label is wrong and h those of a certain wrong one; λ₀ is λ of a type of which nothing is held.
-    Returns both log-weights, doubted, and f32[O, ...], r of each slot if the detection falls to it.
-    """
     log_real = jnp.log(jnp.maximum(existence, 1e-9))
     log_mislabelled = jnp.log(jnp.maximum(1.0 - existence, 1e-9)) + doubt.log_as
     log_own = jnp.logaddexp(log_real, log_mislabelled)
     of_others = jnp.where(is_other, log_existing + log_real + doubt.log_as, -jnp.inf)
     of_others = jax.scipy.special.logsumexp(of_others, axis=0, keepdims=True)
     log_false = jnp.logaddexp(doubt.log_false, log_confused)
-    log_any = jnp.logaddexp(log_new, jnp.logaddexp(log_false, of_others))
-    is_held = existence > 0.0
-    is_real = jnp.where(is_held, jnp.exp(log_real - log_own), jnp.exp(log_new - log_any))
-    return log_existing + log_own, log_any, is_real
+    log_any = jnp.logaddexp(log_more, jnp.logaddexp(log_false, of_others))
+    is_real = jnp.exp(log_more - log_any)
+    if_held = jnp.where(existence > 0.0, jnp.exp(log_real - log_own), is_real)
+    others_if_new = jnp.where(is_counted, made_likelier(held, growth, is_real[0]), existence)
+    log_held = jnp.where(may_be, log_existing + log_own, -jnp.inf)
+    return jnp.concatenate([log_held, log_any]), (if_held, others_if_new)

@@ -45,13 +45,8 @@ def infer_clause_behaviors(
     """Infer the behavior of one clause in every particle.
 
     The behavior model sees a particle's topology only, so each distinct topology is inferred
-    once, ``_BLOCK`` of them at a time, and handed to all particles that share it.
-
-    Args:
-        particles: leaves [..., P].
-        instruction: grounded sentence.
-        clause: i32[], which of its commands.
-        previous_goal: i32[], observed slot at which the command before ended; NONE.
+    once, ``_BLOCK`` of them at a time, and handed to all particles that share it. ``previous_goal``
+    is the observed slot at which the command before ended, i32[]; NONE.
     """
     program = select_row(instruction.program, clause)
     number = particles.reading.shape[-1]
@@ -109,17 +104,10 @@ def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, 
     order = jnp.argsort(-rank[:-1], stable=True)[: grounding.MAX_SLOTS - 1]
     slots = jnp.append(jnp.sort(order), kind.shape[0] - 1)
 
-    def both(edges: Array) -> Array:
-        return edges[:, slots][:, :, slots]
+    def kept(leaf: Array) -> Array:  # of objects [N + 1], or of edges [6, N + 1, N + 1]
+        return leaf[slots] if leaf.ndim == 1 else leaf[:, slots][:, :, slots]
 
-    return BehaviorWorld(
-        object_type=kind[slots],
-        is_object=world.is_object[slots],
-        is_related=both(world.is_related),
-        is_superlative=both(world.is_superlative),
-        is_later=both(world.is_later),
-        is_previous=world.is_previous[slots],
-    ), slots
+    return jax.tree.map(kept, world), slots
 
 
 def _spread(behavior: Behavior, slots: Array, num_slots: int) -> Behavior:
@@ -144,13 +132,6 @@ def filter_untyped_goals(
     """For a goal without an object type, keep only observed objects that satisfy its relation.
 
     Limits: of sentences that call everything by its type nothing changes, and nothing is computed.
-
-    Args:
-        behavior: of every particle, leaves [..., P].
-        particles: leaves [..., P].
-        readings: what is said.
-        context: from where relations were said, and what mentions are not.
-        relations: prepared relations.
     """
     num_objects, number = particles.object_type.shape[0], particles.reading.shape[0]
     is_any = jnp.broadcast_to(jnp.any(is_anything(readings.mention_type)), (number,))

@@ -104,14 +104,7 @@ def about_robot(belief: ParticleBelief) -> ParticleBelief:
 
     mean_x, mean_y = moved(particles.mean_x, particles.mean_y)
     hypothesis_x, hypothesis_y = moved(particles.hypothesis_x, particles.hypothesis_y)
-    return replace(
-        belief,
-        particles=replace(
-            particles,
-            mean_x=mean_x,
-            mean_y=mean_y,
-            hypothesis_x=hypothesis_x,
-            hypothesis_y=hypothesis_y,
-            drift=particles.drift.at[0].set(drift),
-        ),
-    )
+    drift = particles.drift.at[0].set(drift)
+    particles = replace(particles, mean_x=mean_x, mean_y=mean_y, drift=drift)
+    particles = replace(particles, hypothesis_x=hypothesis_x, hypothesis_y=hypothesis_y)
+    return replace(belief, particles=particles)

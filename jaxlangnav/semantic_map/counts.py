@@ -63,12 +63,9 @@ def made_likelier(existence: Array, growth: Array | float, is_real: Array | floa
 
         r_i' = r_i (1 + ρ g (1 − r_i) / (1 + g Σ_j r_j)),   g = κ / α
 
-    Limits: no growth, nothing real (ρ = 0) and what is sure (r = 1) stay as they are.
-
-    Args:
-        existence: f32[O, ...], r; 0 of types with another rate and in empty slots.
-        growth: f32[], g.
-        is_real: f32[...], ρ, probability that the new one is itself real.
+    with r, f32[O, ...], 0 of types with another rate and in empty slots, and ρ, f32[...], the
+    probability that the new one is itself real. Limits: no growth, nothing real (ρ = 0) and what is
+    sure (r = 1) stay as they are.
     """
     gain = is_real * growth / (1.0 + growth * jnp.sum(existence, axis=0))
     return existence * (1.0 + jnp.asarray(gain)[None] * (1.0 - existence))
@@ -79,12 +76,7 @@ def exposed(existence: Array, log_exposure: Array) -> tuple[Array, Array]:
 
         log Π_i (1 − r_i + r_i q),   r_i' = r_i q / (1 − r_i + r_i q),   q = (1 + κ s) / (1 + κ s')
 
-    Args:
-        existence: f32[O, ...], r; 0 in empty slots.
-        log_exposure: f32[], −log q ≥ 0.
-
-    Returns:
-        f32[...], log-likelihood, and f32[O, ...], r'.
+    Log-likelihood, f32[...], and r', f32[O, ...]; of r, 0 in empty slots, and −log q ≥ 0, f32[].
     """
     # Over q, so that what is sure stays so to the last bit.
     lost = jnp.log1p((1.0 - existence) * jnp.expm1(log_exposure))

@@ -55,14 +55,7 @@ def area_size(coverage: Coverage) -> Array:
 
 
 def look(coverage: Coverage, eye: Eye, detection_probability: Array, view: View) -> Coverage:
-    """Enter one look at the surroundings: cells in view are missed with probability 1 − p_d.
-
-    Args:
-        coverage: before the look.
-        eye: where the robot is, f32[], and how far and wide it looks.
-        detection_probability: f32[], p_d.
-        view: what can be seen in this place.
-    """
+    """Enter one look of an eye, f32[]: cells in view are missed with probability 1 − p_d."""
     centre_x, centre_y = cell_centres(coverage)
     size_x, size_y = cell_size(coverage)
     softness = 0.5 * (size_x + size_y)
@@ -74,15 +67,8 @@ def look(coverage: Coverage, eye: Eye, detection_probability: Array, view: View)
 def log_miss_at(coverage: Coverage, x: Array, y: Array, first_row: Array | int = 0) -> Array:
     """Look up the log-probability that an object at (x, y) would still be unseen.
 
-    Args:
-        coverage: where the robot has looked; or several, one below the other: f32[n G, G], and
-            the area of each place, f32[4, ...].
-        x: f32[...], metres, map frame.
-        y: f32[...], metres.
-        first_row: i32[...], where in several the map begins that is asked.
-
-    Returns:
-        f32[...]; −∞ outside the operating area, where nothing is.
+    f32[...]; −∞ outside the operating area, where nothing is. Of several coverages one below the
+    other, f32[n G, G], the one that begins at ``first_row`` is asked, and areas are f32[4, ...].
     """
     num_cells = coverage.log_miss.shape[-1]
     size_x, size_y = (prepend_axes(size, x.ndim) for size in cell_size(coverage))
@@ -97,14 +83,9 @@ def log_miss_at(coverage: Coverage, x: Array, y: Array, first_row: Array | int =
 def sample_unseen(coverage: Coverage, uniform: Array, jitter: Array) -> tuple[Array, Array, Array]:
     """Draw places in proportion to the probability of being unseen, systematically.
 
-    Args:
-        coverage: where the robot has looked.
-        uniform: f32[], in [0, 1), offset of the systematic comb.
-        jitter: f32[2, n], uniform draws that spread the places over their cells.
-
-    Returns:
-        x and y, f32[n] metres, map frame, each marginally from the law once the index is chosen
-        at random, and f32[], the log of the unseen share of the area u.
+    ``uniform``, f32[], is the offset of the comb; ``jitter``, f32[2, n], spreads the places over
+    their cells. x and y, f32[n] metres, map frame, are each marginally from the law once the index
+    is chosen at random; and f32[], the log of the unseen share of the area u.
     """
     num_cells, number = coverage.log_miss.shape[-1], jitter.shape[-1]
     size_x, size_y = cell_size(coverage)

@@ -10,6 +10,7 @@ doubt of where the robot is. Both looks are said to be at fault.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -169,6 +170,7 @@ def gate_observation(
     is_jump = (fault == int(Fault.JUMP)) & is_steady
     is_seen = given & is_sound
     shut = replace(default_sensor(), detection_probability=jnp.float32(0.0))
+    sensor = jax.tree.map(partial(jnp.where, is_sound), observation.sensor, shut)
     believed = replace(
         observation,
         pose=jnp.where(is_sound | is_jump, pose, last),
@@ -176,9 +178,7 @@ def gate_observation(
         detection_range=jnp.where(is_seen, observation.detection_range, 0.0),
         detection_bearing=jnp.where(is_seen, observation.detection_bearing, 0.0),
         is_detection=is_seen,
-        sensor=jax.tree.map(
-            lambda given, safe: jnp.where(is_sound, given, safe), observation.sensor, shut
-        ),
+        sensor=sensor,
     )
     return Look(
         observation=believed,

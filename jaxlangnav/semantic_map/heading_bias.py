@@ -17,8 +17,7 @@ from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look
 from jaxlangnav.terrain.view import eye_of
 
 LEAST_LED = 0.2
-"""Probability of the drift that the robot goes by, below which it goes by the other one. To change
-at every doubt would be to search by both at once, and to finish neither."""
+"""Probability of the drift that the robot goes by, below which it goes by the other one."""
 
 
 def both_ways(belief: ParticleBelief) -> tuple[Coverage, Array]:

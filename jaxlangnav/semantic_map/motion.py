@@ -51,13 +51,8 @@ def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: Moti
 def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -> SemanticMap:
     """Move the robot by a measured step with independent noise in each axis.
 
+    The step, odometry u, is f32[] or f32[1, ...] metres, map axes; its variance f32[] m² per axis.
     Limits: no noise translates the robot rigidly; objects never move.
-
-    Args:
-        particle: one particle, or all of them with their axis last.
-        step_x: f32[] or f32[1, ...], odometry u, metres, map axes.
-        step_y: see ``step_x``.
-        variance: f32[], square metres per axis.
     """
     robot = particle.object_type.shape[0]
     unit = append_axes((jnp.arange(robot + 1) == robot).astype(jnp.float32), particle.mean_x.ndim)

@@ -30,8 +30,7 @@ from jaxlangnav.semantic_map.predict import headings, with_drift
 from jaxlangnav.semantic_map.update import condition, log_absence
 
 LEAST_DOUBT = 1e-2
-"""Probability that what has been detected is not there, however often it was: no detector never
-errs, and things are taken away. So looks that should show it and do not are held against it."""
+"""Least probability that what has been detected is not there: things are taken away."""
 
 
 class MeasurementUpdate(NamedTuple):
@@ -87,13 +86,9 @@ def observe(
     coverage, alternate_miss = look_around(belief, observation, sensor)
     exposure = exposed_by(share_unseen(coverage)) - before
     belief = replace(belief, coverage=coverage, alternate_miss=alternate_miss)
+    heading, softness = headings(belief, observation.pose[2]), 2.5 * params.kernel + 1e-3
     log_objects, log_hypotheses, existence = log_absence(
-        belief.particles,
-        grounded.is_hit,
-        headings(belief, observation.pose[2]),
-        2.5 * params.kernel + 1e-3,
-        sensor,
-        belief.terrain.view,
+        belief.particles, grounded.is_hit, heading, softness, sensor, belief.terrain.view
     )
     belief, log_exposed, log_meant, is_lost = _counted(belief, believed, existence, exposure)
     log_map = grounded.log_weight + log_objects + log_exposed
@@ -160,11 +155,9 @@ def _counted(
 
 
 LEAST_EXISTENCE, LEAST_WORTH = 1e-4, 0.02
-"""Probability below which a thing that was detected is taken not to exist, and forgotten; and where
-hardly a slot is free. What is forgotten takes its detections with it, but the looks that missed it
-stay: a thing forgotten too soon would have to be detected more often than it can be."""
-_SPARE_SLOTS = 2
-"""Slots that are kept free, if need be, by forgetting what is least likely to exist."""
+"""Probability below which a thing that was detected is forgotten; and where hardly a slot is free.
+A thing forgotten too soon would have to be detected more often than it can be."""
+_SPARE_SLOTS = 2  # kept free, if need be, by forgetting what is least likely to exist
 
 
 def forget(particles: SemanticMap) -> tuple[SemanticMap, Array]:
@@ -185,9 +178,8 @@ def forget(particles: SemanticMap) -> tuple[SemanticMap, Array]:
 
 
 LOG_CONTRADICTION = 15.0
-"""Nats; an observation e¹⁵ times less probable than those the map leads one to expect contradicts
-it. Of 78 000 looks in Table 2's worlds one is beyond; two false things in view four looks long are
-18 to 41 nats at the worst of them."""
+"""Nats by which an observation that contradicts the map is less probable than one expected. Of
+78 000 looks in Table 2's worlds one is beyond."""
 
 
 def surprise(

@@ -70,15 +70,9 @@ def empty(
     has_doubts: bool = False,
     has_drift: bool = False,
 ) -> SemanticMap:
-    """Build the map, one particle, of a robot that has seen and heard nothing.
+    """Build one particle, with room for O objects and M mentions, that has seen and heard nothing.
 
-    Args:
-        num_objects: O, capacity for observed objects.
-        num_mentions: M, capacity for mentions.
-        start_x: f32[], metres, map frame.
-        start_y: f32[], metres.
-        has_doubts: whether what is detected may not exist.
-        has_drift: whether the heading may drift.
+    What is detected may not exist where it ``has_doubts``; the heading drifts if it ``has_drift``.
     """
     robot = jnp.zeros(num_objects + 1, jnp.float32).at[num_objects].set(1.0)
     none, nowhere = jnp.full(num_mentions, NONE, jnp.int32), jnp.zeros(num_mentions, jnp.float32)

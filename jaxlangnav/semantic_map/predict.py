@@ -27,12 +27,8 @@ def predict(
 ) -> ParticleBelief:
     """Move the robot in every particle by what odometry has measured since the last step.
 
-    Args:
-        belief: before the motion.
-        pose: f32[3], dead-reckoned pose now.
-        is_jump: bool[], motion does not explain it: the robot may be there or where it was.
-        noise: f32[P], standard normal, of particles that hold a ``drift``.
-        params: odometry noise.
+    The dead-reckoned pose is f32[3]; where it is a jump, bool[], the robot may be there or where it
+    was. Particles that hold a ``drift`` need ``noise``, f32[P], standard normal.
     """
     step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
     share = jnp.where(is_jump, 1.0, params.motion.odometry_noise)

@@ -8,8 +8,6 @@ goes back to the list.
 Limits: a list of no room (B = 0) is never looked at, and everything seen enters the particles.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -21,9 +19,7 @@ from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 
 _DEVIATIONS = 5.0  # standard deviations within which two sightings of one type are of one thing
-
-_REMEMBERED = 0.95
-"""Probability that what the list holds exists, where that is in doubt: looks will tell."""
+_REMEMBERED = 0.95  # probability that what the list holds exists, where that is in doubt
 
 
 @pytree
@@ -45,16 +41,6 @@ def nobody(number: int) -> Bystanders:
     """Build an empty list with room for ``number`` things."""
     zero = jnp.zeros(number, jnp.float32)
     return Bystanders(object_type=jnp.full(number, NONE, jnp.int32), x=zero, y=zero, variance=zero)
-
-
-class Sighting(NamedTuple):
-    """One thing seen, or put aside."""
-
-    object_type: Array  # i32[]
-    x: Array  # f32[] metres, map frame
-    y: Array  # f32[]
-    variance: Array  # f32[] m²
-    is_there: Array  # bool[]
 
 
 def is_spoken_of(object_type: Array, spoken: Array) -> Array:
@@ -86,19 +72,18 @@ def remember_bystanders(
     """
     bearing = observation.pose[2] + observation.detection_bearing
     noise = observation.sensor.noise
-    seen = Sighting(
-        object_type=observation.detection_type,
+    seen = Bystanders(
+        object_type=jnp.where(observation.is_detection, observation.detection_type, NONE),
         x=robot[0] + observation.detection_range * jnp.cos(bearing),
         y=robot[1] + observation.detection_range * jnp.sin(bearing),
         variance=jnp.broadcast_to(noise * noise + robot[2] + 1e-4, bearing.shape),
-        is_there=observation.is_detection,
     )
     known, lost = jax.lax.scan(_enter, known, seen)
     return known, jnp.sum(lost)
 
 
-def _enter(known: Bystanders, seen: Sighting) -> tuple[Bystanders, Array]:
-    """Enter one sighting; i32[] tells whether it found no room."""
+def _enter(known: Bystanders, seen: Bystanders) -> tuple[Bystanders, Array]:
+    """Enter one thing seen, leaves [], if it is one; i32[] tells whether it found no room."""
     squared = (known.x - seen.x) ** 2 + (known.y - seen.y) ** 2
     is_near = squared <= _DEVIATIONS**2 * (known.variance + seen.variance)
     may_be = (known.object_type == seen.object_type) & is_near
@@ -107,7 +92,7 @@ def _enter(known: Bystanders, seen: Sighting) -> tuple[Bystanders, Array]:
     free = jnp.argmax(~known.is_held)
     is_known, has_room = jnp.any(may_be), jnp.any(~known.is_held)
     here = places == jnp.where(is_known, nearest, free)
-    here = here & seen.is_there & (is_known | has_room)
+    here = here & seen.is_held & (is_known | has_room)
     gain = jnp.where(is_known, known.variance / (known.variance + seen.variance), 1.0)
     after = Bystanders(
         object_type=jnp.where(here, seen.object_type, known.object_type),
@@ -115,7 +100,7 @@ def _enter(known: Bystanders, seen: Sighting) -> tuple[Bystanders, Array]:
         y=jnp.where(here, known.y + gain * (seen.y - known.y), known.y),
         variance=jnp.where(here, gain * seen.variance, known.variance),
     )
-    return after, (seen.is_there & ~is_known & ~has_room).astype(jnp.int32)
+    return after, (seen.is_held & ~is_known & ~has_room).astype(jnp.int32)
 
 
 _Both = tuple[SemanticMap, Bystanders]
@@ -144,8 +129,9 @@ def promote(
         held, known = both
         leaves = held.object_type, held.mean_x, held.mean_y, jnp.diagonal(held.covariance).T
         kind, x, y, spread = (select_row(one, slot)[likeliest] for one in leaves)
-        is_there = (kind != NONE) & ~is_spoken_of(kind, spoken)
-        return held, _enter(known, Sighting(kind, x, y, spread, is_there))[0]
+        kind = jnp.where(is_spoken_of(kind, spoken), NONE, kind)
+        thing = Bystanders(object_type=kind, x=x, y=y, variance=spread)
+        return held, _enter(known, thing)[0]
 
     def put_away(_: Array, both: _Both) -> _Both:
         held, known = both

@@ -6,8 +6,7 @@ program; the open field has no numbers at all, and costs nothing.
 """
 
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain.travel import StraightLines, Travel
-from jaxlangnav.terrain.view import Eye, OpenField, View
+from jaxlangnav.terrain.view import Eye, OpenField, StraightLines, Travel, View
 
 __all__ = ["OPEN", "Eye", "OpenField", "StraightLines", "Terrain", "Travel", "View"]
 

@@ -12,8 +12,7 @@ from jax import Array
 
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain.travel import StraightLines
-from jaxlangnav.terrain.view import NEVER, Eye, Stretch, View
+from jaxlangnav.terrain.view import NEVER, Eye, StraightLines, Stretch, View
 from jaxlangnav.terrain.walls import Walls
 
 CLEARANCE = 0.2

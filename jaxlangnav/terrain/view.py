@@ -1,4 +1,4 @@
-"""What is in view: the one test (sections 3.2 and 4.2), for the sensor, the belief and the planner.
+"""What is in view, and how far it is to walk: for the sensor, the belief and the planner.
 
 A detector sees as far as its range and within its opening angle; what the place does to that is a
 ``View``. In the open field nothing stands in the way; ``walls.Walls`` hide what is behind them.
@@ -75,12 +75,6 @@ class OpenField:
         """Compute which share of something spread over ``softness`` metres is in view, f32[...].
 
         Limits: 1 well inside, 0 well outside, and the 0/1 test as softness → 0.
-
-        Args:
-            eye: where the robot is, and how far and wide it looks.
-            x: f32[...], metres, map frame.
-            y: f32[...], metres.
-            softness: f32[] or broadcastable, metres, > 0.
         """
         offset_x, offset_y = x - eye.x, y - eye.y
         distance = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
@@ -158,3 +152,61 @@ def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Arr
     turned = jnp.abs(bearing - 2.0 * jnp.pi * jnp.round(bearing / (2.0 * jnp.pi)))
     past = jnp.clip(turned - 0.5 * field_of_view, 0.0, 0.5 * jnp.pi)
     return jnp.maximum(distance - range_max, distance * jnp.sin(past))
+
+
+class Travel(Protocol):
+    """How a robot comes from place to place: a record that JAX can trace (``@pytree``).
+
+    All arguments are metres, map frame, and broadcast against each other.
+    """
+
+    def metres(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
+        """Compute the length of the shortest way, f32[...]; at least that of the straight line."""
+        ...
+
+    def next_place(
+        self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
+    ) -> tuple[Array, Array]:
+        """Find where to make for in a straight line on that way, f32[] x and y of one robot."""
+        ...
+
+    def first_sight(
+        self,
+        view: View,
+        stretch: Stretch,
+        x: Array,
+        y: Array,
+        radius: Array,
+        opening: Array | None = None,
+    ) -> Array:
+        """Compute after how many metres of ways [...] points [C] come into view, f32[..., C]."""
+        ...
+
+
+@pytree
+class StraightLines:
+    """Nothing is in the way."""
+
+    def metres(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
+        """Compute the straight distance, f32[...]; its slope is finite at zero, too."""
+        span_x, span_y = to_x - from_x, to_y - from_y
+        return jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
+
+    def next_place(
+        self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
+    ) -> tuple[Array, Array]:
+        """Make for the end of the way itself."""
+        del from_x, from_y
+        return to_x, to_y
+
+    def first_sight(
+        self,
+        view: View,
+        stretch: Stretch,
+        x: Array,
+        y: Array,
+        radius: Array,
+        opening: Array | None = None,
+    ) -> Array:
+        """Look about all along the line."""
+        return view.first_sight(stretch, x, y, radius, opening)

@@ -28,10 +28,8 @@ _FACING = 0.15  # radians off the last waypoint that count as facing it
 _BESIDE = 0.3  # metres from the last waypoint from which on there is something to face
 _PATIENCE = 8.0  # seconds without moving after which it gives up
 _MOVED = 0.1  # metres, or a fifth of a radian, that count as having moved
-_GRACE, _DETOUR = 15.0, 4.0
-"""It gives up after a time, too: seconds, and how often the time that the straight way takes."""
-_TREMBLE = np.array([0.0, 0.0, 0.06])
-"""Metres by which discs may grow or stir before a way is not free any more."""
+_GRACE, _DETOUR = 15.0, 4.0  # it gives up after so many seconds and times that of the straight way
+_TREMBLE = np.array([0.0, 0.0, 0.06])  # metres by which discs may grow before a way is not free
 _PLAN_EVERY = 0.3  # seconds after which a way is looked for again, or a free one shortened
 _TRIES = 10  # ways looked for in vain, one after the other, after which there is none
 

@@ -16,8 +16,7 @@ EXTENT = 0.8
 """Metres that one disc spans at most: a long wall becomes many."""
 GROWN = 0.04
 """Metres by which a disc is larger than its hits."""
-_BEHIND = 0.8
-"""Share of half its width by which the middle of a round thing lies behind its near side."""
+_BEHIND = 0.8  # share of half its width by which a thing's middle lies behind its near side
 NO_DISCS = np.zeros((0, 3))
 
 
@@ -74,8 +73,7 @@ DETOUR_MARGIN = 3.0
 """Metres of room that a way may take beyond the box of start and goal."""
 _STEPS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 _ALIVE = 0.08  # metres that a body is told to keep from a thing that it stands against
-_UP_TO = 0.6
-"""Metres from the goal to the edge of a disc within which it counts as what is gone up to."""
+_UP_TO = 0.6  # metres from the goal to the edge of a disc that is what is gone up to
 
 
 def inflate(

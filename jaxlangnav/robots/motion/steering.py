@@ -19,8 +19,7 @@ from jaxlangnav.robots.motion.path import gaps, is_clear
 
 GRAZE = 0.03
 """Metres that a way round something that is touched, or all but, may come nearer to it."""
-_BEFORE = 0.5
-"""Cosine of the angle off the way ahead from which on a thing so near is before the body."""
+_BEFORE = 0.5  # cosine of the angle off the way ahead within which a thing is before the body
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -85,6 +84,8 @@ class Steering(abc.ABC):
     ) -> WheelCommand:
         """Choose a command: turn on the spot if the way is aside, else follow an arc.
 
+        ``Mover`` keeps it within what the body can do in a tick.
+
         Args:
             pose: f64[3], x, y, heading.
             moving: the present one.
@@ -92,9 +93,6 @@ class Steering(abc.ABC):
             discs: f64[K, 3], things, metres, not inflated.
             top_speed: metres a second wished for.
             body: size and limits.
-
-        Returns:
-            The command; ``Mover`` keeps it within what the body can do in a tick.
         """
         target = _pursued(pose, way, self.ahead, discs, body)
         off = wrap(math.atan2(*(target - pose[:2])[::-1]) - pose[2])

@@ -47,7 +47,9 @@ def measure_detector(
     seed: int = 0,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> list[Figure]:
-    """Measure the detector of the Husky; the wheelchair's camera is the same one.
+    """Measure the detector of the Husky: a figure for each picture, range and turn.
+
+    The wheelchair's camera is the same one.
 
     Args:
         looks: of each kind, at bearings drawn within the gate.
@@ -56,9 +58,6 @@ def measure_detector(
         pictures: names in ``PICTURES``.
         seed: of noise and bearings.
         on_progress: is told how many figures have just been measured.
-
-    Returns:
-        One figure for each picture, range and turn.
     """
     scenario = placed([(HYDRANT, OUT_OF_SIGHT[0], 0.0)])
     found = []

@@ -33,8 +33,7 @@ RATE, NOISE = 0.95, 0.05
 _CELLS, _CELL_PIXELS = 10, 16
 _SQUARE = 0.5 * TAG_SIDE * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
 """Corners of a tag from the top left one on, clockwise, its z axis towards whoever sees it."""
-_LEAST_MARGIN = 25.0
-"""Contrast of a tag's bits (AprilTag's decision margin) below which it is not believed."""
+_LEAST_MARGIN = 25.0  # AprilTag's decision margin below which a tag is not believed
 _SAME = 0.6  # metres within which two sides with one number are of one thing
 
 
@@ -150,16 +149,10 @@ def middle_of(tag: Tag, camera: Camera) -> np.ndarray:
 def to_detections(
     tags: Sequence[Tag], camera: Camera, gates: Gates, num_types: int
 ) -> list[Detection]:
-    """Turn tags into things: one for all the sides of a thing that are seen.
+    """Turn tags of one picture into the things within the gates, one for all sides of a thing.
 
-    Args:
-        tags: found in one picture.
-        camera: that took it.
-        gates: what is used.
-        num_types: tags of further types are nobody's.
-
-    Returns:
-        Things within the gates, each at the mean of its sides, which weigh by how straight on.
+    Each is at the mean of its sides, which weigh by how straight on they are seen. Tags of further
+    types than ``num_types`` are nobody's.
     """
     things: dict[int, list[tuple[np.ndarray, float]]] = {}
     for tag in tags:
@@ -183,11 +176,7 @@ def degrade(
 ) -> np.ndarray:
     """Make a rendered grey picture u8[H, W] as bad as a camera's.
 
-    Args:
-        picture: u8[H, W].
-        random: of the noise.
-        noise: standard deviation, grey levels of 255.
-        blur: standard deviation of the Gaussian that it is blurred by, pixels.
+    Noise is a standard deviation in grey levels of 255, and blur one in pixels.
     """
     if blur > 0.0:
         picture = libraries.opencv().GaussianBlur(picture, (0, 0), blur)

@@ -22,8 +22,8 @@ TOLD = {"husky": 0.11, "wheelchair": 0.022}
 ``SPANS``, rounded to the cautious side."""
 SPANS = (1, 2, 4, 8, 16)
 """Cycles over which the law is held against what is measured."""
-_LEGS, _SHORTEST, _LONGEST, _EDGE = 5, 1.0, 4.0, 6.0
-"""Legs of a drive, metres of each, and metres from the start within which they end."""
+_LEGS, _SHORTEST, _LONGEST = 5, 1.0, 4.0  # of a drive, and metres of each
+_EDGE = 6.0  # metres from the start within which they end
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -40,12 +40,9 @@ class OdometryFigures:
 
 
 def measure_odometry(machine: str, *, drives: int = 30, seed: int = 0) -> OdometryFigures:
-    """Drive a robot from place to place in the open, and hold its odometry against the truth.
+    """Drive "husky" or "wheelchair" about in the open, and hold its odometry against the truth.
 
-    Args:
-        machine: "husky" or "wheelchair".
-        drives: each with wheels, gyro and places of its own.
-        seed: of the first; the others follow.
+    Each drive has wheels, gyro and places of its own; their seeds follow upon the first one.
     """
     logs = [_drive(machine, seed + one) for one in range(drives)]
     way = np.array([np.hypot(*np.diff(log[:, :2], axis=0).T).sum() for log in logs])

@@ -6,7 +6,6 @@ the scanner what to see: 1 things and people, 2 their looks, 3 the robot, 0 the 
 
 import dataclasses
 from collections import Counter
-from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
@@ -46,12 +45,11 @@ class PhysicsScene:
     def turn(self, name: str, heading: float) -> None:
         """Turn a thing about its upright axis to a heading, radians, map frame."""
         index = int(self.model.body_mocapid[self.body(name)])
-        half = 0.5 * heading
-        self.data.mocap_quat[index] = np.cos(half), 0.0, 0.0, np.sin(half)
+        self.data.mocap_quat[index] = _upright(heading)
 
-    def cover(self, slot: int, sides: Sequence[str] = _SIDES) -> None:
-        """Hang something grey over tags of a thing, on sides as it was put."""
-        for side in sides:
+    def cover(self, slot: int) -> None:
+        """Hang something grey over the tags of a thing."""
+        for side in _SIDES:
             geom = int(self.model.geom(f"tag{slot}_{side}").id)
             self.model.geom_matid[geom] = -1
             self.model.geom_rgba[geom] = _COVERED
@@ -68,37 +66,28 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
     for slot in np.flatnonzero(np.asarray(scenario.is_object)).tolist():
         kind = int(np.asarray(scenario.object_type)[slot])
         place = float(scenario.object_x[slot]), float(scenario.object_y[slot])
-        turned = random.uniform(0.0, 0.5 * np.pi)
-        number = kind * TAGS_PER_TYPE + counts[kind]
-        _add_thing(spec, mujoco, slot, number, kind, place, turned)
+        turned, pos = _upright(random.uniform(0.0, 0.5 * np.pi)), [*place, MIDDLE_HEIGHT]
+        body = spec.worldbody.add_body(name=f"thing{slot}", mocap=True, pos=pos, quat=turned)
+        _add_cube(mujoco, body, _COLOURS.get(kind, (0.3, 0.4, 0.6, 1.0)))
+        _add_tags(spec, mujoco, body, f"tag{slot}", kind * TAGS_PER_TYPE + counts[kind])
         counts[kind] += 1
     model = spec.compile()
     data = mujoco.MjData(model)
     x, y, heading = (float(one) for one in np.asarray(scenario.start))
     data.qpos[:2] = x, y
-    data.qpos[3:7] = np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)
+    data.qpos[3:7] = _upright(heading)
     mujoco.mj_forward(model, data)
     return PhysicsScene(model=model, data=data)
 
 
-def _add_thing(
-    spec: Any,
-    mujoco: Any,
-    slot: int,
-    number: int,
-    kind: int,
-    place: tuple[float, float],
-    turned: float,
-) -> None:
-    """Add a cube on a foot, a tag on each upright side."""
+def _upright(heading: float) -> list[float]:
+    """Build the quaternion w, x, y, z of a heading."""
+    return [float(np.cos(0.5 * heading)), 0.0, 0.0, float(np.sin(0.5 * heading))]
+
+
+def _add_cube(mujoco: Any, body: Any, colour: tuple[float, ...]) -> None:
+    """Add a cube on a foot."""
     half = 0.5 * CUBE_SIDE
-    colour = _COLOURS.get(kind, (0.3, 0.4, 0.6, 1.0))
-    body = spec.worldbody.add_body(
-        name=f"thing{slot}",
-        mocap=True,
-        pos=[*place, MIDDLE_HEIGHT],
-        quat=[np.cos(0.5 * turned), 0.0, 0.0, np.sin(0.5 * turned)],
-    )
     cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
     solid = {"contype": 1, "conaffinity": 2, "group": 1}
     body.add_geom(type=box, size=[half - 0.004] * 3, rgba=[0.9, 0.9, 0.9, 1], **solid)
@@ -109,7 +98,6 @@ def _add_thing(
     body.add_geom(
         type=cylinder, size=[0.14, 0.05, 0], pos=[0, 0, half + 0.05], rgba=colour, **_LOOKS
     )
-    _add_tags(spec, mujoco, body, f"tag{slot}", number)
 
 
 def _add_tags(spec: Any, mujoco: Any, body: Any, name: str, number: int) -> None:

@@ -233,15 +233,8 @@ def write_bag(
 ) -> Drive:
     """Let a robot, at its start, follow a sentence; write what is said either way into a bag.
 
-    Args:
-        path: folder that is not there yet.
-        simulated: the robot.
-        text: the sentence.
-        navigator: what decides.
-        key: random key of the decisions.
-
     Raises:
-        ValueError: the folder is there, or the sentence is refused.
+        ValueError: the folder is there already, or the sentence is refused.
         MissingExtraError: rosbags is not installed.
     """
     bus = RecordedLoopback(simulated, len(navigator.type_names))

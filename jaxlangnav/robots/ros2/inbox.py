@@ -17,15 +17,11 @@ from jaxlangnav.robots.ros2.conversions import carried, compose, inverse, pose_b
 _KEPT = 10.0  # seconds of odometry that are kept
 _GAP = 0.5  # seconds that a look may be away from the nearest odometry to be placed by it
 _LATE = 2.0  # seconds after which a message is too old to be of use
-_BACKWARDS = 10
-"""Messages in a row, each later than the last, yet too late for use, that mean that the
-robot's clock has begun anew; fewer have been late."""
+_BACKWARDS = 10  # messages in a row that are too late for use: the robot's clock has begun anew
 _SPEED, _JUMP = 2.0, 0.5
-"""Metres a second, and metres (radians for a heading) besides, beyond which odometry has jumped: it
-has begun anew."""
+"""Metres a second, and metres or radians besides, beyond which odometry has begun anew."""
 _SILENCE, _ZERO = 1.0, 0.2
-"""Seconds without odometry after which one that is within as many metres and radians of its zero
-has begun anew, however far it may have gone in the meantime."""
+"""Seconds without odometry after which one so near to its zero, metres or radians, has too."""
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -113,8 +113,7 @@ class TagLooks:
 
 
 _TURN = 0.05  # seconds that are waited for a message at most, before it is asked what the time is
-_QUIET, _ALIKE = 5.0, 16
-"""Seconds between two warnings of one kind, and letters that they then have in common."""
+_QUIET, _ALIKE = 5.0, 16  # seconds between two warnings that have so many letters in common
 LOOKS = ("cloud", "boxes", "tf")
 """Kinds of messages that a look may come in."""
 
@@ -130,14 +129,7 @@ class RosBus:
         look: str = "cloud",
         tags: TagSetup | None = None,
     ) -> None:
-        """Open the topics; ``rclpy.init`` has been called.
-
-        Args:
-            type_names: the navigator's.
-            say: is given what is said.
-            look: one of ``LOOKS``.
-            tags: what tags mean, for looks by "tf".
-        """
+        """Open the topics, for looks of one of ``LOOKS``; ``rclpy.init`` has been called."""
         if look not in LOOKS:
             raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(LOOKS)}")
         if look == "tf" and tags is None:

@@ -13,10 +13,8 @@ from jaxlangnav.robots.ros2.conversions import compose, inverse
 from jaxlangnav.robots.ros2.inbox import Inbox
 
 _REACHED, _FACED = 0.3, 0.2  # metres and radians within which a goal is reached
-_NEAR = 1.3
-"""Metres from a goal within which a robot that stands has come as near to it as things allow."""
-_STILL = 3.0
-"""Seconds without a move after which a robot stands; longer than one takes to find its way."""
+_NEAR = 1.3  # metres from a goal within which a robot that stands is as near as things allow
+_STILL = 3.0  # seconds without a move after which a robot stands; longer than finding a way takes
 _MOVED, _TURNED = 0.05, 0.05  # metres and radians that are a move
 
 

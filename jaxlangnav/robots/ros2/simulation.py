@@ -12,7 +12,7 @@ import itertools
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -28,11 +28,10 @@ from jaxlangnav.robots.ros2.conversions import Scribe, compose, inverse, yaw_of
 from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import Scenario
 
-Message = TypeVar("Message")
 _LONGEST = 1.0  # seconds by which a message may be late
 
 
-class UnrulyChannel(Generic[Message]):
+class UnrulyChannel:
     """Hands on messages as a bad network does."""
 
     def __init__(self, share: float, seed: int) -> None:
@@ -42,9 +41,9 @@ class UnrulyChannel(Generic[Message]):
         self._share = share
         self._random = np.random.default_rng(seed)
         self._count = itertools.count()
-        self._under_way: list[tuple[float, int, Message]] = []
+        self._under_way: list[tuple[float, int, Any]] = []
 
-    def put(self, message: Message, now: float) -> None:
+    def put(self, message: Any, now: float) -> None:
         """Send a message at seconds."""
         draw = self._random.uniform() / max(self._share, 1e-9)
         if draw < 1.0:
@@ -53,7 +52,7 @@ class UnrulyChannel(Generic[Message]):
         for delay in (0.0, 0.1) if draw < 2.0 else (late,):
             heapq.heappush(self._under_way, (now + delay, next(self._count), message))
 
-    def take(self, now: float) -> list[Message]:
+    def take(self, now: float) -> list[Any]:
         """Receive what has come by now, in the order in which it comes."""
         come = []
         while self._under_way and self._under_way[0][0] <= now:
@@ -64,8 +63,7 @@ class UnrulyChannel(Generic[Message]):
 LOOK_EVERY = 4
 """Ticks of 0.1 s from one look to the next."""
 _ALONE = 5.0  # seconds without a goal after which the robot halts: whoever sent it may have ended
-_HERE, _CLEARANCE = 0.1, 0.3
-"""Metres within which a goal is where the robot is, which is to halt; and metres kept."""
+_HERE, _CLEARANCE = 0.1, 0.3  # metres: a goal so near is to halt; and metres kept from things
 
 
 class RobotServer:
@@ -77,8 +75,7 @@ class RobotServer:
         The robot's odometry begins at zero where it stands; faults as ``UnrulyChannel`` has them.
         """
         self.robot, self._origin, self._ticks = robot, robot.pose(), 0
-        self._channel: UnrulyChannel[tuple[Any, Any]] = UnrulyChannel(share, seed)
-        self._last_goal = -math.inf
+        self._channel, self._last_goal = UnrulyChannel(share, seed), -math.inf
         self._node = ros("rclpy").create_node("simulated_robot")
         self._executor = ros("rclpy.executors").SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -93,7 +90,10 @@ class RobotServer:
         """Let real seconds pass; infinity: for as long as the process lives."""
         began, before = time.monotonic(), self.robot.seconds
         while (gone := self.robot.seconds - before) < seconds:
-            self._tick()
+            if self.robot.seconds - self._last_goal > _ALONE:
+                self.robot.stop()
+            self.robot.wait(TICK)
+            self._report()
             # A machine that is too slow for real time goes on as fast as it can.
             end = began + gone + TICK
             self._executor.spin_once(timeout_sec=0.0)
@@ -105,10 +105,7 @@ class RobotServer:
         self._executor.shutdown()
         self._node.destroy_node()
 
-    def _tick(self) -> None:
-        if self.robot.seconds - self._last_goal > _ALONE:
-            self.robot.stop()
-        self.robot.wait(TICK)
+    def _report(self) -> None:
         self._ticks += 1
         now, stamp = self.robot.seconds, self._node.get_clock().now().to_msg()
         pose = compose(inverse(self._origin), self.robot.pose())

@@ -91,15 +91,7 @@ class Candidates(NamedTuple):
 def list_candidates(
     seen: Observed, query: Query, grounding: Grounding, scene: Unexplored, *, params: MapParams
 ) -> Candidates:
-    """List what the ends may be: what has been decided, or each seen object of their types.
-
-    Args:
-        seen: objects.
-        query: the relation.
-        grounding: what earlier relations have decided.
-        scene: area and viewer.
-        params: concentration, clumping.
-    """
+    """List what the ends may be: what has been decided, or each seen object of their types."""
     decided = [lookup(leaf, query.mention) for leaf in grounding[:-1]]
     earlier = Grounding(*decided, log_weight=grounding.log_weight)
     # With the robot as the landmark, or with none, the figure stands against the viewer.

@@ -91,14 +91,7 @@ def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) -> Proposals:
-    """Pair what is known, and draw what is new: from the relation, and anywhere unseen.
-
-    Args:
-        query: the relation.
-        ends: what its ends may be.
-        draws: random numbers.
-        model: prepared relations, for drawing.
-    """
+    """Pair what is known, and draw what is new: from the relation, and anywhere unseen."""
     size = ends.x.shape[1]
     along, lateral, log_drawn = query.draw(draws.distance, draws.angle, model)
     at_x = _of_new(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)

@@ -27,9 +27,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
 
 _TIE = 1e-3  # metres within which a seen thing is the figure itself
 _LEAST_BEFORE, _LEAST_AFTER = 0.01, 0.1
-"""Share of the unseen that may come before, and after, where neither of few draws does. Much of a
-place is unseen where nothing can come before any more: "the third" of three in view was then as
-well the first of them, with two before it that nobody had seen."""
+"""Share of the unseen that may come before, and after, where neither of few draws does."""
 _OFF_SIDE = 1e-3  # weight of a figure that is not on the side where it is said to be
 PLURAL = 10.0
 """Who says "the second" or "the rightmost" speaks of several: so much likelier are unseen ones."""
@@ -47,18 +45,12 @@ def log_rank(
 ) -> Array:
     """Weigh figures at places by how well they fit their rank.
 
-    "The nearest cone on your left" is compared with the cones on the left alone. Limits: with all
-    seen, the one of that rank has 0 and the others nearly −∞; 0 where no rank is meant.
+    "The nearest cone on your left" is compared with the cones on the left alone. The first
+    ``num_known``² pairs are of so many figures, each with the landmarks of the first so many pairs
+    behind them: what depends on these alone is worked out once.
 
-    Args:
-        query: the relation.
-        pairs: places of figures and landmarks, f32[n, ...] each.
-        seen: what figures are compared with.
-        draws: places drawn from the unexplored area, for what is unseen.
-        scene: u.
-        params: concentration, softness.
-        num_known: the first ``num_known``² pairs are of so many figures, each with the landmarks of
-            the first so many pairs behind them: what depends on these alone is worked out once.
+    Limits: with all seen, the one of that rank has 0 and the others nearly −∞; 0 where no rank is
+    meant.
     """
     is_nearest = (query.rank > 0) & ~query.is_order
     softness = params.superlative_softness

@@ -155,14 +155,7 @@ def current_context(readings: Readings, viewer: Array) -> UtteranceContext:
 def build_queries(
     readings: Readings, context: UtteranceContext, model: RelationModel, log_area: Array
 ) -> Query:
-    """Look up all relations of K readings, leaves [J, ..., K].
-
-    Args:
-        readings: what is said.
-        context: from where relations were said, and what mentions are not.
-        model: prepared relations.
-        log_area: f32[], log square metres of the operating area.
-    """
+    """Look up all relations of K readings, leaves [J, ..., K], in an area of f32[] log m²."""
     say = jax.vmap(_say, in_axes=(0, 0, None, None), out_axes=-1)
     return say(readings, context, model, log_area)
 
@@ -184,16 +177,8 @@ def log_viewer_density(spoken: Utterances, log_area: Array, x: Array, y: Array) 
 
         log f(x) A = Σ_r log[(1 − ε) A f_r(x) + ε]
 
-    Limits: 0 of a mention that nothing places so, or by an order alone: as likely anywhere.
-
-    Args:
-        spoken: what has been said.
-        log_area: f32[], log A, square metres.
-        x: f32[C] metres, map frame.
-        y: f32[C]
-
-    Returns:
-        f32[C, M, K], log of the density times the area.
+    f32[C, M, K], for places f32[C], metres, map frame. Limits: 0 of a mention that nothing places
+    so, or by an order alone: as likely anywhere.
     """
     readings, misleading = spoken.readings, spoken.params.misleading
     number, mentions = readings.figure.shape[0], np.arange(readings.mention_type.shape[1])

@@ -58,17 +58,9 @@ def ground_relation(
     *,
     params: MapParams,
 ) -> Grounding:
-    """Ground one annotated relation of one particle's reading (eq. 7a).
+    """Ground one annotated relation of one particle's reading, given earlier ones (eq. 7a).
 
     The grounding is unchanged where the reading has no such relation.
-
-    Args:
-        seen: what the particle has seen.
-        query: the relation.
-        grounding: what earlier relations have decided.
-        draws: random numbers.
-        scene: coverage.
-        params: relations, concentration.
     """
     # What other mentions refer to already is nothing that is called by no type.
     bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))

@@ -24,11 +24,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.observe import MeasurementUpdate
 from jaxlangnav.semantic_map.particle import SemanticMap
 
-_ASKED = 16
-"""Particles that ground the words at every step, whatever happens: enough to tell the mean of the
-evidence, against which fresh groundings are weighed."""
-
-
+_ASKED = 16  # particles that ground the words at every step, to tell the mean of the evidence
 WordGrounding = Callable[..., tuple[SemanticMap, Array]]
 """Draws groundings of the words, as ``ground_words`` does (eq. 7a)."""
 
@@ -54,13 +50,8 @@ def reground(
 ) -> Regrounded:
     """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
 
-    Args:
-        key: random key of the groundings, consumed.
-        uniform: f32[2, P], which decides who is kept, and whose map the others take.
-        belief: of ``observe``.
-        readings: what the instruction says.
-        weighed: of ``observe``.
-        ground: ``ground_words`` with all that holds for every particle.
+    Belief and weights are those of ``observe``; ``uniform`` f32[2, P] decides who is kept, and
+    whose map the others take; ``ground`` is ``ground_words`` with all but key, belief and readings.
     """
     number, particles = belief.log_weight.shape[0], belief.particles
     # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.

@@ -42,17 +42,12 @@ from jaxlangnav.semantic_map.proposal.relation_query import (
 from jaxlangnav.semantic_map.proposal.sample import ground_relation
 
 _PIECES, _LEAST_PIECE = 8, 256
-"""Pieces in which the particles of all lanes are grounded, and the least size of one: more pieces
-would waste less of the last one, but leave a wide device idle."""
+"""Pieces in which the particles of all lanes are grounded, and the least size of one."""
 
 _STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
-"""Steps of additive recurrences, fractions of roots of 5, 2, 3 and 7: each fills the unit interval
-evenly, the first most evenly of all, and several together the cube."""
-
-
+"""Steps of additive recurrences, fractions of roots of 5, 2, 3, 7: together they fill the cube."""
 Own = tuple[Observed, Draws, Array]
-"""What is each particle's own: what it has seen, leaves [J, ..., P] of what is drawn, and the
-reading that it believes, i32[P]."""
+"""What each particle has seen, leaves [J, ..., P] of what is drawn, and its reading, i32[P]."""
 
 
 def _unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple[Unexplored, Array]:
