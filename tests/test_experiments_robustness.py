@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.experiments import conversation
-from jaxlangnav.experiments.conversation import ROWS, _run_row, dialogue_table
+from jaxlangnav.experiments.conversation import CONVERSATION, ROWS, _run_row
 from jaxlangnav.experiments.dialogue import sentence_with
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed
@@ -223,7 +223,7 @@ def test_a_row_without_a_cost_weighs_no_questions() -> None:
         "corrected_way_seen": 1.05, "corrected_seen": 12, "corrected_way_unseen": None,
         "corrected_unseen": 0, "weighted": 99.0,
     }  # fmt: skip
-    table = dialogue_table({"rows": [entry]})
+    (table,) = CONVERSATION.tables({"rows": [entry]})
     assert table.rows[0][3] == table.rows[0][9] == ""
     assert table.rows[0][8] == "1.05 (12)"
     assert "one correction" in table.markdown()

@@ -11,9 +11,9 @@ from jaxlangnav.episode.recording import Frame, Moment, Recording
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.viz import narrative, sentences, summary, words
+from jaxlangnav.viz import narrative, sentences, summary
 from jaxlangnav.viz.panels import outcome, verdict
-from jaxlangnav.viz.words import FAULT_WORDS
+from jaxlangnav.viz.sentences import FAULT_WORDS
 from jaxlangnav.world.state import CONE, HYDRANT
 
 
@@ -35,8 +35,8 @@ def test_whereabouts_are_seen_from_the_robot(degrees, said):
     # The robot at (1, 1) heads up.
     bearing = math.radians(degrees + 90)
     x, y = 1.0 + 2.0 * math.cos(bearing), 1.0 + 2.0 * math.sin(bearing)
-    assert words.whereabouts(x, y, 1.0, 1.0, math.pi / 2) == f"2.0 m {said}"
-    assert words.whereabouts(1.1, 1.0, 1.0, 1.0, 0.0) == "right here"
+    assert sentences.whereabouts(x, y, 1.0, 1.0, math.pi / 2) == f"2.0 m {said}"
+    assert sentences.whereabouts(1.1, 1.0, 1.0, 1.0, 0.0) == "right here"
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_whereabouts_are_seen_from_the_robot(degrees, said):
     [(0.0, "0 %"), (0.004, "< 1 %"), (0.37, "37 %"), (0.995, "> 99 %"), (1.0, "100 %")],
 )
 def test_percent_never_rounds_to_certainty(share, said):
-    assert words.percent(share) == said
+    assert sentences.percent(share) == said
 
 
 def readings_of(types, edges, superlative=False):
@@ -85,7 +85,7 @@ def readings_of(types, edges, superlative=False):
 def test_readings_in_words(readings, said):
     scene = make_scene()
     object.__setattr__(scene, "readings", readings)
-    assert words.describe_reading(scene, 0) == said
+    assert sentences.describe_reading(scene, 0) == said
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_readings_in_words(readings, said):
     ],
 )
 def test_things_are_counted(nouns, said):
-    assert words.counted(nouns) == said
+    assert sentences.counted(nouns) == said
 
 
 def test_what_is_asked_for_is_told_with_its_constraints():
@@ -111,7 +111,7 @@ def test_what_is_asked_for_is_told_with_its_constraints():
             Asked("navigate", "normal", AT, NONE, 1.0, ()),
         ),
     )
-    assert words.describe_asked(scene) == [
+    assert sentences.describe_asked(scene) == [
         "go to the hydrant behind a cone, keeping away from the cone",
         "find the cone carefully (70 %)",
         "go behind the cone quickly",
@@ -150,7 +150,7 @@ def test_the_unseen_goal_has_a_share_only_where_there_is_doubt():
 
 
 def test_claims_are_ranked_and_sum_to_one():
-    claims = words.describe_readings(make_scene())
+    claims = sentences.describe_readings(make_scene())
     assert [claim for claim, _ in claims] == ["a hydrant behind a cone", "a hydrant"]
     assert sum(share for _, share in claims) == pytest.approx(1.0, abs=1e-6)
 

@@ -1,4 +1,4 @@
-"""The commands behind ``jaxlangnav``: one module each, loaded when it is called.
+"""The commands behind ``jaxlangnav``; their modules are loaded when they are called.
 
 A command is a dataclass of its options; its docstring is its help text. ``run`` computes and
 returns the document that ``--json`` prints; what people read goes through an ``Output``.
@@ -15,4 +15,6 @@ SUMMARIES = {
     "summarize": "Print the tables of a sweep, with intervals and paired tests.",
     "bench": "Measure speed, as ratios against baselines in the same run.",
 }
-"""Every command and its line in ``jaxlangnav --help``; the module has the command's name."""
+"""Every command and its line in ``jaxlangnav --help``."""
+MODULES = {"parse": "ground", "evaluate": "train", "summarize": "sweep"}
+"""Where a command stands that has no module of its own name."""

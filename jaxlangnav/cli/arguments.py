@@ -15,13 +15,12 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from jaxlangnav.cli import SUMMARIES, settings
+from jaxlangnav.cli import MODULES, SUMMARIES, settings
 from jaxlangnav.cli.output import Document, Output, UsageError, did_you_mean
 
 PROGRAM = "jaxlangnav"
 _FRAME = " \t│╭╮╰╯"
-_COMFORTABLE = 88
-"""Columns that a paragraph takes at most: longer lines are hard to read."""
+_COMFORTABLE = 88  # columns that a paragraph takes at most: longer lines are hard to read
 _RULE = re.compile(r"^[─-]{8,}")
 
 
@@ -36,12 +35,7 @@ class Runnable(Protocol):
 
 
 def parse_arguments(arguments: Sequence[str]) -> Runnable:
-    """Read a command and its options, ready to run; the first word names the command.
-
-    Raises:
-        UsageError: the command or an option is unknown, missing or of the wrong kind.
-        SystemExit: help was asked for and has been printed.
-    """
+    """Read a command and its options; ``UsageError`` for bad ones, ``SystemExit`` after help."""
     name, *options = arguments
     if name.startswith("-"):
         raise UsageError(f'expected a command before "{name}" (see {PROGRAM} --help)')
@@ -73,8 +67,7 @@ def parse_arguments(arguments: Sequence[str]) -> Runnable:
 
 
 def _command_class(name: str) -> type[Any]:
-    """Load a command's dataclass."""
-    module = importlib.import_module(f"jaxlangnav.cli.{name}")
+    module = importlib.import_module(f"jaxlangnav.cli.{MODULES.get(name, name)}")
     return getattr(module, name.capitalize())
 
 

@@ -6,21 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import (
-    ByStep,
-    File,
-    Folder,
-    Metres,
-    check_at_least,
-    check_extra,
-    check_folder,
-    check_range,
-    check_seed,
-)
+from jaxlangnav.cli import checks
+from jaxlangnav.cli.ground import is_template, parse_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
-from jaxlangnav.cli.parse import is_template, parse_text
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
-from jaxlangnav.cli.settings import SettingPath, apply, read_settings
+from jaxlangnav.cli.settings import SettingPath, apply, equip, read_settings
 
 if TYPE_CHECKING:
     from jaxlangnav.cli.speech import Speech
@@ -57,7 +47,7 @@ class Follow:
     """The sentence, in quotes."""
     world: str = "1H1C"
     """A template, a shipped world or a file."""
-    range: Metres = None
+    range: checks.Metres = None
     """How far the robot sees; 3 m, or what the world file says, if not given."""
     policy: Literal["informed", "faithful"] = "informed"
     """informed: puts its hypotheses to the test; faithful: the paper's."""
@@ -68,9 +58,9 @@ class Follow:
     """Hypotheses of the map kept at once."""
     max_steps: int = 120
     """Decisions after which the episode ends as a time-out."""
-    out: Folder = None
+    out: checks.Folder = None
     """Where to write pictures (PNG, SVG), an interactive page (HTML) and the document."""
-    hear: tyro.conf.UseAppendAction[tuple[ByStep, ...]] = ()
+    hear: tyro.conf.UseAppendAction[tuple[checks.ByStep, ...]] = ()
     """What is said under way: the step before whose decision it is heard, a colon, the words, as in
     --hear "5: go to the other hydrant"; may be given several times."""
     ask: bool = False
@@ -86,7 +76,7 @@ class Follow:
     """Write the episode for the rerun viewer too, episode.rrd; needs jaxlangnav[rerun]."""
     live: bool = False
     """Draw the episode in the terminal while it runs."""
-    weights: File = None
+    weights: checks.File = None
     """Trained models, written by jaxlangnav train; the shipped ones if not given."""
     json: bool = False
     """Print one JSON document: success, distance, trajectory, annotations, pictures, ..."""
@@ -105,7 +95,6 @@ class Follow:
 
         refuse_what_it_lacks(self.world, understood)
         from jaxlangnav.experiments.policies import without_compass
-        from jaxlangnav.pytree import replace
         from jaxlangnav.task.follow import alone, rehearse
         from jaxlangnav.task.talk import roomy
 
@@ -116,13 +105,8 @@ class Follow:
         sizes = self._sizes(values)
         rehearse(alone(understood), slots_of(self.world), **sizes)
         prepared = self._open(understood, output)
-        task = prepared.task
-        sensor = apply(task.sensor, values, "sensor")
-        motion = apply(task.motion, values, "motion")
-        prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
-        # The belief knows the odometry's specification.
-        sizes["params"] = replace(sizes["params"], map=replace(sizes["params"].map, motion=motion))
-        sizes["config"] = without_compass(sizes["config"], motion)
+        prepared, sizes["params"] = equip(prepared, values, params=sizes["params"])
+        sizes["config"] = without_compass(sizes["config"], prepared.task.motion)
         recording = self._record(understood, grounder, prepared, sizes, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:
@@ -130,27 +114,27 @@ class Follow:
         return document
 
     def _check(self) -> None:
-        check_range(self.range)
-        check_seed(self.seed)
-        check_at_least("--particles", self.particles, 2)
-        check_at_least("--max-steps", self.max_steps, 1)
-        check_folder("--out", self.out)
+        checks.check_range(self.range)
+        checks.check_seed(self.seed)
+        checks.check_at_least("--particles", self.particles, 2)
+        checks.check_at_least("--max-steps", self.max_steps, 1)
+        checks.check_folder("--out", self.out)
         if self._speech.talks and self.live:
             raise UsageError("--talk tells the story as it goes: leave out --live")
         if self.out is not None:
-            check_extra("--out draws pictures and needs", "matplotlib", "viz")
+            checks.check_extra("--out draws pictures and needs", "matplotlib", "viz")
         if self.rrd and self.out is None:
             raise UsageError("--rrd writes episode.rrd into the folder of --out: add --out DIR")
         if self.rrd:
-            check_extra("--rrd needs the rerun viewer", "rerun", "rerun")
+            checks.check_extra("--rrd needs the rerun viewer", "rerun", "rerun")
 
     @property
     def _speech(self) -> "Speech":
         """What may be said under way."""
         from jaxlangnav.cli.speech import Speech
 
-        options: dict[str, Any] = {"ask": self.ask, "talk": self.talk, "person": self.person}
-        return Speech.of(self.hear, **options, max_steps=self.max_steps)
+        options = {name: getattr(self, name) for name in ("ask", "talk", "person", "max_steps")}
+        return Speech.of(self.hear, **options)
 
     def _check_settings(self, values: "dict[SettingPath, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""
@@ -222,11 +206,10 @@ class Follow:
         from jaxlangnav.task.talk import with_talk
         from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
 
-        instructions, task = alone(understood), prepared.task
+        instructions, task, speech = alone(understood), prepared.task, self._speech
         named = {"text": self.text, "type_names": understood.type_names}
         given = task.scenario, task.sensor, understood.instruction
         scene = recorder.scene_of(*given, **named, **sizes)
-        speech = self._speech
         ear = None if speech.is_silent else speech.ear(grounder, understood, scene, output)
         steps = recorder.play(task, instructions, max_steps=self.max_steps, ear=ear, **sizes)
         note = "compiling the robot's mind; what is compiled is kept for the next run"
@@ -267,23 +250,20 @@ class Follow:
             "world": name,
             "policy": self.policy,
             "seed": self.seed,
-            "range": float(scene.sensor.range_max),
+            "range": scene.sensor.range_max,
             "particles": self.particles,
-            "success": bool(result.is_success) if scene.is_judged else None,
-            "stopped": bool(result.is_stopped),
+            "success": result.is_success if scene.is_judged else None,
+            "stopped": result.is_stopped,
             "ending": Status(int(result.ending)).word,
             "missing": recording.missing,
             **describe_talk(recording),
-            "distance": float(result.distance),
+            "distance": result.distance,
             "known_distance": scene.known_distance,
             "straight_distance": scene.straight_distance,
-            "goal_distance": float(result.goal_distance),
-            "steps": int(result.steps),
-            "goal": [float(one) for one in scene.scenario.goal],
-            "trajectory": [
-                *([float(x), float(y)] for x, y in recording.frames.position),
-                [float(one) for one in result.final],
-            ],
+            "goal_distance": result.goal_distance,
+            "steps": result.steps,
+            "goal": scene.scenario.goal,
+            "trajectory": [*recording.frames.position, result.final],
             "annotations": annotations,
             "pictures": [],
         }

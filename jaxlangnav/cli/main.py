@@ -10,17 +10,8 @@ import sys
 from collections.abc import Sequence
 
 from jaxlangnav import __version__
-from jaxlangnav.cli import SUMMARIES
+from jaxlangnav.cli import SUMMARIES, output
 from jaxlangnav.cli.arguments import PROGRAM, Runnable, parse_arguments
-from jaxlangnav.cli.output import (
-    Output,
-    UsageError,
-    is_refusal,
-    one_line,
-    platform_fault,
-    standard_output_kept,
-    write_document,
-)
 from jaxlangnav.inputs.sanitize import printable
 
 DEBUG = "JAXLANGNAV_DEBUG"
@@ -75,22 +66,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        if os.environ.get(DEBUG) and not isinstance(error, UsageError):
+        if os.environ.get(DEBUG) and not isinstance(error, output.UsageError):
             raise
-        if is_refusal(error):
-            return _complain(one_line(error), code=2)
-        if fault := platform_fault(error):
+        if output.is_refusal(error):
+            return _complain(output.one_line(error), code=2)
+        if fault := output.platform_fault(error):
             return _complain(fault, code=2)
-        fault = f"internal error: {type(error).__name__}: {one_line(error)}"
+        fault = f"internal error: {type(error).__name__}: {output.one_line(error)}"
         return _complain(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
 
 
 def _run(command: Runnable) -> int:
     """Run a command; under ``--json`` print its document, and only that, on standard output."""
-    with standard_output_kept(for_json=command.json):
-        document = command.run(Output(is_json=command.json))
+    with output.standard_output_kept(for_json=command.json):
+        document = command.run(output.Output(is_json=command.json))
     if command.json:
-        write_document(document)
+        output.write_document(document)
     sys.stdout.flush()
     return 0
 

@@ -18,10 +18,13 @@ from typing import Any
 from jaxlangnav.experiments.table import Document as Document
 from jaxlangnav.inputs.sanitize import Plain, cut, is_plain, printable
 
-_WIDEST = 240
-"""Columns that a table may take."""
+_WIDEST = 240  # columns that a table may take
 _COMFORTABLE = 100
 """Columns that lines of a story take at most on a terminal: longer ones are hard to read."""
+_PLATFORMS = "JAX_PLATFORMS"  # environment variable that tells JAX where to compute
+_NO_BACKEND = "Unable to initialize backend"
+_LONGEST, _ENDING = 600, 200
+"""Characters of a complaint's one line, and those at its end that stay where it is longer."""
 
 
 class Output:
@@ -113,13 +116,6 @@ def standard_output_kept(*, for_json: bool) -> Iterator[None]:
         yield
 
 
-_PLATFORMS = "JAX_PLATFORMS"
-"""Environment variable that tells JAX where to compute."""
-_NO_BACKEND = "Unable to initialize backend"
-_LONGEST, _ENDING = 600, 200
-"""Characters of a complaint's one line, and those at its end that stay where it is longer."""
-
-
 class UsageError(ValueError):
     """Bad input from the command line; the message is one line that names value and remedy."""
 
@@ -154,10 +150,7 @@ def is_refusal(error: BaseException) -> bool:
 
 
 def platform_fault(failure: Exception) -> str | None:
-    """Find out after a failure whether JAX was told to compute on what is not here; else None.
-
-    Of several platforms one may be here and another not: JAX then fails the first time only.
-    """
+    """Find out after a failure whether JAX was told to compute on what is not here; else None."""
     jax, named = sys.modules.get("jax"), os.environ.get(_PLATFORMS)
     if jax is None or not named:
         return None

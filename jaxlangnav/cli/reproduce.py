@@ -5,25 +5,15 @@ from typing import Any, ClassVar, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import (
-    Folder,
-    Number,
-    Ranges,
-    check_at_least,
-    check_extra,
-    check_folder,
-    check_seed,
-)
+from jaxlangnav.cli import checks
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import apply, read_settings
 
-_EPISODES, _EPISODES_ROBUSTNESS = 100, 500
+_EPISODES = {"robustness": 500}
 _PARTICLES, _PARTICLES_DRAWN = 64, 256
-_SEED, _SEED_UNKNOWNS = 0, 3000
-"""The study of unknowns has worlds of its own, none that a table or a tuning has used."""
-_TRIALS = 10
-"""Of each row of Table 3, as in the paper."""
+_SEED_UNKNOWNS = 3000  # of worlds of its own, none that a table or a tuning has used
+_TRIALS = 10  # of each row of Table 3, as in the paper
 _TAKES = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
 _TAKES |= {"robustness": ("params",), "table3": ()}
 """Groups of settings that mean something to an experiment; the others take all of them."""
@@ -67,21 +57,21 @@ class Reproduce:
         ]
     ]  # fmt: skip
     """Which experiment."""
-    episodes: Number = None
+    episodes: checks.Number = None
     """Runs a row; 100, and 500 in robustness, if not given."""
     policy: str = "all"
     """One policy, several with commas between, or all; fig1 and fig4 show faithful if not given."""
-    trials: Number = None
+    trials: checks.Number = None
     """In table3, trials of each row; 10 if not given. Those that DIR holds are not run again."""
     extra: bool = False
     """In table2, rows that the paper lacks as well: 2H2C, and three hydrants or three cones."""
-    ranges: Ranges = None
+    ranges: checks.Ranges = None
     """Sensing ranges in place of those of table2's rows and of fig5, with commas between."""
-    seed: Number = None
+    seed: checks.Number = None
     """Root seed of worlds and noise; 0, and 3000 in unknowns, if not given."""
-    particles: Number = None
+    particles: checks.Number = None
     """Hypotheses of the map kept at once; 64, and 256 in fig1 and fig4, if not given."""
-    out: Folder = None
+    out: checks.Folder = None
     """Where to write episodes (Parquet), tables (Markdown), manifests, figures and the report."""
     json: bool = False
     """Print one JSON document: rows, paper, wall_s, compile_s; for all, one by experiment."""
@@ -114,9 +104,9 @@ class Reproduce:
             check(params, policy=SHIPPED[policy])
         settings = Settings(
             options=Options(
-                episodes=self._episodes,
+                episodes=self.episodes or _EPISODES.get(self.what, 100),
                 policies=policies,
-                seed=_SEED if self.seed is None else self.seed,
+                seed=self.seed or 0,
                 num_particles=self.particles or _PARTICLES,
                 params=params,
                 sensor=apply(default_sensor(), values, "sensor"),
@@ -139,13 +129,14 @@ class Reproduce:
         return reproduction.run_one(self.what, settings, output)[0]
 
     def _check(self) -> None:
-        check_at_least("--trials", _TRIALS if self.trials is None else self.trials, 1)
+        least = {"trials": 1, "episodes": 1, "particles": 2}
+        for option, number in least.items():
+            if getattr(self, option) is not None:
+                checks.check_at_least(f"--{option}", getattr(self, option), number)
         if self.trials is not None and self.what != "table3":
             raise UsageError(f"--trials is for table3, but {self.what} is run")
-        check_at_least("--episodes", self._episodes, 1)
-        check_at_least("--particles", _PARTICLES if self.particles is None else self.particles, 2)
-        check_seed(_SEED if self.seed is None else self.seed)
-        check_folder("--out", self.out)
+        checks.check_seed(self.seed or 0)
+        checks.check_folder("--out", self.out)
         if self.what == "conversation" and self.policy not in ("all", "informed"):
             raise UsageError(f'--policy is "{self.policy}", but in conversation it is informed')
         if self.extra and self.what not in ("table2", "all"):
@@ -153,9 +144,9 @@ class Reproduce:
         if self.ranges is not None and self.what not in ("table2", "fig5", "all"):
             raise UsageError(f"--ranges is for table2 and fig5, but {self.what} is run")
         if self.what.startswith("fig") and self.what != "fig5":
-            check_extra(f"{self.what} is a picture and needs", "matplotlib", "viz")
+            checks.check_extra(f"{self.what} is a picture and needs", "matplotlib", "viz")
         if self.what == "all":
-            check_extra("all draws pictures and needs", "matplotlib", "viz")
+            checks.check_extra("all draws pictures and needs", "matplotlib", "viz")
         if self.what == "table3" and self.policy not in ("all", "informed", "faithful"):
             raise UsageError(
                 f'--policy is "{self.policy}", but a robot of table3 takes one: informed or '
@@ -173,11 +164,6 @@ class Reproduce:
         unread += [".".join(place).replace("_", "-") for place in typed if place[0] not in taken]
         if unread:
             raise UsageError(f"--{unread[0]} changes nothing in {self.what}: leave it out")
-
-    @property
-    def _episodes(self) -> int:
-        usual = _EPISODES_ROBUSTNESS if self.what == "robustness" else _EPISODES
-        return usual if self.episodes is None else self.episodes
 
     def _command(self, what: str) -> str:
         """Write the command that runs an experiment again."""

@@ -27,13 +27,16 @@ from jaxlangnav.experiments.timing import cycle_parts
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.inputs.whole_files import write_text
 
-_SPLITS = 8
-"""Random splits of Table 1, as in the paper; ``jaxlangnav evaluate`` takes any number."""
+_SPLITS = 8  # random splits of Table 1, as in the paper; ``jaxlangnav evaluate`` takes any number
 _TITLE3 = "Table 3 in simulation: ours beside the paper's"
 _CAPTION3 = (
     "Physics-in-the-loop simulation with rendered-camera perception; the paper drove real robots. "
     "Success: said to have arrived, within 1.5 m of the intended goal; 95 % interval. "
     "Distance truly travelled, mean (sd)."
+)
+_PAPER = (
+    "F. Duvallet, M. R. Walter, T. Howard, S. Hemachandra, J. Oh, S. Teller, N. Roy, A. Stentz: "
+    "Inferring Maps and Behaviors from Natural Language Instructions. ISER 2014."
 )
 _AMBIGUOUS = "“go to the hydrant” among several: nothing says which"
 _CURVES = {
@@ -86,12 +89,9 @@ def _episodes(name: str, settings: Settings) -> Study:
         output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
         return document, lambda out: _draw(experiment.name, document, out, output)
 
-    return Study(
-        title=experiment.title,
-        lead=experiment.lead,
+    return Study.of(
+        experiment,
         run=run,
-        tables=experiment.tables,
-        notes=experiment.notes,
         made=lambda document: {
             "episodes": f"{document['episodes']} a row and arm, seed {document['seed']}, "
             f"{document['num_particles']} particles",
@@ -118,12 +118,10 @@ def _conversation(settings: Settings, output: Output) -> Found:
     given = settings.options
     with progress_bar("episodes", given.episodes * len(spoken.ROWS)) as advance:
         document = spoken.run_rows(given, on_progress=advance)
-    table = spoken.dialogue_table(document)
-    output.say(table.text())
+    output.say(spoken.CONVERSATION.render(document))
 
     def write(out: Path) -> list[Path]:
-        text = f"# {spoken.HEADING}\n\n{table.markdown()}\n{spoken.NOTE}\n"
-        page = write_text(text, out / "conversation.md")
+        page = write_text(spoken.CONVERSATION.markdown(document), out / "conversation.md")
         told = document_text({**document, "files": [page]})
         return [page, write_text(told, out / "conversation.json")]
 
@@ -237,13 +235,7 @@ STUDIES = {
             "CPU time of all threads.".format_map(document["machine"])
         ],
     ),
-    "conversation": Study(
-        title=spoken.HEADING,
-        lead="A simulated person who knows the goal corrects, answers and states.",
-        run=_conversation,
-        tables=lambda document: [spoken.dialogue_table(document)],
-        notes=lambda _: [spoken.NOTE],
-    ),
+    "conversation": Study.of(spoken.CONVERSATION, run=_conversation),
     "table3": Study(title=_TITLE3, run=_table3),
 }
 """The other experiments."""
@@ -285,33 +277,25 @@ def run_all(settings: Settings, output: Output) -> Document:
         sections.append(study.section(documents[name], settings.command(name)))
     documents["report"] = None
     if settings.out is not None:
-        made = _made_by(settings, time.perf_counter() - begin)
+        made = manifest({}, models=load_shipped())
+        device, machine = made["device"], made["machine"]
+        libraries = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())
+        values = settings.values.items()
+        facts = {
+            "command": settings.command("all"),
+            "versions": f"jaxlangnav {__version__}, Python {made['python']}, {libraries}",
+            "models": f"as shipped, SHA-256 {made['models_sha256']}",
+            "seed": f"{settings.options.seed}; {settings.seed_unknowns} in the study of the "
+            "paper's unknowns",
+            "episodes": f"{settings.options.episodes} a row and policy",
+            "changed numbers": ", ".join(f"{'.'.join(place)} = {one}" for place, one in values),
+            "machine": f"{machine['system']} {machine['cpu']}, {machine['cores']} cores; "
+            f"JAX on {device['count']} × {device['kind']}",
+            "wall time": f"{time.perf_counter() - begin:.0f} s, compilation included",
+            "the paper": _PAPER,
+        }
         title = "Following commands in unknown places: ours beside the paper's"
-        path = write_report(title, sections, settings.out / "report.html", made=made)
+        path = write_report(title, sections, settings.out / "report.html", made=facts)
         documents["report"] = str(path)
         output.say(f"Wrote {path}")
     return documents
-
-
-def _made_by(settings: Settings, seconds: float) -> dict[str, str]:
-    """Say how a whole report was made; seconds on the wall, compilation included."""
-    made = manifest({}, models=load_shipped())
-    device, machine = made["device"], made["machine"]
-    libraries = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())
-    return {
-        "command": settings.command("all"),
-        "versions": f"jaxlangnav {__version__}, Python {made['python']}, {libraries}",
-        "models": f"as shipped, SHA-256 {made['models_sha256']}",
-        "seed": f"{settings.options.seed}; {settings.seed_unknowns} in the study of the paper's "
-        "unknowns",
-        "episodes": f"{settings.options.episodes} a row and policy",
-        "changed numbers": ", ".join(
-            f"{'.'.join(place)} = {one}" for place, one in settings.values.items()
-        ),
-        "machine": f"{machine['system']} {machine['cpu']}, {machine['cores']} cores; "
-        f"JAX on {device['count']} × {device['kind']}",
-        "wall time": f"{seconds:.0f} s, compilation included",
-        "the paper": "F. Duvallet, M. R. Walter, T. Howard, S. Hemachandra, J. Oh, S. Teller, "
-        "N. Roy, A. Stentz: Inferring Maps and Behaviors from Natural Language Instructions. "
-        "ISER 2014.",
-    }

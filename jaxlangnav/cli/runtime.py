@@ -8,8 +8,7 @@ from pathlib import Path
 
 from jaxlangnav.cli.output import Output, one_line
 
-Advance = Callable[[int], None]
-"""Called with the number of pieces of work just done."""
+Advance = Callable[[int], None]  # called with the number of pieces of work just done
 
 
 def _cache_folder(name: str) -> Path:
@@ -27,8 +26,7 @@ def keep_compiled_programs() -> None:
 
     A folder named by JAX_COMPILATION_CACHE_DIR stays JAX's own; our programs lie below it if it is
     the user's alone to write, else in the user's cache folder, as JAX's do where none is named.
-    Where no folder can be used, that is said in one line on standard error, programs are compiled
-    anew each time, and nothing else changes. JAX_ENABLE_COMPILATION_CACHE=false keeps none.
+    Where no folder can be used, one line says so. JAX_ENABLE_COMPILATION_CACHE=false keeps none.
     """
     import jax
 
@@ -71,27 +69,18 @@ def waiting(what: str, output: Output, *, seconds: float = 5.0) -> Iterator[None
 
 @contextlib.contextmanager
 def progress_bar(what: str, total: int | None) -> Iterator[Advance]:
-    """Show work done, rate and time left where a person watches; yields what counts pieces done.
-
-    Without a total a spinner turns.
-    """
+    """Show work done where a person watches, a spinner without total; yields what counts it."""
     if not sys.stderr.isatty():
         yield lambda _done: None
         return
     from rich import progress as rich
     from rich.console import Console
 
-    text, elapsed = rich.TextColumn("{task.description}"), rich.TimeElapsedColumn()
-    counted = (
-        text,
-        rich.BarColumn(),
-        rich.MofNCompleteColumn(),
-        rich.TextColumn("{task.fields[rate]}"),
-        elapsed,
-        rich.TextColumn("left"),
-        rich.TimeRemainingColumn(),
-    )
-    columns = (rich.SpinnerColumn(), text, elapsed) if total is None else counted
+    text, elapsed = "{task.description}", rich.TimeElapsedColumn()
+    columns = [rich.SpinnerColumn(), text, elapsed]
+    if total is not None:
+        columns = [text, rich.BarColumn(), rich.MofNCompleteColumn(), "{task.fields[rate]}"]
+        columns += [elapsed, "left", rich.TimeRemainingColumn()]
     with rich.Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task(what, total=total, rate="")
 

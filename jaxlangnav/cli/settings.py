@@ -10,27 +10,27 @@ import functools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from jaxlangnav.cli.output import UsageError
 
-_T = TypeVar("_T")
-SettingPath = tuple[str, ...]
-"""Where a value stands: ("params", "planner", "discount")."""
-GROUPS = ("params", "config", "sensor", "motion")
-HELP_ALL = "--help-params"
-"""The help with all of these options."""
+if TYPE_CHECKING:
+    from jaxlangnav.navigator import NavigatorParams
+    from jaxlangnav.task.opening import Prepared
 
-_UNSET = "\0"
-"""What nobody can type."""
+_T = TypeVar("_T")
+SettingPath = tuple[str, ...]  # where a value stands: ("params", "planner", "discount")
+GROUPS = ("params", "config", "sensor", "motion")
+HELP_ALL = "--help-params"  # the help with all of these options
+
+_UNSET = "\0"  # what nobody can type
 _ELSEWHERE = {
     ("config", "map", "num_particles"): "--particles",
     ("config", "planner", "policy"): "--policy",
     ("sensor", "range_max"): "--range",
 }
 """What has an option of its own."""
-_NOT_OFFERED = {("params", "map", "motion")}
-"""The belief is told the world's own motion."""
+_NOT_OFFERED = {("params", "map", "motion")}  # the belief is told the world's own motion
 _GREEK = {"alpha": "α", "gamma": "γ", "kappa": "κ", "mu": "μ", "sigma": "σ", "tau": "τ"}
 
 
@@ -39,8 +39,7 @@ class Option:
     """One value that can be set."""
 
     path: SettingPath
-    default: Any
-    """A number, or a tuple of them."""
+    default: Any  # a number, or a tuple of them
     help: str
     is_whole: bool
 
@@ -93,8 +92,7 @@ def options(groups: Iterable[str]) -> list[Option]:
         "motion": default_motion,
     }
     found: list[Option] = []
-    for group in groups:
-        root, *below = group.split(".")
+    for root, *below in (group.split(".") for group in groups):
         all_of_it = _walk(roots[root](), (root,))
         found += [one for one in all_of_it if not below or one.path[:-1] == (root, *below)]
     return found
@@ -106,11 +104,9 @@ def with_settings(kind: type[Any]) -> type[Any]:
 
     tree = _record_of("Settings", options(kind.SETTINGS), depth=0)
     field = ("settings", Annotated[tree, tyro.conf.arg(name="")], dataclasses.field(default=tree()))
-    wider = dataclasses.make_dataclass(
-        kind.__name__, [field], bases=(kind,), frozen=True, kw_only=True
-    )
-    wider.__doc__ = kind.__doc__
-    return wider
+    form: dict[str, Any] = {"bases": (kind,), "frozen": True, "kw_only": True}
+    form["namespace"] = {"__doc__": kind.__doc__}
+    return dataclasses.make_dataclass(kind.__name__, [field], **form)
 
 
 def read_settings(settings: Any, groups: Sequence[str]) -> dict[SettingPath, Any]:
@@ -127,21 +123,31 @@ def apply(record: _T, values: Mapping[SettingPath, Any], root: str) -> _T:
     return _applied(record, mine) if mine else record
 
 
+def equip(
+    prepared: "Prepared", values: Mapping[SettingPath, Any], *, params: "NavigatorParams"
+) -> "tuple[Prepared, NavigatorParams]":
+    """Set detector and odometry of a task; the belief is told the odometry."""
+    own = {name: apply(getattr(prepared.task, name), values, name) for name in ("sensor", "motion")}
+    prepared = dataclasses.replace(prepared, task=dataclasses.replace(prepared.task, **own))
+    told = dataclasses.replace(params.map, motion=own["motion"])
+    return prepared, dataclasses.replace(params, map=told)
+
+
 def suggestion(flag: str, groups: Sequence[str], plain: Iterable[str]) -> str:
     """Suggest what may have been meant by an option with a dot in it, or where all are listed."""
     path = tuple(flag[2:].replace("-", "_").split("."))
-    for elsewhere, option in _ELSEWHERE.items():
-        if path[-1] == elsewhere[-1]:
-            # Where several may be given it is "--ranges".
-            near = [one for one in plain if one in (option, f"{option}s")]
-            return f'; did you mean "{near[0]}"?' if near else f"; see {HELP_ALL}"
-    found = options(groups)
-    names = difflib.get_close_matches(path[-1], [one.path[-1] for one in found], n=1)
-    near = [one for one in found if one.path[-1] in names]
-    symbol = _GREEK.get(path[-1])
-    if symbol and not near:
-        near = [one for one in found if re.match(rf"{symbol}\b", one.help)]
-    return f'; did you mean "{near[0].flag}"?' if near else f"; see {HELP_ALL}"
+    # Where several may be given it is "--ranges".
+    elsewhere = {one[-1]: (option, f"{option}s") for one, option in _ELSEWHERE.items()}
+    if path[-1] in elsewhere:
+        near = [one for one in plain if one in elsewhere[path[-1]]]
+    else:
+        found = options(groups)
+        names = difflib.get_close_matches(path[-1], [one.path[-1] for one in found], n=1)
+        near = [one.flag for one in found if one.path[-1] in names]
+        symbol = _GREEK.get(path[-1])
+        if symbol and not near:
+            near = [one.flag for one in found if re.match(rf"{symbol}\b", one.help)]
+    return f'; did you mean "{near[0]}"?' if near else f"; see {HELP_ALL}"
 
 
 def _walk(record: Any, path: SettingPath) -> list[Option]:
@@ -188,14 +194,14 @@ def _quantity(path: SettingPath) -> Any:
     from jaxlangnav.inputs.limits import Quantity
     from jaxlangnav.navigator.deployment import FIELDS
 
-    own = {
+    known = {
         "mode_speed": Quantity(is_low_open=True),
         "mode_clearance": Quantity(kind="length"),
         "log_distance_sd": Quantity(is_low_open=True),
         "concentration": Quantity(),
         "axis": Quantity(kind="angle", low=-math.inf),
+        **FIELDS.get(path[-2], {}),
     }
-    known = {**own, **FIELDS.get(path[-2], {})}
     return known.get(path[-1], Quantity(low=-math.inf))
 
 
@@ -209,11 +215,9 @@ def _record_of(name: str, found: Sequence[Option], *, depth: int) -> type[Any]:
         if len(below[0].path) == depth + 1:
             (one,) = below
             numbers = one.default if isinstance(one.default, tuple) else (one.default,)
-            given = ",".join(f"{number:g}" for number in numbers)
+            given = f"(default: {','.join(f'{number:g}' for number in numbers)})"
             hint = tyro.conf.arg(
-                metavar=one.metavar(),
-                help=one.help or None,
-                help_behavior_hint=f"(default: {given})",
+                metavar=one.metavar(), help=one.help or None, help_behavior_hint=given
             )
             fields.append((key, Annotated[str, hint], _UNSET))
         else:

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import queue
+import re
 import sys
 import threading
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,26 +23,25 @@ if TYPE_CHECKING:
 
 QUESTION_COST = 0.1
 """What a question costs, in probability of success, where questions are allowed by ``--ask``."""
-_PACE = 0.4
-"""Seconds that a step takes at least while somebody may type."""
+_PACE = 0.4  # seconds that a step takes at least while somebody may type
 
 
 def _parse_hear(text: str, max_steps: int) -> tuple[int, str]:
     """Read an utterance and its step: "5: go to the other hydrant"."""
-    head, colon, words = text.partition(":")
-    if not colon or not (head.strip().isascii() and head.strip().isdigit()) or not words.strip():
+    found = re.fullmatch(r"\s*([0-9]+)\s*:\s*(\S.*?)\s*", text, re.DOTALL)
+    if found is None:
         raise UsageError(
             f'--hear is "{cut(text)}", but must name a step and what is said: '
             '--hear "5: go to the other hydrant"'
         )
-    digits = head.strip().lstrip("0") or "0"
+    digits = found[1].lstrip("0") or "0"
     step = int(digits[:18])
     if step >= max_steps:
         raise UsageError(
             f"--hear is for step {cut(digits)}, but the last one is {max_steps - 1}: name an "
             "earlier step, or raise --max-steps"
         )
-    return step, words.strip()
+    return step, found[2]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,18 +51,13 @@ class Speech:
     script: Mapping[int, Sequence[str]]
     asks: bool
     talks: bool
-    person: str | None = None
-    """A simulated one's name."""
+    person: str | None = None  # a simulated one's name
 
     @classmethod
     def of(
         cls, hear: Iterable[str], *, ask: bool, talk: bool, person: str | None, max_steps: int
     ) -> "Speech":
-        """Read the options, and refuse what can be before anything is loaded.
-
-        Raises:
-            UsageError: an utterance without a step, or nobody who could type.
-        """
+        """Read the options; ``UsageError``: an utterance without a step, or nobody to type."""
         script: dict[int, list[str]] = {}
         for one in hear:
             step, text = _parse_hear(one, max_steps)
@@ -117,15 +112,14 @@ class Speech:
         """Build the ear of ``recorder.play``; ``first`` has room for more sentences."""
         from jaxlangnav.task.talk import YOU, Earshot, Watcher
 
-        shared: dict[str, Any] = {
-            "grounder": grounder, "first": first, "scene": scene, "script": self.script
-        }  # fmt: skip
+        shared: dict[str, Any] = {"grounder": grounder, "first": first, "scene": scene}
+        shared["script"] = self.script
         if self.person is not None:
             watcher = Watcher.named(self.person)
             voices = {self.person: watcher.speak}
             return Earshot(**shared, voices=voices, is_awaited=watcher.is_there)
         if not (self.asks or self.talks):
-            return Earshot(**shared, voices={}, is_awaited=lambda _: False)
+            return Earshot(**shared)
         typist = Typist(output, is_talking=self.talks)
         voices = {YOU: typist.say}
         return Earshot(**shared, voices=voices, is_awaited=typist.is_there, on_said=typist.reply)

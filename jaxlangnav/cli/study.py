@@ -7,12 +7,12 @@ from typing import Any
 
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import waiting
-from jaxlangnav.cli.settings import SettingPath, apply
+from jaxlangnav.cli.settings import SettingPath, equip
 from jaxlangnav.episode.recording import Recording
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.table import Section, Table
+from jaxlangnav.experiments.table import Section, Table, Told
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.grounding.instruction import understand_parse
 from jaxlangnav.grounding.weights import load
@@ -20,7 +20,6 @@ from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
-from jaxlangnav.pytree import replace
 from jaxlangnav.task.follow import record_episode
 from jaxlangnav.task.opening import open_task
 from jaxlangnav.viz.html import write_graph, write_html
@@ -39,36 +38,30 @@ class Settings:
     options: Options
     """Of the experiments made of episodes; the sensing range is a matter of each row."""
     params: NavigatorParams
-    seed_unknowns: int
-    """Of the study of the paper's unknowns."""
-    trials: int
-    """Of each row of Table 3."""
-    extra: bool
-    """Whether Table 2 has rows that the paper lacks."""
+    seed_unknowns: int  # of the study of the paper's unknowns
+    trials: int  # of each row of Table 3
+    extra: bool  # whether Table 2 has rows that the paper lacks
     ranges: tuple[float, ...]
     """Metres, in place of those of Table 2's rows and of Figure 5; none for their own."""
-    particles_drawn: int
-    """P of the episodes that are drawn."""
+    particles_drawn: int  # P of the episodes that are drawn
     values: Mapping[SettingPath, Any]
     """Numbers of engine, detector and motion that are not the defaults."""
     out: Path | None
-    command: Callable[[str], str]
-    """Writes the command that runs an experiment again."""
+    command: Callable[[str], str]  # writes the command that runs an experiment again
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Study:
+class Study(Told):
     """An experiment of ``reproduce``: how it is run, and what stands of it in the report."""
 
-    title: str
-    lead: str = ""
-    """What it is, and what to see in it."""
-    run: Callable[[Settings, Output], Found]
-    """Runs it and tells it."""
-    tables: Callable[[Document], list[Table]] = lambda _: []
-    notes: Callable[[Document], list[str]] = lambda _: []
+    run: Callable[[Settings, Output], Found]  # runs it and tells it
     made: Callable[[Document], Mapping[str, str]] = lambda _: {}
     """What else there is to say of how it was made."""
+
+    @classmethod
+    def of(cls, told: Told, **own: Any) -> "Study":
+        """Take over how an experiment is told."""
+        return cls(**{one.name: getattr(told, one.name) for one in dataclasses.fields(Told)}, **own)
 
     def section(self, document: Document, command: str) -> Section:
         """Put what was found into the report; SVG pictures are shown, sharp at any size."""
@@ -91,8 +84,7 @@ class Study:
         )
 
 
-TEXT = SENTENCES["behind"]
-"""The sentence of all three figures."""
+TEXT = SENTENCES["behind"]  # the sentence of all three figures
 
 
 def _figure(
@@ -105,6 +97,7 @@ def _figure(
             policy, recording = _record(name, settings)
         steps = pick_moments(recording, num_panels)
         output.tell(narrate(recording))
+        scene, result = recording.scene, recording.result
         document = {
             "experiment": name,
             "instruction": TEXT,
@@ -112,11 +105,11 @@ def _figure(
             "policy": policy,
             "seed": settings.options.seed,
             "num_particles": settings.particles_drawn,
-            "range": float(recording.scene.sensor.range_max),
-            "success": bool(recording.result.is_success),
-            "distance": float(recording.result.distance),
-            "known_distance": recording.scene.known_distance,
-            "steps": int(recording.result.steps),
+            "range": float(scene.sensor.range_max),
+            "success": bool(result.is_success),
+            "distance": float(result.distance),
+            "known_distance": scene.known_distance,
+            "steps": int(result.steps),
             "moments": describe_moments(recording, steps),
             "paper": paper,
             "compile_s": clock.seconds,
@@ -184,17 +177,9 @@ def _record(name: str, settings: Settings) -> tuple[str, Recording]:
     policy = named[0] if len(named) == 1 else "faithful"
     understood = understand_parse(parse(TEXT), load(None))
     prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
-    task = prepared.task
-    sensor = apply(task.sensor, settings.values, "sensor")
-    motion = apply(task.motion, settings.values, "motion")
-    prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
-    return policy, record_episode(
-        understood,
-        prepared,
-        text=TEXT,
-        params=replace(settings.params, map=replace(settings.params.map, motion=motion)),
-        config=navigator_config(policy, settings.particles_drawn),
-    )
+    prepared, params = equip(prepared, settings.values, params=settings.params)
+    config = navigator_config(policy, settings.particles_drawn)
+    return policy, record_episode(understood, prepared, text=TEXT, params=params, config=config)
 
 
 def _count_factors(_: Settings, output: Output) -> Found:

@@ -1,14 +1,16 @@
-"""``jaxlangnav train``: the correspondence models, from a corpus (sections 3.1, 3.3 and 4.1)."""
+"""``jaxlangnav train`` and ``evaluate``: models of language, and how well they understand (4.1)."""
 
 import dataclasses
 import shlex
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import File, check_file
+from jaxlangnav.cli.checks import File, check_at_least, check_file, check_seed
 from jaxlangnav.cli.output import Document, Output, UsageError
-from jaxlangnav.cli.runtime import keep_compiled_programs
+from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
+from jaxlangnav.language.phrase import LEAST_PROBABILITY
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,13 +54,8 @@ class Train:
             self.corpus, kinds=kinds, base=load(self.base), on_progress=output.note
         )
         if self.out is not None:
-            corpus = f" --corpus {shlex.quote(self.corpus.name)}" if self.corpus else ""
-            save(
-                self.out,
-                trained.model,
-                command=f"jaxlangnav train {self.what}{corpus}",
-                corpus_hash=trained.report["corpus"],
-            )
+            corpus = trained.report["corpus"]
+            save(self.out, trained.model, command=self._command, corpus_hash=corpus)
         document = {**trained.report, "file": self.out}
         output.say(f"{document['sentences']} sentences, corpus {document['corpus']}")
         for kind in kinds:
@@ -78,6 +75,12 @@ class Train:
         output.say(wrote if self.out else "Nothing was written; --out FILE keeps the weights.")
         return document
 
+    @property
+    def _command(self) -> str:
+        """The command that trains this model."""
+        corpus = f" --corpus {shlex.quote(self.corpus.name)}" if self.corpus else ""
+        return f"jaxlangnav train {self.what}{corpus}"
+
     def _train_reader(self, output: Output) -> Document:
         if self.base is not None:
             raise UsageError("--base is of the other models: leave it out for the reader")
@@ -87,14 +90,111 @@ class Train:
         examples = read_reader_corpus(self.corpus)
         model, report = train_reader(examples, config=ReaderConfig())
         if self.out is not None:
-            corpus = f" --corpus {shlex.quote(self.corpus.name)}" if self.corpus else ""
-            save_reader(self.out, model, command=f"jaxlangnav train reader{corpus}")
+            save_reader(self.out, model, command=self._command)
         output.say(
             "{sentences} sentences, {features} features, {labels} labels: {weights} weights, "
             "{loss:.3f} nats a sentence, in {train_s:.0f} s".format(**report)
         )
-        if self.out is not None:
-            output.say(f"Wrote {self.out}. Use it: JAXLANGNAV_READER=FILE jaxlangnav ...")
-        else:
-            output.say("Nothing was written; --out FILE keeps the reader.")
+        wrote = f"Wrote {self.out}. Use it: JAXLANGNAV_READER=FILE jaxlangnav ..."
+        output.say(wrote if self.out else "Nothing was written; --out FILE keeps the reader.")
         return {**report, "file": self.out}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Measure understanding by the paper's protocol: Table 1. Or score sentences of your own.
+
+    39 labelled sentences, random splits of 67 to 33 percent, a sentence counts where every symbol
+    at its root is right. The three commands of Table 2 are in none of them.
+
+    With --sentences: how many of a file's sentences are read as labelled, refused, and read
+    wrongly, by construction, and the worst of them. docs/language.md has the format.
+
+    Examples:
+      jaxlangnav evaluate
+      jaxlangnav evaluate --splits 200 --json
+      jaxlangnav evaluate --sentences tests/sentences.jsonl
+      jaxlangnav evaluate --sentences mine.jsonl --rewrites recorded.jsonl --temperature 1.5
+    """
+
+    sentences: File = None
+    """Labelled sentences, one JSON object a line: score these, and leave Table 1 out."""
+    least_probability: float = LEAST_PROBABILITY
+    """Of --sentences: what the trained reader thinks less probable is refused, from 0 to 1."""
+    rewrites: File = None
+    """Recorded rewritings of them: compare the trained graph, the rewritings, and both."""
+    temperature: float = 1.0
+    """By which the log-probabilities of rewritings are divided."""
+    fit_temperature: bool = False
+    """Fit the temperature to these sentences first; take it to others with --temperature."""
+    splits: int = 8
+    """Random splits; the paper has 8."""
+    seed: int = 0
+    """Of the splits."""
+    beams: tuple[int, ...] = (4, 1, 16)
+    """Beam widths of the search; the first is that of the table and of the seconds."""
+    beam_only: bool = False
+    """Leave out the exact search, which goes on until no other set of symbols can be likelier."""
+    json: bool = False
+    """Print one JSON document: by model accuracy, interval, seconds; the paper's rows."""
+
+    def run(self, output: Output) -> Document:
+        """Run the protocol and print the table beside the paper's."""
+        check_at_least("--splits", self.splits, 2)
+        check_seed(self.seed)
+        if not self.beams:
+            raise UsageError("--beams needs at least one width")
+        for beam in self.beams:
+            check_at_least("--beams", beam, 1)
+        if not 0.0 <= self.least_probability <= 1.0:
+            raise UsageError(f"--least-probability must be in [0, 1], not {self.least_probability}")
+        if self.rewrites is not None and self.sentences is None:
+            raise UsageError("--rewrites needs --sentences, the labelled sentences themselves")
+        if self.rewrites is None and (self.fit_temperature or self.temperature != 1.0):
+            raise UsageError("--temperature and --fit-temperature are of --rewrites: give a file")
+        if self.sentences is not None:
+            return self._score(self.sentences, output)
+        keep_compiled_programs()
+        from jaxlangnav.experiments.table1 import evaluate, table_1
+
+        given: dict[str, Any] = {"splits": self.splits, "seed": self.seed, "beams": self.beams}
+        with progress_bar("splits", self.splits) as advance:
+            document = evaluate(**given, is_exact=not self.beam_only, on_progress=advance)
+        output.say(table_1(document).text())
+        return document
+
+    def _score(self, path: Path, output: Output) -> Document:
+        """Score a file of labelled sentences, with and without recorded rewritings if given."""
+        from jaxlangnav.task.labelled import read_sentences
+
+        sentences = read_sentences(path)
+        keep_compiled_programs()
+        from jaxlangnav.grounding.rewrites import RecordedRewrites, default_rewrite_params
+        from jaxlangnav.grounding.weights import load_shipped
+        from jaxlangnav.task import scored
+
+        document: dict[str, Any] = {"file": str(path)}
+        model = load_shipped()
+        if self.rewrites is None:
+            least = self.least_probability
+            with progress_bar("sentences", len(sentences)) as advance:
+                found = scored.score_sentences(sentences, model, advance, least_probability=least)
+            document |= scored.summarize_scores(found)
+            table, lines = scored.render_scores(document)
+        else:
+            default_rewrite_params(self.temperature)
+            recorded = RecordedRewrites(self.rewrites)
+            kept = scored.recorded_of(sentences, recorded)
+            if left := len(sentences) - len(kept):
+                output.note(f"note: {left} sentences were not recorded; left out")
+            fit = scored.fit_recorded(kept, recorded, model) if self.fit_temperature else None
+            temperature = self.temperature if fit is None else fit.temperature
+            told = None if fit is None else dataclasses.asdict(fit)
+            document |= {"rewrites": str(self.rewrites), "fit": told}
+            with progress_bar("sentences", len(kept) * len(scored.ARMS)) as advance:
+                document |= scored.compare_arms(kept, recorded, model, temperature, advance)
+            table, lines = scored.render_arms(document, fit)
+        output.say(table)
+        for line in lines:
+            output.say(line)
+        return document

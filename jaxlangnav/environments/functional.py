@@ -24,17 +24,10 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS
+from jaxlangnav.experiments.baselines import plain_action
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.inputs.limits import refuse_below
-from jaxlangnav.messages import (
-    Action,
-    MotionParams,
-    Observation,
-    SensorParams,
-    Status,
-    default_motion,
-    default_sensor,
-)
+from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import carry_out
@@ -55,46 +48,22 @@ DISCRETE_ACTIONS = np.array(
 """f32[17, 3], the discrete actions: stop, then the greatest step in 16 directions, +x to +y."""
 
 
-BOUND = 100.0
-"""Entries of an observation are clipped to plus and minus this."""
+BOUND = 100.0  # entries of an observation are clipped to plus and minus this
 OBSERVATION_SIZE = 12 + 5 * NUM_DETECTIONS
-
-
-def _to_vector(seen: Observation, *, area: Array, relation: Array) -> Array:
-    """Lay out what the agent is given."""
-    x, y, heading = seen.pose[0], seen.pose[1], seen.pose[2]
-    told = (jnp.arange(len(SENTENCES)) == relation).astype(jnp.float32)
-    is_there = seen.is_detection.astype(jnp.float32)
-    detections = jnp.stack(
-        [
-            is_there,
-            is_there * seen.detection_range * jnp.cos(seen.detection_bearing),
-            is_there * seen.detection_range * jnp.sin(seen.detection_bearing),
-            (seen.detection_type == HYDRANT).astype(jnp.float32),
-            (seen.detection_type == CONE).astype(jnp.float32),
-        ],
-        axis=1,
-    )
-    own = jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)])
-    parts = [own, area, seen.sensor.range_max[None], told, detections.reshape(-1)]
-    return jnp.clip(jnp.concatenate(parts), -BOUND, BOUND)
 
 
 NUM_WORLDS = 1024
 """Worlds of a pool unless told otherwise: 150 kB, and an average's σ/√N is 3 % of σ."""
-_SLICE = 64
-"""Worlds drawn together; all at once would hold every place tried."""
+_SLICE = 64  # worlds drawn together; all at once would hold every place tried
+DEFAULT_RELATION = "behind"
 
 
 @functools.partial(jax.jit, static_argnames="num_worlds")
 def draw_pool(key: Array, law: ScenarioLaw, *, num_worlds: int = NUM_WORLDS) -> Scenario:
-    """Draw the worlds of a pool, a leading axis N on every leaf; another N recompiles.
+    """Draw the worlds of a pool, a leading axis N ≥ 1 on every leaf; another N recompiles.
 
     Limits: one world makes every episode the same place; a world that does not meet the law is
     replaced by one of the pool that does (if there is one).
-
-    Raises:
-        ValueError: fewer than one world.
     """
     refuse_below(1, num_worlds=num_worlds)
     keys = jax.random.split(key, num_worlds)
@@ -109,9 +78,6 @@ def pick_world(key: Array, pool: Scenario) -> Scenario:
     # One draw where randint takes four; 2³² is so large that its remainder favours nobody.
     index = jax.random.bits(key) % jnp.uint32(pool.goal_index.shape[0])
     return jax.tree.map(lambda leaf: leaf[index], pool)
-
-
-DEFAULT_RELATION = "behind"
 
 
 @pytree
@@ -153,20 +119,12 @@ def default_params(
     max_steps: int = MAX_STEPS,
     metre_cost: float = 0.01,
 ) -> EnvironmentParams:
-    """Build the parameters of an environment.
+    """Build the parameters of an environment, with the default noise of all tables.
 
-    Args:
-        world: a template such as "2H1C".
-        relation: "null", "behind" or "nearest": which command is given.
-        sensing_range: metres.
-        max_steps: steps after which an episode is cut off.
-        metre_cost: subtracted from the reward for each metre travelled.
-
-    Returns:
-        The parameters, with the default noise of all tables.
-
-    Raises:
-        ValueError: an unknown world or relation, or a number outside its limits.
+    ``world``: a template such as "2H1C"; ``relation``: "null", "behind" or "nearest", which command
+    is given; ``sensing_range``: metres; ``max_steps``: those after which an episode is cut off;
+    ``metre_cost``: subtracted from the reward for each metre travelled. ``ValueError``: an unknown
+    world or relation, or a number outside its limits.
     """
     if not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be above 0 m")
@@ -183,10 +141,7 @@ def default_params(
 def reset(
     key: Array, params: EnvironmentParams, pool: Scenario | None = None
 ) -> tuple[Array, EnvironmentState]:
-    """Draw a world and put the robot at its start: the first observation, f32[52], and the state.
-
-    ``pool``: worlds to begin in, of ``draw_pool``; without it a fresh one is drawn.
-    """
+    """Put the robot at the start of a world, fresh or of a ``pool``: observation f32[52], state."""
     world_key, sense_key = jax.random.split(key)
     state = _begin(world_key, params, pool)
     return _observe(sense_key, state, params), state
@@ -232,7 +187,8 @@ def step_and_reset(
     move_key, world_key, sense_key = jax.random.split(key, 3)
     after, reward, info = _advance(move_key, state, action, params)
     is_over = info.is_stopped | info.is_cut_off
-    after = _begun(is_over, world_key, after, params, pool)
+    fresh = _begin(world_key, params, pool)
+    after = jax.tree.map(functools.partial(jnp.where, is_over), fresh, after)
     return _observe(sense_key, after, params), after, reward, is_over, info
 
 
@@ -254,7 +210,8 @@ def step_or_reset(
     reward, info = jax.tree.map(
         lambda leaf: jnp.where(is_over, jnp.zeros_like(leaf), leaf), (reward, info)
     )
-    after = _begun(is_over, world_key, after, params, pool)
+    fresh = _begin(world_key, params, pool)
+    after = jax.tree.map(functools.partial(jnp.where, is_over), fresh, after)
     return _observe(sense_key, after, params), after, reward, info
 
 
@@ -265,18 +222,6 @@ def _begin(key: Array, params: EnvironmentParams, pool: Scenario | None) -> Envi
     return EnvironmentState(scenario=scenario, world=world, steps=jnp.int32(0))
 
 
-def _begun(
-    is_over: Array,
-    key: Array,
-    state: EnvironmentState,
-    params: EnvironmentParams,
-    pool: Scenario | None,
-) -> EnvironmentState:
-    """Begin the next episode where one is over."""
-    fresh = _begin(key, params, pool)
-    return jax.tree.map(lambda new, old: jnp.where(is_over, new, old), fresh, state)
-
-
 def _advance(
     key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams
 ) -> tuple[EnvironmentState, Array, EnvironmentInfo]:
@@ -284,14 +229,7 @@ def _advance(
     action = jnp.clip(action, -1.0, 1.0)
     is_stopped = action[2] > STOP_ABOVE
     way = action[:2] * params.motion.step_length
-    order = Action(
-        waypoint=state.world.odometry[:2] + way,
-        step=way,
-        is_stop=is_stopped,
-        status=jnp.where(is_stopped, int(Status.ARRIVED), int(Status.SEARCHING)),
-        speed=jnp.float32(1.0),
-        clearance=jnp.float32(0.0),
-    )
+    order = plain_action(state.world.odometry[:2] + way, way, is_stopped)
     world = carry_out(key, state.world, order, params.motion)
     after = EnvironmentState(scenario=state.scenario, world=world, steps=state.steps + 1)
     is_success = simulator.is_success(world, state.scenario, is_stopped)
@@ -308,4 +246,20 @@ def _advance(
 
 def _observe(key: Array, state: EnvironmentState, params: EnvironmentParams) -> Array:
     seen = sense(key, state.world, state.scenario, params.sensor)
-    return _to_vector(seen, area=state.scenario.area, relation=params.law.relation)
+    x, y, heading = seen.pose[0], seen.pose[1], seen.pose[2]
+    told = (jnp.arange(len(SENTENCES)) == params.law.relation).astype(jnp.float32)
+    is_there = seen.is_detection.astype(jnp.float32)
+    detections = jnp.stack(
+        [
+            is_there,
+            is_there * seen.detection_range * jnp.cos(seen.detection_bearing),
+            is_there * seen.detection_range * jnp.sin(seen.detection_bearing),
+            (seen.detection_type == HYDRANT).astype(jnp.float32),
+            (seen.detection_type == CONE).astype(jnp.float32),
+        ],
+        axis=1,
+    )
+    own = jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)])
+    reach, area = seen.sensor.range_max[None], state.scenario.area
+    parts = [own, area, reach, told, detections.reshape(-1)]
+    return jnp.clip(jnp.concatenate(parts), -BOUND, BOUND)

@@ -19,16 +19,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from jaxlangnav.environments import functional
-from jaxlangnav.environments.functional import (
-    ACTION_SIZE,
-    BOUND,
-    DISCRETE_ACTIONS,
-    NUM_WORLDS,
-    OBSERVATION_SIZE,
-    EnvironmentInfo,
-    EnvironmentState,
-    draw_pool,
-)
+from jaxlangnav.environments.functional import DISCRETE_ACTIONS, EnvironmentState
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.viz.mapping import drive_picture
@@ -51,18 +42,15 @@ def _choice(name: str, value: str, kind: Any, more: str = "") -> str:
 
 def observation_space() -> spaces.Box:
     """Describe observations: bounded as ``functional`` clips them."""
-    return spaces.Box(-BOUND, BOUND, (OBSERVATION_SIZE,), np.float32)
+    limit = functional.BOUND
+    return spaces.Box(-limit, limit, (functional.OBSERVATION_SIZE,), np.float32)
 
 
 def action_space(actions: str) -> spaces.Box | spaces.Discrete[np.int64]:
-    """Describe actions: a step along x and y, and stop; or one of few, the first of them stop.
-
-    Raises:
-        ValueError: neither "continuous" nor "discrete".
-    """
+    """Describe actions: a step along x and y, and stop; or one of few, the first of them stop."""
     if _choice("actions", actions, Actions) == "discrete":
         return spaces.Discrete(len(DISCRETE_ACTIONS))
-    return spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
+    return spaces.Box(-1.0, 1.0, (functional.ACTION_SIZE,), np.float32)
 
 
 def to_functional(actions: Any, space: spaces.Space[Any]) -> np.ndarray:
@@ -137,16 +125,11 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
     ) -> None:
         """Set up the environment.
 
-        Args:
-            actions: "continuous", f32[3] as of ``functional.step``, or "discrete", an index into
-                ``DISCRETE_ACTIONS``.
-            render_mode: "rgb_array" for pictures, or None.
-            law: world, relation, sensing_range, max_steps, metre_cost, as of
-                ``functional.default_params``.
-
-        Raises:
-            MissingExtraError: pictures are asked for without the extra ``viz``.
-            ValueError: an unknown option, or a number outside its limits.
+        ``actions``: "continuous", f32[3] as of ``functional.step``, or "discrete", an index into
+        ``DISCRETE_ACTIONS``; ``render_mode``: "rgb_array" for pictures, which need the extra
+        ``viz``, or None; ``law``: world, relation, sensing_range, max_steps, metre_cost, as of
+        ``functional.default_params``. ``ValueError``: an unknown option, or a number outside its
+        limits.
         """
         self.observation_space = observation_space()
         self.action_space = action_space(actions)
@@ -167,11 +150,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         return self._worlds.see(*begun), {"instruction": self.instruction}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Carry out one action: observation, reward, terminated (it has stopped), truncated, info.
-
-        Raises:
-            ValueError: before the first ``reset``.
-        """
+        """Carry out an action: observation, reward, terminated (stopped), truncated, and info."""
         worlds, before = self._worlds, self._worlds.started("step")
         action = to_functional(action, self.action_space)
         seed = _seed(self.np_random)
@@ -181,11 +160,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         return worlds.see(observation, state), float(reward), ended, late, told
 
     def render(self) -> np.ndarray | None:
-        """Draw the true world, the way gone and what is in view: u8[480, W, 3], or None.
-
-        Raises:
-            ValueError: before the first ``reset``.
-        """
+        """Draw the true world, the way gone and what is in view: u8[480, W, 3], or None."""
         pictures = self._worlds.draw()
         return pictures[0] if pictures else None
 
@@ -200,23 +175,15 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self,
         num_envs: int,
         *,
-        num_worlds: int = NUM_WORLDS,
+        num_worlds: int = functional.NUM_WORLDS,
         actions: Actions = "continuous",
         render_mode: RenderMode | None = None,
         **law: Any,
     ) -> None:
-        """Set up the environments; what is not said here is as of ``FollowEnv``, a picture a lane.
+        """Set up ``num_envs`` environments, options as of ``FollowEnv``; a picture for each.
 
-        Args:
-            num_envs: lanes.
-            num_worlds: worlds drawn ahead, out of which every episode takes one by lot; 0 draws
-                fresh ones in every step of every lane, at hundreds of times the cost.
-            actions: as of ``FollowEnv``.
-            render_mode: as of ``FollowEnv``.
-            law: as of ``FollowEnv``.
-
-        Raises:
-            ValueError: as ``FollowEnv``, fewer than one lane, or worlds below 0.
+        ``num_worlds``: worlds drawn ahead, out of which every episode takes one by lot; 0 draws
+        fresh ones in every step of every lane, at hundreds of times the cost.
         """
         refuse_below(1, num_envs=num_envs)
         if num_worlds < 0:
@@ -238,8 +205,8 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         """Draw the worlds and begin an episode in every lane: f32[num_envs, 52], and no info."""
         super().reset(seed=seed)
         if self._num_worlds:
-            key = jax.random.key(_seed(self.np_random))
-            self._pool = draw_pool(key, self._worlds.params.law, num_worlds=self._num_worlds)
+            given = jax.random.key(_seed(self.np_random)), self._worlds.params.law
+            self._pool = functional.draw_pool(*given, num_worlds=self._num_worlds)
         keys = _keys(_seed(self.np_random), self.num_envs)
         self._is_over = np.zeros(self.num_envs, bool)
         return self._worlds.see(*_reset_many(keys, self._worlds.params, self._pool)), {}
@@ -267,7 +234,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         return self._worlds.draw()
 
 
-def _told(info: EnvironmentInfo) -> dict[str, np.ndarray]:
+def _told(info: functional.EnvironmentInfo) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in vars(info).items()}
 
 

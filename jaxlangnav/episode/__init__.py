@@ -21,8 +21,7 @@ from jaxlangnav.world.motion import HOLONOMIC, Body
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
-MAX_STEPS = 120
-"""Decision cycles after which an episode that has not stopped counts as a time-out."""
+MAX_STEPS = 120  # decision cycles after which an episode that has not stopped counts as a time-out
 
 
 @pytree
@@ -73,31 +72,23 @@ class EpisodeState:
 
 
 def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> EpisodeState:
-    """Put robot and navigator at the start of a task, before the first step.
-
-    ``instructions``: leaves [I, …], the sentences of the batch.
-    """
+    """Put robot and navigator at the start of a task; ``instructions``: leaves [I, …]."""
     scenario = task.scenario
     chex.assert_shape([scenario.start, scenario.area, scenario.goal], [(3,), (4,), (2,)])
     chex.assert_rank([task.key, task.instruction_index, task.sensor.range_max], 0)
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
     chex.assert_type([scenario.object_type, scenario.is_object], [int, bool])
     instruction = select_row(instructions, task.instruction_index)
+    place, none = (scenario.start, scenario.area), jnp.int32(0)
     return EpisodeState(
         task=task,
-        navigator=navigator.start(
-            instruction,
-            task.scenario.start,
-            task.scenario.area,
-            config=config,
-            terrain=task.scenario.terrain,
-        ),
-        world=simulator.reset(task.scenario),
-        steps=jnp.int32(0),
-        overflow=jnp.int32(0),
-        degenerate=jnp.int32(0),
-        contradictions=jnp.int32(0),
-        faults=jnp.int32(0),
+        navigator=navigator.start(instruction, *place, config=config, terrain=scenario.terrain),
+        world=simulator.reset(scenario),
+        steps=none,
+        overflow=none,
+        degenerate=none,
+        contradictions=none,
+        faults=none,
         sum_effective_sample_size=jnp.float32(0.0),
     )
 
@@ -128,49 +119,42 @@ def cycle(
     progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[EpisodeState, NavigatorInfo, Observation]:
     """Run one cycle as ``advance`` does, and return what was sensed in it, too."""
-    task = progress.task
-    sense_key, decide_key, move_key = _step_keys(progress)
+    task, (sense_key, decide_key, move_key) = progress.task, _step_keys(progress)
     observation = _sense(sense_key, progress)
     state, action, info = navigator.step(
         decide_key, progress.navigator, observation, params=params, config=config
     )
     world = task.body.move(move_key, progress.world, action, task.motion)
-    after = replace(
-        progress,
-        navigator=state,
-        world=world,
-        steps=progress.steps + 1,
-        **count(progress, info),
-    )
+    sums = count(progress, info)
+    after = replace(progress, navigator=state, world=world, steps=progress.steps + 1, **sums)
     return after, info, observation
 
 
 def count(progress: EpisodeState, info: NavigatorInfo) -> dict[str, Array]:
     """Add what one cycle says of itself to the sums of an episode, by the names of their fields."""
     seen, weights = info.filter, int(Fault.WEIGHTS)
-    return {
-        "overflow": progress.overflow + seen.overflow,
-        "degenerate": progress.degenerate + ((info.fault & weights) != 0).astype(jnp.int32),
-        "contradictions": progress.contradictions + seen.is_contradiction.astype(jnp.int32),
-        "faults": progress.faults + ((info.fault & ~weights) != 0).astype(jnp.int32),
-        "sum_effective_sample_size": progress.sum_effective_sample_size
-        + seen.effective_sample_size,
+    more = {
+        "overflow": seen.overflow,
+        "degenerate": ((info.fault & weights) != 0).astype(jnp.int32),
+        "contradictions": seen.is_contradiction.astype(jnp.int32),
+        "faults": ((info.fault & ~weights) != 0).astype(jnp.int32),
+        "sum_effective_sample_size": seen.effective_sample_size,
     }
+    return {name: getattr(progress, name) + one for name, one in more.items()}
 
 
 def finish(progress: EpisodeState) -> EpisodeResult:
     """Judge an episode."""
-    status = progress.navigator.status
-    scenario = progress.task.scenario
+    status, world, scenario = progress.navigator.status, progress.world, progress.task.scenario
     steps = jnp.maximum(progress.steps, 1).astype(jnp.float32)
     return EpisodeResult(
-        is_success=simulator.is_success(progress.world, scenario, status == Status.ARRIVED),
+        is_success=simulator.is_success(world, scenario, status == Status.ARRIVED),
         is_stopped=progress.navigator.is_done,
         ending=status,
-        distance=progress.world.distance,
+        distance=world.distance,
         steps=progress.steps,
-        final=progress.world.position,
-        goal_distance=simulator.goal_distance(progress.world, scenario),
+        final=world.position,
+        goal_distance=simulator.goal_distance(world, scenario),
         overflow=progress.overflow,
         degenerate=progress.degenerate,
         contradictions=progress.contradictions,
@@ -178,6 +162,25 @@ def finish(progress: EpisodeState) -> EpisodeResult:
         mean_effective_sample_size=progress.sum_effective_sample_size / steps,
         is_valid=scenario.is_valid,
     )
+
+
+def complete(
+    task: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int,
+) -> EpisodeState:
+    """Run an episode until it stops or its time is out; arguments as ``run``'s."""
+
+    def is_running(progress: EpisodeState) -> Array:
+        return ~progress.navigator.is_done & (progress.steps < max_steps)
+
+    def body(progress: EpisodeState) -> EpisodeState:
+        return advance(progress, params=params, config=config)[0]
+
+    return jax.lax.while_loop(is_running, body, begin(task, instructions, config=config))
 
 
 @functools.partial(jax.jit, static_argnames=("config", "max_steps"))
@@ -194,12 +197,4 @@ def run(
     ``task``: key, scenario, sentence (one of ``instructions``, leaves [I, …]), sensor and odometry;
     ``max_steps``: cycles until a time-out.
     """
-
-    def is_running(progress: EpisodeState) -> Array:
-        return ~progress.navigator.is_done & (progress.steps < max_steps)
-
-    def body(progress: EpisodeState) -> EpisodeState:
-        return advance(progress, params=params, config=config)[0]
-
-    first = begin(task, instructions, config=config)
-    return finish(jax.lax.while_loop(is_running, body, first))
+    return finish(complete(task, instructions, params=params, config=config, max_steps=max_steps))

@@ -23,12 +23,9 @@ from jaxlangnav.pytree import pytree, replace, strong
 class EpisodeProgram(NamedTuple):
     """What lanes run: an episode, or one with more kept of it; part of the compiled program."""
 
-    begin: Callable[..., Any]
-    """As ``begin``: a state from a task and the instructions."""
-    advance: Callable[..., Any]
-    """As ``advance``: the next state, and something that is not used."""
-    finish: Callable[[Any], Any]
-    """As ``finish``: the result of a state."""
+    begin: Callable[..., Any]  # as ``begin``: a state from a task and the instructions
+    advance: Callable[..., Any]  # as ``advance``: the next state, and something that is not used
+    finish: Callable[[Any], Any]  # as ``finish``: the result of a state
     progress: Callable[[Any], Any]
     """Takes the episode out of a state, or what else counts its ``steps``."""
     is_done: Callable[[Any], Array] = operator.attrgetter("progress.navigator.is_done")

@@ -156,11 +156,7 @@ def frame_of(
     info: NavigatorInfo,
     observation: Observation,
 ) -> Frame:
-    """Gather one step: the world before the motion, the belief after the step.
-
-    ``before`` and ``after`` are the navigator's states around its decision, ``info`` is of it,
-    ``observation`` what it was decided by.
-    """
+    """Gather one step: the world before the motion, the belief after the step."""
     belief, goals, choice = after.belief, info.goals, info.choice
     particles, nodes = belief.particles, choice.nodes
     num_objects = particles.object_type.shape[0]

@@ -24,8 +24,7 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
-Leaf: TypeAlias = Any
-"""A JAX array inside the compiled cycle, a NumPy array in a recording."""
+Leaf: TypeAlias = Any  # a JAX array inside the compiled cycle, a NumPy array in a recording
 
 
 @pytree

@@ -9,7 +9,6 @@ import platform
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import jax
@@ -23,13 +22,12 @@ from jaxlangnav.inputs.whole_files import replacing, write_text
 
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
 _RESULTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
-
-
 _REPEATS = (
     "the same episodes on this kind of device with these versions; a program of another number of "
     "lanes, such as jaxlangnav follow, rounds differently and may rarely decide differently"
 )
 """How far a repetition is the same, for whoever sets one episode beside a table."""
+_COMPILE_EVENTS = "/jax/core/compile/"
 
 
 def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, Any]:
@@ -66,12 +64,7 @@ def json_text(document: Mapping[str, Any]) -> str:
 
 
 def write_experiment(
-    folder: Path,
-    name: str,
-    document: Mapping[str, Any],
-    columns: pa.Table,
-    text: str,
-    models: Any,
+    folder: Path, name: str, document: Mapping[str, Any], columns: pa.Table, text: str, models: Any
 ) -> list[Path]:
     """Write an experiment's files, whose names begin with its own.
 
@@ -116,9 +109,6 @@ def pytree_hash(tree: Any) -> str:
     return digest.hexdigest()
 
 
-_COMPILE_EVENTS = "/jax/core/compile/"
-
-
 class CompileClock:
     """Context manager: seconds in which at least one thread traced, lowered or compiled.
 
@@ -133,12 +123,7 @@ class CompileClock:
         jax.monitoring.register_event_duration_secs_listener(self._listen)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the clock."""
         jax.monitoring.unregister_event_duration_listener(self._listen)
         reached = float("-inf")
@@ -146,9 +131,8 @@ class CompileClock:
             self.seconds += max(0.0, end - max(begin, reached))
             reached = max(reached, end)
 
-    def _listen(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
+    def _listen(self, event: str, duration_secs: float, **_: str | int) -> None:
         """Note when a trace, a lowering or a compilation began and ended."""
-        del kwargs
         if event.startswith(_COMPILE_EVENTS):
             now = time.perf_counter()
             self._intervals.append((now - duration_secs, now))

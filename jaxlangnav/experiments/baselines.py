@@ -41,10 +41,12 @@ _LANE_MARGINS = (1.0, 0.3)
 """How far from the edge a lane ends, as a share of the range: on the first pass and later on. The
 first pass turns as early as it can and leaves corners out of view; later ones look there."""
 _ARC_POINTS = 8
-_ARC_RADII = (0.0, 1.6, -1.6)
-"""Of the passes: metres from the likeliest range, in sensing ranges."""
+_ARC_RADII = (0.0, 1.6, -1.6)  # of the passes: metres from the likeliest range, in sensing ranges
 _ARC_DEPTH, _ARC_MARGIN = 0.66, 0.8
 """Likeliest range as a share of the area's depth; how much of its range it stays from the edge."""
+_ARRIVAL = 0.5  # metres from a waypoint of the search at which it counts as reached
+_NUM_CELLS, _NUM_BLOCKS = 32, 8
+_FRONTIER_MISS = 0.5
 
 
 def _lane_waypoint(area: Array, range_max: Array, leg: Array) -> Array:
@@ -77,12 +79,6 @@ def _arc_waypoint(area: Array, range_max: Array, leg: Array) -> Array:
     return jnp.where(sweep < len(_ARC_RADII), arc, lane)
 
 
-_ARRIVAL = 0.5
-"""Metres from a waypoint of the search at which it counts as reached."""
-_NUM_CELLS, _NUM_BLOCKS = 32, 8
-_FRONTIER_MISS = 0.5
-
-
 @pytree
 class Explorer:
     """What a baseline remembers; positions by its own dead reckoning, metres."""
@@ -113,8 +109,8 @@ def _figure_type(instruction: Instruction) -> Array:
 
 def _notice(explorer: Explorer, observation: Observation, figure_type: Array) -> Explorer:
     """Take in what is seen: coverage, and the object to make for."""
-    # The first object of the type becomes the target, of several the nearest; from then on the
-    # target is put where the detection nearest to it says.
+    # The first object of the type becomes the target, of several the nearest; then it is put where
+    # the detection nearest to it says.
     pose = observation.pose
     bearing = observation.detection_bearing + pose[2]
     x = pose[0] + observation.detection_range * jnp.cos(bearing)
@@ -165,24 +161,16 @@ def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) ->
     )
 
 
-def _act(explorer: Explorer, pose: Array) -> Action:
-    """Make for the target if there is one, else explore; stop where the navigator would."""
-    place = jnp.where(explorer.has_target, explorer.target, explorer.waypoint)
-    step = place - pose[:2]
-    is_stop = explorer.has_target & (jnp.hypot(step[0], step[1]) <= default_planner_params().reach)
+def plain_action(waypoint: Array, step: Array, is_stop: Array) -> Action:
+    """Build the action of an agent without a pace of its own: it has arrived, or searches."""
     return Action(
-        waypoint=place,
+        waypoint=waypoint,
         step=step,
         is_stop=is_stop,
-        status=_status(is_stop),
+        status=jnp.where(is_stop, int(Status.ARRIVED), int(Status.SEARCHING)),
         speed=jnp.float32(1.0),
         clearance=jnp.float32(0.0),
     )
-
-
-def _status(is_stop: Array) -> Array:
-    """Tell how a baseline stands: it is at an object of the type, or looks for one; i32[]."""
-    return jnp.where(is_stop, int(Status.ARRIVED), int(Status.SEARCHING))
 
 
 def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> _Run:
@@ -216,7 +204,12 @@ def _advance(
     observation = sense(sense_key, run.world, task.scenario, task.sensor, task.told)
     explorer = _notice(run.explorer, observation, run.figure_type)
     explorer = explore_on(explorer, observation.pose, task.sensor)
-    action = _act(explorer, observation.pose)
+    # It makes for the target if there is one, and stops where the navigator would.
+    has_target = explorer.has_target
+    place = jnp.where(has_target, explorer.target, explorer.waypoint)
+    step = place - observation.pose[:2]
+    is_near = jnp.hypot(step[0], step[1]) <= default_planner_params().reach
+    action = plain_action(place, step, has_target & is_near)
     world = task.body.move(move_key, run.world, action, task.motion)
     return replace(
         run, explorer=explorer, world=world, steps=run.steps + 1, is_stopped=action.is_stop
@@ -238,7 +231,7 @@ def _finish(run: _Run) -> EpisodeResult:
     return EpisodeResult(
         is_success=simulator.is_success(world, scenario, run.is_stopped),
         is_stopped=run.is_stopped,
-        ending=_status(run.is_stopped),
+        ending=jnp.where(run.is_stopped, int(Status.ARRIVED), int(Status.SEARCHING)),
         distance=world.distance,
         steps=run.steps,
         final=world.position,

@@ -11,6 +11,8 @@ The belief's map drifts with the odometry, so places are compared relative to th
 decided from what the robot has seen, so ending an episode at it biases nothing.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,13 +26,18 @@ from jaxlangnav.planner.goals import Goals
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, cell_size
-from jaxlangnav.semantic_map.particle import SemanticMap
 
-BANDWIDTH = 1.0
-"""Metres, of the kernel that turns the particles' hypotheses into a density."""
+BANDWIDTH = 1.0  # metres, of the kernel that turns the particles' hypotheses into a density
 _MIN_VARIANCE = 1e-4
 """Square metres; a place that is known better than this counts as known this well."""
 _LOG_FLOOR = 1e-12  # per square metre
+NUM_BINS = 10
+SAME_DISTANCE = 0.75
+"""Metres within which an observed object is the true one, if none of its type is nearer."""
+STAGES = (0, 5, 10, 15, 20, 30)  # first decision cycle of each stage that scores are kept for
+_JUDGING = 78
+"""Folded into a cycle's key for the judge; beyond the keys that world and navigator take."""
+_MOST_POINTS = 64  # particles that make up the density: its cost grows with their square
 
 
 @pytree
@@ -58,49 +65,27 @@ def _goal_region(density: GoalDensity, true_x: Array, true_y: Array) -> tuple[Ar
     seen, open_mass = density.object_mass * scale, density.hypothesis_mass * scale
     variance = jnp.maximum(density.object_variance, _MIN_VARIANCE)
 
-    def hypotheses(x: Array, y: Array) -> Array:
-        dx, dy = x[:, None] - density.hypothesis_x[None], y[:, None] - density.hypothesis_y[None]
-        return jnp.exp(gaussian.log_normal_isotropic(dx, dy, jnp.float32(BANDWIDTH**2)))
+    supposed = density.hypothesis_x, density.hypothesis_y
+    observed = density.object_x, density.object_y
 
-    def objects(x: Array, y: Array) -> Array:
-        dx, dy = x[:, None] - density.object_x[None], y[:, None] - density.object_y[None]
-        return jnp.exp(gaussian.log_normal_isotropic(dx, dy, variance[None]))
+    def kernels(of: tuple[Array, Array], variance: Array, x: Array, y: Array) -> Array:
+        dx, dy = x[:, None] - of[0][None], y[:, None] - of[1][None]
+        return jnp.exp(gaussian.log_normal_isotropic(dx, dy, variance))
 
+    hypotheses = functools.partial(kernels, supposed, jnp.float32(BANDWIDTH**2))
+    objects = functools.partial(kernels, observed, variance[None])
     truth = true_x[None], true_y[None]
     at_truth = (hypotheses(*truth) @ open_mass + objects(*truth) @ seen)[0]
-    own = hypotheses(density.hypothesis_x, density.hypothesis_y)
+    own = hypotheses(*supposed)
     is_copy = own > (1.0 - 1e-6) / (2.0 * jnp.pi * BANDWIDTH**2)
-    at_hypotheses = jnp.where(is_copy, 0.0, own) @ open_mass
-    at_hypotheses += objects(density.hypothesis_x, density.hypothesis_y) @ seen
-    among = objects(density.object_x, density.object_y)
+    at_hypotheses = jnp.where(is_copy, 0.0, own) @ open_mass + objects(*supposed) @ seen
     is_self = jnp.eye(seen.shape[0], dtype=bool)
-    background = hypotheses(density.object_x, density.object_y) @ open_mass
-    background += jnp.where(is_self, 0.0, among) @ seen
+    background = jnp.where(is_self, 0.0, objects(*observed)) @ seen
+    background = hypotheses(*observed) @ open_mass + background
     peak = seen / (2.0 * jnp.pi * variance)
     share = 1.0 - jnp.clip((at_truth - background) / jnp.maximum(peak, 1e-20), 0.0, 1.0)
     below = jnp.sum(jnp.where(at_hypotheses > at_truth, open_mass, 0.0)) + jnp.sum(seen * share)
     return below, jnp.log(jnp.maximum(at_truth, _LOG_FLOOR))
-
-
-def _relative_variance(particles: SemanticMap, weight: Array) -> Array:
-    """Compute how well objects are known relative to the robot: Σ_oo + Σ_rr − 2 Σ_or."""
-    num_objects = particles.object_type.shape[0]
-    covariance = particles.covariance
-    own = jnp.diagonal(covariance).T  # [O + 1, P]
-    robot, shared = own[num_objects:], covariance[num_objects, :num_objects]
-    relative = own[:num_objects] + robot - 2.0 * shared
-    return jnp.sum(relative * weight[None, :], axis=1)
-
-
-NUM_BINS = 10
-SAME_DISTANCE = 0.75
-"""Metres within which an observed object is the true one, if none of its type is nearer."""
-STAGES = (0, 5, 10, 15, 20, 30)
-"""First decision cycle of each stage that scores are kept for."""
-_JUDGING = 78
-"""Folded into a cycle's key for the judge; beyond the keys that world and navigator take."""
-_MOST_POINTS = 64
-"""Particles that make up the density: its cost grows with their square."""
 
 
 @pytree
@@ -187,8 +172,8 @@ def _reliability(probability: Array, outcome: Array, is_event: Array) -> Reliabi
     """Sort events into bins of their probability."""
     probability = jnp.clip(probability, 0.0, 1.0)
     bins = jnp.minimum((probability * NUM_BINS).astype(jnp.int32), NUM_BINS - 1)
-    member = (bins[:, None] == jnp.arange(NUM_BINS)[None, :]) & is_event[:, None]
-    member = member.astype(jnp.float32)
+    is_member = (bins[:, None] == jnp.arange(NUM_BINS)[None, :]) & is_event[:, None]
+    member = is_member.astype(jnp.float32)
     error = jnp.where(is_event, (probability - outcome) ** 2, 0.0)
     return Reliability(
         events=jnp.sum(member, axis=0),
@@ -230,15 +215,15 @@ def is_it(apart: Array, is_event: Array) -> Array:
 
 
 def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
-    """Hold the belief of one step against the truth, in the step's stage.
-
-    ``progress``, ``after``: before and after the step; the robot is where the decision was made,
-    and the belief of ``after`` is the one it was made by. ``info``: of the decision.
-    """
+    """Hold the belief of the decision between two states of an episode against the truth."""
     scenario, belief = progress.task.scenario, after.navigator.belief
     true_x, true_y = scenario.goal - progress.world.position + info.robot
-    goals = info.goals
-    variance = _relative_variance(belief.particles, jnp.exp(belief.log_weight))
+    goals, covariance = info.goals, belief.particles.covariance
+    # How well objects are known relative to the robot: Σ_oo + Σ_rr − 2 Σ_or.
+    number = covariance.shape[0] - 1
+    own = jnp.diagonal(covariance).T  # [O + 1, P]
+    relative = own[:number] + own[number:] - 2.0 * covariance[number, :number]
+    variance = jnp.sum(relative * jnp.exp(belief.log_weight)[None, :], axis=1)
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, progress.steps), _JUDGING)
     drawn = _independent(key, goals, belief, progress.navigator.instruction.readings)
     below, _ = _goal_region(_density(drawn, variance), true_x, true_y)

@@ -15,7 +15,7 @@ from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.table import Document, Row, Table, TableColumns
+from jaxlangnav.experiments.table import Row, Table, TableColumns, Told
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
@@ -25,11 +25,14 @@ _NULL, _BEHIND = "go to the hydrant", "go to the hydrant behind the cone"
 _TRUTH, _FALSEHOOD = "the hydrant is behind the cone", "the hydrant is in front of the cone"
 _SILENT: dict[str, Any] = {"num_corrections": 0, "answers": False}
 _ANSWERS: dict[str, Any] = {"num_corrections": 0}
-COST = 0.1
-"""What a question costs in the rows that do not vary it."""
-COSTS = (0.02, 0.05, 0.2, 0.4)
-"""What it costs in the others."""
-HEADING = "What a conversation is worth"
+COST = 0.1  # what a question costs in the rows that do not vary it
+COSTS = (0.02, 0.05, 0.2, 0.4)  # what it costs in the others
+_NOTE = (
+    "Corrected way: metres from the first correction to the end over those straight from there to "
+    "where the robot may stop, of the successes that were corrected, where the goal had been seen "
+    "by then and where it had not and had to be looked for; with how many there were. Weighted: "
+    "success less the cost of the questions asked."
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -122,14 +125,6 @@ def run_rows(options: Options, *, on_progress: OnProgress | None = None) -> dict
     }
 
 
-NOTE = (
-    "Corrected way: metres from the first correction to the end over those straight from there to "
-    "where the robot may stop, of the successes that were corrected, where the goal had been seen "
-    "by then and where it had not and had to be looked for; with how many there were. Weighted: "
-    "success less the cost of the questions asked."
-)
-
-
 def _corrected(row: Row, which: str) -> str:
     """Write a corrected way with the number of episodes that it is of."""
     ratio = row[f"corrected_way_{which}"]
@@ -152,6 +147,10 @@ _COLUMNS: TableColumns = (
 )  # fmt: skip
 
 
-def dialogue_table(document: Document) -> Table:
-    """Lay out the rows of ``run_rows``."""
-    return Table.of(document["rows"], _COLUMNS, title=HEADING, caption=NOTE)
+CONVERSATION = Told(
+    title="What a conversation is worth",
+    lead="A simulated person who knows the goal corrects, answers and states.",
+    tables=lambda document: [Table.of(document["rows"], _COLUMNS)],
+    notes=lambda _: [_NOTE],
+)
+"""How the rows of ``run_rows`` are told."""

@@ -27,6 +27,7 @@ from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
 _SPEECH = 31
 """Folded twice into an episode's key for the person; its steps fold and split it otherwise."""
+LEAST_SHARE = 0.01  # goal probability below which a thing is no candidate of a question
 
 
 @pytree
@@ -113,14 +114,14 @@ def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
     progress = episode.begin(task, sentence.instruction, config=config)
     navigator = progress.navigator
     talk = replace(navigator.talk, words=sentence.words)
-    nothing = jnp.float32(jnp.nan)
+    nothing, no = jnp.float32(jnp.nan), jnp.asarray(False)
     lane = _Lane(
         progress=replace(progress, navigator=replace(navigator, talk=talk)),
         person=unspoken(),
-        is_done=jnp.asarray(False),
+        is_done=no,
         said_at=nothing,
         straight=nothing,
-        is_known=jnp.asarray(False),
+        is_known=no,
     )
     return strong(lane)
 
@@ -187,17 +188,10 @@ def converse(
     )
 
 
-LEAST_SHARE = 0.01
-"""Goal probability below which a thing is no candidate of a question."""
-
-
 def speak(
     progress: EpisodeState, person: Person, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
-    """Let a person who watches an episode say something, or nothing, before a decision.
-
-    Gives the person after it; what is said, i32[], one of ``Says``; and of which slot, i32[].
-    """
+    """Let a person say something before a decision: person, ``Says`` and slot, i32[] each."""
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
     seen = _seen_of(progress.navigator, progress.steps)
     return say(key, person, seen, progress.task.scenario, params=params)

@@ -30,7 +30,7 @@ from jaxlangnav.experiments.policies import (
 )
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
-from jaxlangnav.experiments.table import Document, Row, Table
+from jaxlangnav.experiments.table import Row, Told
 from jaxlangnav.experiments.tasks import (
     SENTENCES,
     Cell,
@@ -45,6 +45,8 @@ from jaxlangnav.navigator import NavigatorParams, check
 from jaxlangnav.world.templates import TABLE_2
 
 _WHOLE = ("particles", "seed", "episode")
+_NAMES = 4 * (len("1H1C") + len("nearest") + len("lawnmower")) + 3 * 8
+"""Bytes of an episode's row that say which it is: texts of four bytes a letter, three numbers."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -53,16 +55,12 @@ class Grid:
 
     settings: Sequence[Cell]
     arms: Sequence[Arm]
-    episodes: int
-    """Of an arm in a setting."""
+    episodes: int  # of an arm in a setting
     names: tuple[str, ...]
     """Columns that settings and arms fill; ``seed`` and ``episode`` follow them."""
 
     def draw(self, places: np.ndarray) -> Task:
-        """Draw the tasks, leaves [E, …], of an arm's episodes by their numbers, i[E].
-
-        An episode's task depends on its setting and its number in it only.
-        """
+        """Draw the tasks, leaves [E, …], of an arm's episodes by their numbers alone, i[E]."""
         used, index, numbers = self._locate(places)
         return draw_tasks(used, index, numbers)
 
@@ -71,9 +69,8 @@ class Grid:
     ) -> dict[str, Any]:
         """Lay episodes of an arm out as columns [E] by name: which each is, and what came of it.
 
-        ``places``: i[E], their numbers among the arm's; ``results``: leaves [E, …]; ``known``:
-        f32[E], the known map's distance, metres. The final position stands in ``final_x`` and
-        ``final_y``.
+        ``places``: i[E], their numbers among the arm's; ``known``: f32[E], the known map's
+        distance, metres. The final position stands in ``final_x`` and ``final_y``.
         """
         columns: dict[str, Any] = {}
         for name, labels in self._labels(arm, places).items():
@@ -108,8 +105,7 @@ class Played:
     grid: Grid
     arm: Arm
     results: EpisodeResult
-    known: np.ndarray
-    """f32[E], the known map's distance, metres."""
+    known: np.ndarray  # f32[E], the known map's distance, metres
     tally: Tally | None = None
     """Of the episodes that are judged: the belief against the truth; leaves [E, …]."""
 
@@ -135,10 +131,9 @@ class Played:
 def run_grid(
     grid: Grid, instructions: Instruction, *, on_progress: OnProgress | None = None
 ) -> Iterator[Played]:
-    """Run a grid arm by arm; all settings go through one compiled program as one batch.
+    """Run a grid arm by arm, all settings in one batch; yields what each arm did.
 
-    ``instructions``: leaves [I, …], as the settings number them; ``on_progress`` is called with the
-    number of episodes just finished. Yields what each arm did.
+    ``instructions``: leaves [I, …], as the settings number them.
     """
     drawn = grid.draw(np.arange(len(grid.settings) * grid.episodes))
     for arm in grid.arms:
@@ -175,25 +170,17 @@ def _play(
     return results, joined(tallies) if tallies else None
 
 
-_NAMES = 4 * (len("1H1C") + len("nearest") + len("lawnmower")) + 3 * 8
-"""Bytes of an episode's row that say which it is: texts of four bytes a letter, three numbers."""
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
     """How much of an experiment is run, and under which numbers."""
 
-    episodes: int = 100
-    """Runs a row and arm."""
+    episodes: int = 100  # runs a row and arm
     policies: Sequence[str] = POLICY_NAMES
-    seed: int = 0
-    """Root seed of worlds and noise."""
-    num_particles: int = DEFAULT_PARTICLES
-    """P, of the navigator's policies."""
+    seed: int = 0  # root seed of worlds and noise
+    num_particles: int = DEFAULT_PARTICLES  # P, of the navigator's policies
     environments: int = 0
     """Worlds of a template taken in turn, ten in the paper; 0 for a fresh one per episode."""
-    params: NavigatorParams | None = None
-    """The navigator's numbers; its defaults if None."""
+    params: NavigatorParams | None = None  # the navigator's numbers; its defaults if None
     sensor: SensorParams | None = None
     """The detector; its range is that of each row. The default one if None."""
     motion: MotionParams | None = None
@@ -208,18 +195,11 @@ def _policy_arms(options: Options) -> list[Arm]:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Experiment:
+class Experiment(Told):
     """What is run, what is measured of it, how it is told, and under which name it is written."""
 
     name: str
-    title: str
     specs: tuple[RowSpec, ...]
-    tables: Callable[[Document], list[Table]]
-    """Lays out a document; the terminal draws the first of them."""
-    notes: Callable[[Document], list[str]]
-    """What stands beneath: what the tables show, and what they were measured under."""
-    lead: str = ""
-    """What it is and what to see in it, for people."""
     arms: Callable[[Options], list[Arm]] = _policy_arms
     """What is compared: at least one arm; refuses an unknown policy."""
     measure: Callable[[Row, RowSpec, EpisodeResult, EpisodeResult], Row] = lambda *_: {}
@@ -236,11 +216,10 @@ class Experiment:
         return len(self.specs) * len(self.arms(options)) * options.episodes
 
     def check(self, options: Options) -> list[Arm]:
-        """Build the arms of a run, or refuse, before anything is run, what cannot be.
+        """Build the arms of a run, or refuse what cannot be, before anything is run.
 
-        Raises:
-            ValueError: fewer than one episode, an unknown policy, more than memory holds, or
-                numbers with which the robot could never stop.
+        ``ValueError``: fewer than one episode, an unknown policy, more than memory holds, or
+        numbers with which the robot could never stop.
         """
         judged, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
         arms = [dataclasses.replace(one, judged=one.judged or judged) for one in self.arms(options)]
@@ -263,7 +242,7 @@ class Experiment:
         out: str | Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> dict[str, Any]:
-        """Run all rows for every arm.
+        """Run all rows for every arm; refuses as ``check``, and an unknown world or relation.
 
         Args:
             options: what is run; 100 episodes of every policy if None.
@@ -274,9 +253,6 @@ class Experiment:
             The document: ``rows``, ``paper``, ``sentences``, ``noise``, ``wall_s`` with
             compilation, ``compile_s`` of it, ``models_sha256`` of the trained weights, ``files``,
             and what ``found`` adds. Rates in percent, distances in metres.
-
-        Raises:
-            ValueError: as ``check``, or an unknown world or relation.
         """
         options = Options() if options is None else options
         arms, begin = self.check(options), time.perf_counter()
@@ -317,29 +293,14 @@ class Experiment:
 
     def rows(self, played: Played, first: Played) -> list[Row]:
         """Summarise what an arm did, one row a setting: its episodes, its scores, ``measure``."""
-        rows = []
+        rows, number = [], len(self.specs)
         for place, (row, spec) in enumerate(zip(played.rows(), self.specs, strict=True)):
-            row = row | spec.heading() | _scores(played, place)
+            # None where no belief was judged.
+            scored: Row = dict.fromkeys(("ece", "brier", "coverage90", "reliability"))
+            if played.tally is not None:
+                of = jax.tree.map(lambda leaf, at=place: np.split(leaf, number)[at], played.tally)
+                scored = scores(of) | {"reliability": bin_sums(of)}
+            row = row | spec.heading() | scored
             episodes = (one.of_setting(place)[0] for one in (played, first))
             rows.append(row | self.measure(row, spec, *episodes))
         return rows
-
-    def markdown(self, document: Document) -> str:
-        """Write heading, tables and notes in Markdown."""
-        tables = "\n".join(one.markdown() for one in self.tables(document))
-        return f"# {self.title}\n\n{tables}\n" + "\n".join(self.notes(document)) + "\n"
-
-    def render(self, document: Document) -> Any:
-        """Draw the first table and the notes for the terminal, with rich."""
-        notes = "\n".join(self.notes(document))
-        first = self.tables(document)[0]
-        return dataclasses.replace(first, title=self.title, caption=notes).text()
-
-
-def _scores(played: Played, place: int) -> Row:
-    """Score the belief in the judged episodes of a setting; None where there are none."""
-    if played.tally is None:
-        return dict.fromkeys(("ece", "brier", "coverage90", "reliability"))
-    number = len(played.grid.settings)
-    part = jax.tree.map(lambda leaf: np.split(leaf, number)[place], played.tally)
-    return scores(part) | {"reliability": bin_sums(part)}

@@ -46,10 +46,7 @@ their events and outcomes, ``events2`` and ``outcome2``, and the product of both
 
 
 def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
-    """Sum up the events of some episodes, leaves [E, S, …], by their probability.
-
-    ``planner`` and ``map``, each ``Bins`` in JSON's own types.
-    """
+    """Sum up events of episodes, leaves [E, S, …], into ``Bins`` of ``planner`` and of ``map``."""
 
     def sums(found: Reliability) -> dict[str, list[float]]:
         events, probability, outcome = (
@@ -86,16 +83,14 @@ def curve(bins: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
     sums = {name: np.asarray(values, float) for name, values in bins.items()}
     used = sums["events"] > 0
     total = {name: values[used] for name, values in sums.items()}
-    rate = total["outcome"] / total["events"]
+    rate, events = total["outcome"] / total["events"], total["events"]
     spread = total["outcome2"] - 2 * rate * total["cross"] + rate**2 * total["events2"]
-    variance = spread / total["events"] ** 2
-    trials = np.where(
-        variance > 1e-12, rate * (1 - rate) / np.maximum(variance, 1e-12), total["episodes"]
-    )
-    trials = np.clip(trials, 1.0, total["events"])
-    numbers = np.maximum(1, trials.astype(int))
+    variance = spread / events**2
+    independent = rate * (1 - rate) / np.maximum(variance, 1e-12)
+    trials = np.where(variance > 1e-12, independent, total["episodes"])
+    numbers = np.maximum(1, np.clip(trials, 1.0, events).astype(int))
     ends = [wilson_interval(round(one * n), int(n)) for one, n in zip(rate, numbers, strict=True)]
     low, high = np.reshape(ends, (-1, 2)).T
-    mean = total["probability"] / total["events"]
+    mean = total["probability"] / events
     # Rounding the successes moves the middle by less than half a trial; the rate stays inside.
-    return mean, rate, np.minimum(low, rate), np.maximum(high, rate), total["events"]
+    return mean, rate, np.minimum(low, rate), np.maximum(high, rate), events

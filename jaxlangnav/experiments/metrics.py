@@ -13,6 +13,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _Z95 = 1.959964
+_FLIPS = 4000
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -42,10 +43,7 @@ class RowMetrics:
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Compute the 95 % Wilson score interval of a rate, in [0, 1].
-
-    Limits: no trials give (0, 1); all successes give an upper end of 1.
-    """
+    """Compute the 95 % Wilson interval of a rate, in [0, 1]; (0, 1) without trials."""
     if trials == 0:
         return 0.0, 1.0
     low, high = stats.binomtest(successes, trials).proportion_ci(method="wilson")
@@ -95,9 +93,6 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
     )
 
 
-_FLIPS = 4000
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Comparison:
     """Second arm against first, over the episodes that both ran."""
@@ -105,14 +100,10 @@ class Comparison:
     pairs: int
     success_only_first: int
     success_only_second: int
-    success_p: float
-    """Two-sided exact McNemar test."""
-    distance_difference: float
-    """Second minus first, mean, metres."""
-    distance_ci: tuple[float, float]
-    """95 %, metres."""
-    distance_p: float
-    """Two-sided sign-flip permutation test."""
+    success_p: float  # two-sided exact McNemar test
+    distance_difference: float  # second minus first, mean, metres
+    distance_ci: tuple[float, float]  # 95 %, metres
+    distance_p: float  # two-sided sign-flip permutation test
 
 
 def compare(
@@ -121,21 +112,16 @@ def compare(
     first_distance: np.ndarray,
     second_distance: np.ndarray,
 ) -> Comparison:
-    """Compare two arms over the same episodes: bool[E] successes, f64[E] distances in metres.
-
-    Raises:
-        ValueError: there is nothing to compare.
-    """
+    """Compare two arms over the same episodes: bool[E] successes, f64[E] distances in metres."""
     if not len(first_success):
         raise ValueError("no episode was run by both arms")
     only_first = int(np.sum(first_success & ~second_success))
     only_second = int(np.sum(second_success & ~first_success))
     difference = np.asarray(second_distance, np.float64) - np.asarray(first_distance, np.float64)
-    mean, half = float(difference.mean()), 0.0
-    if len(difference) > 1:
-        half = _Z95 * float(difference.std(ddof=1)) / math.sqrt(len(difference))
+    mean, number = float(difference.mean()), len(difference)
+    half = _Z95 * float(difference.std(ddof=1)) / math.sqrt(number) if number > 1 else 0.0
     return Comparison(
-        pairs=len(difference),
+        pairs=number,
         success_only_first=only_first,
         success_only_second=only_second,
         success_p=_mcnemar(only_first, only_second),

@@ -26,27 +26,25 @@ from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import strong
 
-CHUNK = 1024
-"""Most episodes a device takes in one call; fewer are padded, and padding is not run."""
-LANES = 32
-"""Episodes under way at once on a device."""
-_AXIS = "episodes"
-"""The mesh's only axis."""
+CHUNK = 1024  # most episodes a device takes in one call; fewer are padded, and padding is not run
+LANES = 32  # episodes under way at once on a device
+_AXIS = "episodes"  # the mesh's only axis
 
 _programs: dict[Any, Any] = {}
 _programs_lock = threading.Lock()
+_AHEAD = 2  # jobs handed out for each thread: none waits for the one that yields
+Job = TypeVar("Job")
+Done = TypeVar("Done")
+OnProgress = Callable[[int], None]  # called with the number of episodes just finished
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Work:
     """What one device does in one call."""
 
-    tasks: Task
-    """Leaves [CHUNK, …], see ``fill``."""
-    count: int
-    """How many of them to run."""
-    params: Any
-    """Of the course."""
+    tasks: Task  # leaves [CHUNK, …], see ``fill``
+    count: int  # how many of them to run
+    params: Any  # of the course
 
 
 def usable_cores() -> int:
@@ -77,13 +75,9 @@ def join_devices(
 
     ``jax.distributed`` asks the launcher (SLURM, Open MPI, Kubernetes, cloud TPUs) for whatever is
     not given: ``coordinator``, host:port of the first process; how many ``processes`` there are;
-    which ``process`` this is, from 0. All processes meet at the first one, and then they part:
-    nothing that is computed crosses from one to another, and a process that dies later must not
-    take its peers along.
-
-    Raises:
-        ValueError: no launcher is known, something is missing or does not fit together, or the
-            others did not come.
+    which ``process`` this is, from 0. All meet at the first one, and then they part: a process that
+    dies later takes no peer along. ``ValueError``: no launcher is known, something is missing or
+    does not fit together, or the others did not come.
     """
     if coordinator is not None and not re.fullmatch(r".+:\d+", coordinator):
         raise ValueError(f'coordinator is "{coordinator}", but must be HOST:PORT')
@@ -119,77 +113,45 @@ def run_round(
     ``works``: at most as many as there are devices; the other devices rest. For each of them its
     results as NumPy arrays, leaves [count, …].
     """
-    idle = mesh().size - len(works)
-    padded = [*works, *[works[0]] * idle]
-    split = NamedSharding(mesh(), PartitionSpec(_AXIS))
+    idle = dataclasses.replace(works[0], count=0)
+    padded = [*works, *[idle] * (mesh().size - len(works))]
+    given = [(one.tasks, one.params, jnp.int32(one.count)) for one in padded]
+    stacked = strong(jax.tree.map(lambda *leaves: jnp.stack(leaves), *given))
+    tasks, params, count = jax.device_put(stacked, NamedSharding(mesh(), PartitionSpec(_AXIS)))
     everywhere = NamedSharding(mesh(), PartitionSpec())
-    stacked = strong(
-        jax.tree.map(
-            lambda *leaves: jnp.stack(leaves), *[(one.tasks, one.params) for one in padded]
-        )
-    )
-    tasks, params = jax.device_put(stacked, split)
-    counts = [*(one.count for one in works), *[0] * idle]
-    count = jax.device_put(jnp.asarray(counts, jnp.int32), split)
     inputs = (tasks, jax.device_put(strong(instructions), everywhere), params, count)
-    results = jax.tree.map(np.asarray, _program(inputs, config, max_steps, course)(*inputs))
+    kinds = tuple(jax.typeof(leaf) for leaf in jax.tree.leaves(inputs))
+    name = (config, max_steps, course, LANES, mesh(), kinds)
+    # Compiled once for these shapes, whichever thread asks first.
+    with _programs_lock:
+        if name not in _programs:
+            _programs[name] = jax.jit(_sharded(config, max_steps, course)).lower(*inputs).compile()
+    results = jax.tree.map(np.asarray, _programs[name](*inputs))
     return [
         jax.tree.map(lambda leaf, at=at, size=one.count: leaf[at, :size], results)
         for at, one in enumerate(works)
     ]
 
 
-def _program(inputs: Any, config: NavigatorConfig, max_steps: int, course: EpisodeProgram) -> Any:
-    """Compile the batch for these shapes once, whichever thread asks first."""
-    kinds = [jax.typeof(leaf) for leaf in jax.tree.leaves(inputs)]
-    name = (config, max_steps, course, LANES, mesh(), tuple(kinds))
-    with _programs_lock:
-        if name not in _programs:
-            _programs[name] = jax.jit(_sharded(config, max_steps, course)).lower(*inputs).compile()
-        return _programs[name]
-
-
 def _sharded(config: NavigatorConfig, max_steps: int, course: EpisodeProgram) -> Any:
     """Spread the batch of one device over all of them."""
 
     def on_one_device(tasks: Task, instructions: Any, params: Any, count: jax.Array) -> Any:
-        own_tasks, own_params, own_count = jax.tree.map(
-            lambda leaf: leaf[0], (tasks, params, count)
-        )
-        results = run_batch(
-            own_tasks,
-            instructions,
-            params=own_params,
-            config=config,
-            num_lanes=LANES,
-            max_steps=max_steps,
-            count=own_count,
-            course=course,
-        )
+        own, numbers, size = jax.tree.map(lambda leaf: leaf[0], (tasks, params, count))
+        sizes: dict[str, Any] = {"config": config, "num_lanes": LANES, "max_steps": max_steps}
+        results = run_batch(own, instructions, params=numbers, count=size, course=course, **sizes)
         return jax.tree.map(lambda leaf: leaf[None], results)
 
+    split = PartitionSpec(_AXIS)
     # Nothing is replicated and nothing is exchanged, so there is nothing to check; the check
     # would reject the loop, whose carry starts the same on all devices and then differs.
     return jax.shard_map(
         on_one_device,
         mesh=mesh(),
-        in_specs=(
-            PartitionSpec(_AXIS),
-            PartitionSpec(),
-            PartitionSpec(_AXIS),
-            PartitionSpec(_AXIS),
-        ),
-        out_specs=PartitionSpec(_AXIS),
+        in_specs=(split, PartitionSpec(), split, split),
+        out_specs=split,
         check_vma=False,
     )
-
-
-_AHEAD = 2
-"""Jobs handed out for each thread: none waits for the one that yields."""
-Job = TypeVar("Job")
-Done = TypeVar("Done")
-OnProgress = Callable[[int], None]
-"""Called with the number of episodes just finished."""
 
 
 def _pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
@@ -202,11 +164,7 @@ def _pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
 
 
 def run_ahead(work: Callable[[Job], Done], jobs: Iterable[Job], threads: int) -> Iterator[Done]:
-    """Do jobs in threads, a few handed out ahead of need; the first failure ends the run.
-
-    Jobs are taken as threads come free, so that no plan is laid out whole. Yields what each gave,
-    in their order.
-    """
+    """Do jobs in threads, taken as these come free; yields in order, the first failure ends it."""
     running: collections.deque[concurrent.futures.Future[Done]] = collections.deque()
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:
         try:
@@ -234,19 +192,9 @@ def run_tasks(
 ) -> Any:
     """Run tasks of any number through one compiled program, on all cores and devices.
 
-    Args:
-        tasks: leaves [E, …].
-        instructions: leaves [I, …], or what else the course begins with.
-        params: the navigator's numbers, or what else the course goes on by.
-        config: sizes and policy.
-        on_progress: called with the number of episodes just finished.
-        num_threads: calls under way at once; as many as keep all cores busy by default.
-        max_steps: cycles until a time-out.
-        course: what is kept of an episode; its result by default.
-
-    Returns:
-        Results as NumPy arrays, leaves [E, …], in the order of the tasks: an ``EpisodeResult``, or
-        what the course finishes with.
+    Arguments and results are those of ``lanes.run_batch``; results are NumPy arrays.
+    ``on_progress`` is called with the number of episodes just finished; ``num_threads``: calls
+    under way at once, by default as many as keep all cores busy.
     """
     number, abreast = tasks.instruction_index.shape[0], mesh().size
     threads = num_threads or num_calls()
@@ -254,10 +202,8 @@ def run_tasks(
     rounds = [parts[at : at + abreast] for at in range(0, len(parts), abreast)]
 
     def work(places: list[tuple[int, int]]) -> list[Any]:
-        works = [
-            Work(tasks=fill(tasks, first, size), count=size, params=params)
-            for first, size in places
-        ]
+        filled = [(fill(tasks, first, size), size) for first, size in places]
+        works = [Work(tasks=own, count=size, params=params) for own, size in filled]
         return run_round(works, instructions, config=config, max_steps=max_steps, course=course)
 
     results: list[Any] = []

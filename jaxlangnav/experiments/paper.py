@@ -19,6 +19,21 @@ from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableCol
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
+SENSING_RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)  # metres, as in the paper
+CALIBRATION_EPISODES = 32
+"""Episodes of a row in which every step's belief is held against the truth."""
+EXTRA = (
+    ("2H2C", 3.0, "null"),
+    ("2H2C", 3.0, "behind"),
+    ("2H2C", 5.0, "nearest"),
+    ("1H3C", 3.0, "null"),
+    ("1H3C", 3.0, "behind"),
+    ("3H1C", 3.0, "null"),
+    ("3H1C", 3.0, "behind"),
+    ("3H1C", 5.0, "nearest"),
+)
+"""Rows that the paper does not print: its fourth template, and three objects of one kind."""
+
 
 def _beside(name: str, form: str) -> Callable[[Row], str]:
     """Write a record that stands in a row, where there is one."""
@@ -32,13 +47,13 @@ def _score(name: str, form: str) -> Callable[[Row], str]:
 
 _WAY = "{distance_mean:.2f} ({distance_sd:.2f})"
 _KNOWN = "{known_distance_mean:.2f} ({known_distance_sd:.2f})"
-_ROW: TableColumns = (
+ROW_COLUMNS: TableColumns = (
     ("World", "{world}"),
     ("Range m", "{range:g}"),
     ("Relation", lambda row: row["relation"] or "null"),
 )
 _COLUMNS: TableColumns = (
-    *_ROW,
+    *ROW_COLUMNS,
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS),
     ("paper", _beside("same", "{success_rate:.1f}")),
@@ -95,13 +110,6 @@ def least_distance(bound: Mapping[str, Any]) -> float:
     return bound["search_law"] or max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
-def _limit_cells(bound: Row, columns: TableColumns, distance: int) -> list[str]:
-    """Write the limits of a row, which no policy can pass; the distance stands in its column."""
-    line = [*Table.of([bound], _ROW).rows[0], "limit", f"≤ {bound['success']:.0f}"]
-    texts = {distance: f"≥ {least_distance(bound):.2f}"}
-    return [*line, *(texts.get(place, "") for place in range(len(line), len(columns)))]
-
-
 def results_table(document: Document, *, fold: str = "") -> Table:
     """Lay out all lines of a table: every row's policies, then its limits; a row is a block."""
     limits = {row_key(bound): bound for bound in document.get("bounds", [])}
@@ -112,7 +120,13 @@ def results_table(document: Document, *, fold: str = "") -> Table:
         rows, begun = list(mine), len(lines[0])
         for into, columns, distance in zip(lines, (_COLUMNS, _SCREEN), (6, 7), strict=True):
             into += Table.of(rows, columns).rows
-            into += [_limit_cells(limits[key], columns, distance)] if key in limits else []
+            if bound := limits.get(key):
+                # What no policy can pass; the distance stands in its column.
+                (named,) = Table.of([bound], ROW_COLUMNS).rows
+                line = [*named, "limit", f"≤ {bound['success']:.0f}"]
+                line += [""] * (len(columns) - len(line))
+                line[distance] = f"≥ {least_distance(bound):.2f}"
+                into.append(line)
         firsts += [place == 0 for place in range(len(lines[0]) - begun)]
     return Table(
         headings=wide.headings,
@@ -161,7 +175,7 @@ def caption(document: Document) -> list[str]:
             "search that knows by what law the hydrants stand."
         )
     searches = [
-        f"{bound['search_uniform']:.1f} m ({bound['world']}, {bound['range']:g} m)"
+        "{search_uniform:.1f} m ({world}, {range:g} m)".format_map(bound)
         for bound in bounds
         if bound["search_uniform"] is not None
     ]
@@ -174,7 +188,7 @@ def caption(document: Document) -> list[str]:
 
 
 _DEVIATIONS: TableColumns = (
-    *_ROW,
+    *ROW_COLUMNS,
     ("faithful − paper: success", "{success:+.1f}"),
     ("in s. e.", "{far[success]:+.1f}"),
     ("distance m", "{distance:+.2f}"),
@@ -199,28 +213,20 @@ def deviations_table(document: Document) -> Table:
     return Table.of(rows, _DEVIATIONS)
 
 
-SENSING_RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)
-"""Metres, as in the paper."""
-_WORLD = "2H1C"
-"""The template of which Table 2 prints both commands."""
-_LEAD_FIGURE5 = (
-    "The farther the robot sees, the less it has to search, and the less the sentence matters: all "
-    "curves that use it end at the known map's (section 4.2). The printed figure states no "
-    "numbers; where Table 2 prints a row of the same world, command and range, it is drawn."
-)
-
-
 def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
     """Build the figure: rows by relation, then by range (metres; the paper's if none is given)."""
     specs = [
-        RowSpec(world=_WORLD, range=sensing_range, relation=relation)
+        RowSpec(world="2H1C", range=sensing_range, relation=relation)
         for relation in ("behind", "nearest")
         for sensing_range in sorted(set(ranges)) or SENSING_RANGES
     ]
     return Experiment(
         name="figure5",
         title="Figure 5: distance and success against the sensing range",
-        lead=_LEAD_FIGURE5,
+        lead="The farther the robot sees, the less it has to search, and the less the sentence "
+        "matters: all curves that use it end at the known map's (section 4.2). The printed figure "
+        "states no numbers; where Table 2 prints a row of the same world, command and range, it is "
+        "drawn.",
         specs=tuple(specs),
         found=lambda rows, _: {"bounds": bound_rows(specs), "falls": _falls(rows)},
         tables=lambda document: _tables(document, fold="All numbers"),
@@ -236,24 +242,17 @@ def _tables(document: Document, *, fold: str = "") -> list[Table]:
 
 def _falls(rows: Sequence[Row]) -> list[Row]:
     """Find where success falls as the range grows: the intervals of neighbours do not meet."""
+    names = ("world", "relation", "policy")
     curves: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        curves.setdefault((row["world"], row["relation"], row["policy"]), []).append(row)
+        curves.setdefault(tuple(row[name] for name in names), []).append(row)
     found = []
-    for (world, relation, policy), curve in curves.items():
+    for curve in curves.values():
         ordered = sorted(curve, key=lambda row: row["range"])
         for before, after in itertools.pairwise(ordered):
             if after["success_ci"][1] < before["success_ci"][0]:
-                found.append(
-                    {
-                        "world": world,
-                        "relation": relation,
-                        "policy": policy,
-                        "range": after["range"],
-                        "from": before["success_rate"],
-                        "to": after["success_rate"],
-                    }
-                )
+                rates = {"from": before["success_rate"], "to": after["success_rate"]}
+                found.append({name: after[name] for name in (*names, "range")} | rates)
     return found
 
 
@@ -267,31 +266,8 @@ def describe_falls(document: Document) -> str:
     return "\n".join(lines) or "Success nowhere falls beyond its intervals as the range grows."
 
 
-CALIBRATION_EPISODES = 32
-"""Episodes of a row in which every step's belief is held against the truth."""
-_LEAD = (
-    "Success and distance in simulated worlds, by world and command (section 4.2). A run succeeds "
-    "if the robot itself says stop within 1.5 m of the intended goal."
-)
-EXTRA = (
-    ("2H2C", 3.0, "null"),
-    ("2H2C", 3.0, "behind"),
-    ("2H2C", 5.0, "nearest"),
-    ("1H3C", 3.0, "null"),
-    ("1H3C", 3.0, "behind"),
-    ("3H1C", 3.0, "null"),
-    ("3H1C", 3.0, "behind"),
-    ("3H1C", 5.0, "nearest"),
-)
-"""Rows that the paper does not print: its fourth template, and three objects of one kind."""
-
-
 def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
-    """Build the table: rows in the paper's order, ranges growing.
-
-    ``extra``: whether rows that the paper does not print stand beneath its own; ``ranges``: metres,
-    in place of each row's own.
-    """
+    """Build the table in the paper's order: with ``extra`` rows, or at other ``ranges``, metres."""
     printed = [(row.world, row.range, row.relation) for row in PRINTED]
     reaches = sorted(set(ranges))
     specs = tuple(
@@ -299,14 +275,18 @@ def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
         for world, own, relation in [*printed, *(EXTRA if extra else ())]
         for reach in reaches or [own]
     )
-    remark = describe_falls if len(reaches) > 1 else None
+    has_curves = len(reaches) > 1
     return Experiment(
         name="table2",
         title="Table 2: ours beside the paper's",
-        lead=_LEAD,
+        lead="Success and distance in simulated worlds, by world and command (section 4.2). A run "
+        "succeeds if the robot itself says stop within 1.5 m of the intended goal.",
         specs=specs,
         calibration_episodes=CALIBRATION_EPISODES,
         found=lambda *_: {"bounds": bound_rows(specs)},
         tables=_tables,
-        notes=lambda document: [*([remark(document)] if remark else []), *caption(document)],
+        notes=lambda document: [
+            *([describe_falls(document)] if has_curves else []),
+            *caption(document),
+        ],
     )

@@ -49,28 +49,22 @@ KNOWLEDGE = {
 
 
 def check_policies(names: Sequence[str]) -> tuple[str, ...]:
-    """Check the names of policies as typed; each once, in their order.
-
-    Raises:
-        ValueError: none at all, or one that does not exist, with the nearest that does.
-    """
+    """Check policies' names as typed, each once, in order; refuses with the nearest there is."""
+    choose = f"choose from {', '.join(POLICY_NAMES)}"
     if not names:
-        raise ValueError(f"no policy given: choose from {', '.join(POLICY_NAMES)}")
+        raise ValueError(f"no policy given: {choose}")
     for name in names:
         if name not in POLICY_NAMES:
             near = difflib.get_close_matches(cut(name).lower(), POLICY_NAMES, n=1)
             hint = f'; did you mean "{near[0]}"?' if near else ""
-            raise ValueError(
-                f'unknown policy "{cut(name)}": choose from {", ".join(POLICY_NAMES)}{hint}'
-            )
+            raise ValueError(f'unknown policy "{cut(name)}": {choose}{hint}')
     return tuple(dict.fromkeys(names))
 
 
 def navigator_config(policy: AnyPolicy, num_particles: int = DEFAULT_PARTICLES) -> NavigatorConfig:
     """Build sizes of a navigator's policy: "informed", "faithful", or one of somebody's own."""
-    return NavigatorConfig(
-        map=MapConfig(num_particles=num_particles), planner=PlannerConfig(policy=policy)
-    )
+    sizes, planner = MapConfig(num_particles=num_particles), PlannerConfig(policy=policy)
+    return NavigatorConfig(map=sizes, planner=planner)
 
 
 def without_compass(config: NavigatorConfig, motion: MotionParams) -> NavigatorConfig:
@@ -85,22 +79,18 @@ class Arm:
     """What is compared: a policy with its numbers and sizes."""
 
     policy: str
-    told: Mapping[str, Any]
-    """What the columns say of it, by name."""
-    config: NavigatorConfig | None = None
-    """None for a baseline, which has none."""
+    told: Mapping[str, Any]  # what the columns say of it, by name
+    config: NavigatorConfig | None = None  # None for a baseline, which has none
     params: NavigatorParams | None = None
     """The navigator's numbers; a baseline has none of these either."""
-    motion: MotionParams | None = None
-    """Odometry of its worlds; that of the setting if None."""
+    motion: MotionParams | None = None  # odometry of its worlds; that of the setting if None
     sensor: Numbers = dataclasses.field(default_factory=dict)
     """Numbers of the detector in place of the setting's."""
     max_steps: int = MAX_STEPS
     judged: int = 0
     """In how many of the first episodes of a setting every step's belief is held against the truth;
     none of a baseline's."""
-    worlds: Callable[[Task], Task] | None = None
-    """Sets its worlds otherwise."""
+    worlds: Callable[[Task], Task] | None = None  # sets its worlds otherwise
 
     @property
     def course(self) -> EpisodeProgram:
@@ -118,13 +108,7 @@ class Arm:
         return tasks if self.worlds is None else self.worlds(tasks)
 
     def believing(self, numbers: Numbers) -> "Arm":
-        """Set single numbers of the navigator by name; a baseline has none, and stays as it is.
-
-        The arm has the same compiled program.
-
-        Raises:
-            ValueError: no such number, or one that cannot be.
-        """
+        """Set single numbers of the navigator by name, if it has any; the program stays."""
         if self.params is None or not numbers:
             return self
         return dataclasses.replace(self, params=with_numbers(numbers, params=self.params))
@@ -170,9 +154,6 @@ def policy_arm(
     ``num_particles`` and ``params`` (the defaults if None) are the navigator's. ``motion``:
     odometry, of which the belief is told; that of the settings if None. ``told``: what the columns
     say of it; its name if None.
-
-    Raises:
-        ValueError: no such policy.
     """
     name = check_policies([policy])[0] if isinstance(policy, str) else str(policy)
     told = {"policy": name} if told is None else told
@@ -196,7 +177,7 @@ def run_policy(
     num_threads: int | None = None,
     max_steps: int = MAX_STEPS,
 ) -> EpisodeResult:
-    """Run any policy on any number of tasks.
+    """Run any policy on any number of tasks; ``ValueError`` where there is none of that name.
 
     Args:
         policy: one of ``POLICY_NAMES``, or a policy of somebody's own.
@@ -210,9 +191,6 @@ def run_policy(
 
     Returns:
         Results as NumPy arrays, leaves [E, …], in the order of the tasks.
-
-    Raises:
-        ValueError: no such policy.
     """
     arm = policy_arm(policy, num_particles=num_particles, params=params)
     arm = dataclasses.replace(arm, max_steps=max_steps)

@@ -27,8 +27,7 @@ _MAX_STEPS = 400
 """Decision cycles until a time-out: an area of 60 × 60 m takes more than the paper's worlds."""
 ECE_TARGET = 0.05
 """Of "this is the goal", where the belief was told the truth of its sensors and by the sentence."""
-_FOREIGN = "arc"
-"""The baseline that knows the law of Table 2's worlds, which these are not of."""
+_FOREIGN = "arc"  # the baseline that knows the law of Table 2's worlds, which these are not of
 
 
 def numbers() -> NavigatorParams:
@@ -173,7 +172,7 @@ _SCENARIO: TableColumns = (
 
 def _tables(document: Document) -> list[Table]:
     """Lay out the rows by scenario, then by policy, and what each scenario is."""
-    order = list(dict.fromkeys(row["scenario"] for row in document["rows"]))
+    order = [one["scenario"] for one in document["scenarios"]]
     rows = sorted(document["rows"], key=lambda row: order.index(row["scenario"]))
     before = ["", *(row["scenario"] for row in rows[:-1])]
     firsts = [row["scenario"] != above for row, above in zip(rows, before, strict=True)]

@@ -15,10 +15,8 @@ from jaxlangnav.world.scenario import AREA_SIGMAS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.templates import TABLE_2, TableRow, known_range, parse_template
 
-PAPER_RUNS = 100
-"""Simulations behind a printed figure: "approximately 100" (section 4.2)."""
-AGREEMENT = 2.0
-"""Standard errors within which two figures agree."""
+PAPER_RUNS = 100  # simulations behind a printed figure: "approximately 100" (section 4.2)
+AGREEMENT = 2.0  # standard errors within which two figures agree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -27,8 +25,7 @@ class RowSpec:
 
     world: str
     range: float
-    relation: str
-    """A key of ``SENTENCES``."""
+    relation: str  # a key of ``SENTENCES``
 
     @classmethod
     def of(cls, printed: TableRow) -> "RowSpec":
@@ -60,8 +57,7 @@ class RowSpec:
         )
 
 
-PRINTED = tuple(RowSpec.of(one) for one in TABLE_2)
-"""The rows of Table 2, in the paper's order."""
+PRINTED = tuple(RowSpec.of(one) for one in TABLE_2)  # the rows of Table 2, in the paper's order
 
 
 def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
@@ -166,8 +162,7 @@ def rate_error(percent: float, runs: int) -> float:
 # what is proved is the straight way, 1.5 m short of the goal: the same sums for the first sight of
 # figure or landmark, whichever comes first, gave no more in the rows of Table 2.
 
-_SECTOR = math.pi / 2.0
-"""Radians: hydrants stand within ±45° of the start's heading."""
+_SECTOR = math.pi / 2.0  # radians: hydrants stand within ±45° of the start's heading
 _RINGS, _STEPS, _ANGLES = 200, 800, 720
 """Rings about the start, steps of the way, and directions in which a ring is held to the area."""
 
@@ -190,12 +185,7 @@ def _likeliest_share(
 
 
 def _search_bound(
-    edges: np.ndarray,
-    area: np.ndarray,
-    mass: np.ndarray,
-    sensing_range: float,
-    *,
-    num_goals: int = 1,
+    edges: np.ndarray, area: np.ndarray, mass: np.ndarray, sensing_range: float, num_goals: int
 ) -> float:
     """Bound the mean way of a search that ends within 1.5 m of a goal."""
     #     E[D] ≥ ∫ max(0, 1 − k F(max(0, x − max(0, R − s)))) dx
@@ -219,11 +209,10 @@ def _uniform_search_bound(
     edges = np.linspace(0.0, math.hypot(depth, 0.5 * width), _RINGS + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     angle = (np.arange(_ANGLES) + 0.5) / _ANGLES * math.pi - 0.5 * math.pi
-    is_in = (middle[:, None] * np.cos(angle) <= depth) & (
-        middle[:, None] * np.abs(np.sin(angle)) <= 0.5 * width
-    )
+    x, y = middle[:, None] * np.cos(angle), middle[:, None] * np.abs(np.sin(angle))
+    is_in = (x <= depth) & (y <= 0.5 * width)
     area = 0.5 * math.pi * is_in.mean(axis=1) * np.diff(edges**2)
-    return _search_bound(edges, area, area / area.sum(), sensing_range, num_goals=num_goals)
+    return _search_bound(edges, area, area / area.sum(), sensing_range, num_goals)
 
 
 @functools.cache
@@ -233,9 +222,8 @@ def _law_search_bound(mean: float, sd: float, sensing_range: float, num_goals: i
     edges = np.linspace(max(0.0, mean - 5.0 * sd), mean + 5.0 * sd, _RINGS + 1)
     below = np.array([0.5 * math.erfc((mean - edge) / (sd * math.sqrt(2.0))) for edge in edges])
     mass = np.diff(below) / (below[-1] - below[0])
-    return _search_bound(
-        edges, 0.5 * _SECTOR * np.diff(edges**2), mass, sensing_range, num_goals=num_goals
-    )
+    area = 0.5 * _SECTOR * np.diff(edges**2)
+    return _search_bound(edges, area, mass, sensing_range, num_goals)
 
 
 def limits(template: str, relation: str, sensing_range: float) -> dict[str, float | None]:
@@ -247,18 +235,14 @@ def limits(template: str, relation: str, sensing_range: float) -> dict[str, floa
     """
     record = parse_template(template)
     mean, sd = known_range(record, relation)
-    found: dict[str, float | None] = {
+    if relation != "null":
+        return {"known": mean, "search_uniform": None, "search_law": None, "success": 100.0}
+    number = record.num_hydrants
+    depth = mean + AREA_SIGMAS * sd  # how far the operating area reaches ahead; √2 D wide
+    area = depth, math.sqrt(2.0) * depth
+    return {
         "known": mean,
-        "search_uniform": None,
-        "search_law": None,
-        "success": 100.0,
+        "search_uniform": _uniform_search_bound(*area, sensing_range, number),
+        "search_law": _law_search_bound(mean, sd, sensing_range, number),
+        "success": 100.0 / number,
     }
-    if relation == "null":
-        number = record.num_hydrants
-        depth = mean + AREA_SIGMAS * sd  # how far the operating area reaches ahead; √2 D wide
-        found["search_uniform"] = _uniform_search_bound(
-            depth, math.sqrt(2.0) * depth, sensing_range, number
-        )
-        found["search_law"] = _law_search_bound(mean, sd, sensing_range, number)
-        found["success"] = 100.0 / number
-    return found

@@ -25,8 +25,7 @@ SAID = {
 }
 """The sentences; "null" says nothing of where."""
 _Numbers = Mapping[str, Any]
-AHEAD = (-2.0, 12.0, -9.0, 9.0)
-"""Metres; the operating area unless a scenario has its own."""
+AHEAD = (-2.0, 12.0, -9.0, 9.0)  # metres; the operating area unless a scenario has its own
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -34,13 +33,11 @@ class PlaceSpec(RowSpec):
     """A scenario: where, what is said, what the sensors are truly like, what the belief is told."""
 
     name: str
-    what: str
-    """For people."""
+    what: str  # for people
     world: str = "place"
     range: float = 3.0
     relation: str = "behind"
-    place: _Numbers = dataclasses.field(default_factory=dict)
-    """Arguments of ``place_law``."""
+    place: _Numbers = dataclasses.field(default_factory=dict)  # arguments of ``place_law``
     truth: _Numbers = dataclasses.field(default_factory=dict)
     """Numbers of the detector, of ``default_sensor``."""
     told: _Numbers = dataclasses.field(default_factory=dict)
@@ -49,12 +46,9 @@ class PlaceSpec(RowSpec):
     """Numbers of the navigator by which the belief is told how many things there are."""
     motion: _Numbers = dataclasses.field(default_factory=dict)
     """Numbers of odometry; the belief always takes it for the default one."""
-    target: float | None = None
-    """Percent of success that ``informed`` is to reach."""
-    longest: float | None = None
-    """Metres that it may take on average."""
-    ending: str = "arrived"
-    """What is right: "arrived", or "not_found" where there is no goal."""
+    target: float | None = None  # percent of success that ``informed`` is to reach
+    longest: float | None = None  # metres that it may take on average
+    ending: str = "arrived"  # what is right: "arrived", or "not_found" where there is no goal
 
     @property
     def is_told(self) -> bool:

@@ -28,8 +28,7 @@ from jaxlangnav.inputs.whole_files import make_folder, write_bytes
 
 _KEY = "jaxlangnav.shard"
 _UNKNOWN = "0" * 64
-_DIGITS = b'"sha256": "'
-"""What stands before the digits, last of all in the footer."""
+_DIGITS = b'"sha256": "'  # what stands before the digits, last of all in the footer
 
 
 class ShardError(ValueError):
@@ -40,19 +39,13 @@ class ShardError(ValueError):
 class Shard:
     """What a file of a sweep must be."""
 
-    sweep: str
-    """SHA-256 of what all files of a sweep share, see ``sweep.identity``."""
+    sweep: str  # SHA-256 of what all files of a sweep share, see ``sweep.identity``
     index: int
     rows: int
 
 
 def write_shard(columns: Mapping[str, Any], path: Path, shard: Shard) -> Path:
-    """Write the episodes of a chunk, columns [E] by name, all or nothing; the folder is made.
-
-    Raises:
-        ValueError: columns of different lengths, or not of the shard's.
-        OSError: the disk is full, or the folder cannot be written to.
-    """
+    """Write a chunk's episodes, columns [E], all or nothing; ``ValueError`` for other lengths."""
     table = pa.table(dict(columns))
     if table.num_rows != shard.rows:
         raise ValueError(f"{path} would have {table.num_rows} rows, but must have {shard.rows}")
@@ -69,20 +62,12 @@ def write_shard(columns: Mapping[str, Any], path: Path, shard: Shard) -> Path:
 
 
 def check_shard(path: Path, shard: Shard) -> None:
-    """See that a file is the shard that it should be.
-
-    Raises:
-        ShardError: it is another one, or its bytes are not those that were written.
-    """
+    """Raise ``ShardError`` where a file is not the shard it should be, or not what was written."""
     _compare(_record(_read(path)), shard)
 
 
 def read_shard(path: Path, *, sweep: str, index: int) -> pa.Table:
-    """Read the rows of the file ``index`` of a sweep, verified.
-
-    Raises:
-        ShardError: it is another one, or its bytes are not those that were written.
-    """
+    """Read the rows of the file ``index`` of a sweep, verified as ``check_shard`` does."""
     content = _read(path)
     found = _record(content)
     _compare(found, Shard(sweep=sweep, index=index, rows=found.rows))
@@ -143,10 +128,8 @@ def _compare(found: Shard, shard: Shard) -> None:
 # since every file is written whole, under a temporary name of its own, with the same bytes whoever
 # writes it. Two processes at one part then only do the same work twice.
 
-Note = Callable[[str], None]
-"""Called with a line for people."""
-PartOf = tuple[int, int]
-"""i and n, 1 ≤ i ≤ n: the files i, i + n, i + 2n, …"""
+Note = Callable[[str], None]  # called with a line for people
+PartOf = tuple[int, int]  # i and n, 1 ≤ i ≤ n: the files i, i + n, i + 2n, …
 _NAME = re.compile(r"\.held-(\d+)-of-(\d+)\.json")
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 
@@ -156,10 +139,8 @@ def held(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
     """Hold a part i/n of a folder, made if need be: no second process works on the same files.
 
     ``on_note`` is told whose lock was taken over, and where there are no locks. Yields whether the
-    part is held: not where the file system has no locks.
-
-    Raises:
-        ValueError: a living process holds it, or a part that shares files with it.
+    part is held: not where the file system has no locks. ``ValueError``: a living process holds it,
+    or a part that shares files with it.
     """
     make_folder(folder)
     path = folder / f".held-{part[0]}-of-{part[1]}.json"

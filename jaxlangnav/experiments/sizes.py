@@ -5,6 +5,7 @@ The sizes are the engine's own: the records of an episode under way, traced with
 """
 
 import functools
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -27,18 +28,15 @@ SCRATCH = 8.5
 """Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a
 batch of 32 lanes on a CPU, policy ``informed``, grows by 4,763 bytes a particle and lane, the
 records by 562 (``compiled.memory_analysis()``, between 64 and 512 particles)."""
-_INDEX_LIMIT = 2**31
-"""Sizes lie below it: arrays are indexed with 32 bits."""
-_LIMITS = (
-    Path("/sys/fs/cgroup/memory.max"),
-    Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
-)
+_INDEX_LIMIT = 2**31  # sizes lie below it: arrays are indexed with 32 bits
+_GROUP = Path("/sys/fs/cgroup")
+_LIMITS = (_GROUP / "memory.max", _GROUP / "memory" / "memory.limit_in_bytes")
 """Where Linux says what a container may use."""
 
 
 def _memory() -> int:
     """Find how much memory there is for arrays: the device's, or what this process may use."""
-    if _is_on_host():
+    if jax.default_backend() == "cpu":
         return _host_memory()
     return int((jax.local_devices()[0].memory_stats() or {}).get("bytes_limit", _host_memory()))
 
@@ -49,20 +47,18 @@ def _bytes_of(tree: Any) -> int:
     for leaf in jax.tree.leaves(tree):
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             leaf = jax.eval_shape(jax.random.key_data, leaf)
-        each = np.dtype(leaf.dtype).itemsize
         # As Python's integers: NumPy's would wrap.
-        total += functools.reduce(lambda one, other: one * int(other), leaf.shape, each)
+        total += np.dtype(leaf.dtype).itemsize * math.prod(map(int, leaf.shape))
     return total
 
 
 def _episode_bytes(config: NavigatorConfig) -> tuple[int, int]:
     """Count the records of an episode under way."""
-    few = 2
     small, double = (
         _bytes_of(_progress(replace(config, map=replace(config.map, num_particles=number))))
-        for number in (few, 2 * few)
+        for number in (2, 4)
     )
-    return 2 * small - double, (double - small) // few
+    return 2 * small - double, (double - small) // 2
 
 
 def task_bytes() -> int:
@@ -82,13 +78,10 @@ def readable_count(number: int) -> str:
 
 
 def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str = "") -> None:
-    """Refuse more of something than memory holds.
+    """Refuse more of something than memory holds; ``ValueError`` says how many would fit.
 
     ``name`` says what is counted and ``beside`` what else makes up the size; ``each``: bytes of
     one, ``fixed``: bytes that they need besides.
-
-    Raises:
-        ValueError: says the size, the limit and how many would fit.
     """
     limit, need = _memory(), fixed + count * each
     if need <= limit:
@@ -105,19 +98,15 @@ def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str
 def check_engine(config: NavigatorConfig) -> None:
     """Refuse sizes with which a batch of episodes does not fit into memory, as ``check_count``."""
     # On a CPU all calls share one memory, on accelerators each device has its own.
-    _check_lanes(config, LANES * num_calls() * (mesh().size if _is_on_host() else 1))
+    devices = mesh().size if jax.default_backend() == "cpu" else 1
+    _check_lanes(config, LANES * num_calls() * devices)
 
 
 def check_recording(config: NavigatorConfig, max_steps: int) -> None:
-    """Refuse sizes with which one recorded episode does not fit into memory, as ``check_count``.
-
-    Of each of ``max_steps`` a record is kept, at most as large as the state.
-    """
+    """Refuse sizes with which a recorded episode of ``max_steps`` does not fit into memory."""
     _check_lanes(config, 1)
-    fixed, each = _episode_bytes(config)
-    number = config.map.num_particles
-    state = fixed + number * each
-    beside = f"{number:,} particles"
+    number, (fixed, each) = config.map.num_particles, _episode_bytes(config)
+    state, beside = fixed + number * each, f"{number:,} particles"
     check_count("max steps", max_steps, each=state, fixed=int(SCRATCH * state), beside=beside)
 
 
@@ -132,15 +121,10 @@ def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
     check_count("particles", sizes.num_particles, each=each, fixed=fixed, beside=beside)
 
 
-def _is_on_host() -> bool:
-    return jax.default_backend() == "cpu"
-
-
 def _progress(config: NavigatorConfig) -> Any:
     """Trace the records of an episode under way, without making them."""
-    return jax.eval_shape(
-        functools.partial(begin, config=config), jax.eval_shape(any_task), _any_instructions()
-    )
+    given = jax.eval_shape(any_task), _any_instructions()
+    return jax.eval_shape(functools.partial(begin, config=config), *given)
 
 
 def any_task(num_slots: int = NUM_SLOTS) -> Task:
@@ -157,8 +141,7 @@ def any_task(num_slots: int = NUM_SLOTS) -> Task:
 @functools.cache
 def _any_instructions() -> Any:
     """Build the shapes of a batch of one instruction: all sentences have the same."""
-    clauses = [empty_program()] * NUM_CLAUSES
-    program = jax.tree.map(lambda *leaves: np.stack(leaves), *clauses)
+    program = jax.tree.map(lambda leaf: np.stack([leaf] * NUM_CLAUSES), empty_program())
     one = Instruction(
         readings=pad_readings(()),
         program=to_program(program),
@@ -184,9 +167,6 @@ def _host_memory() -> int:
 def _said(number: int) -> str:
     """Write a number of bytes for people."""
     units = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
-    size = float(number) if number < 1 << 1000 else float("inf")
-    for unit in units[:-1]:
-        if size < 1024:
-            return f"{size:.4g} {unit}"
-        size /= 1024
-    return f"{size:.4g} {units[-1]}"
+    power = min(max(number.bit_length() - 1, 0) // 10, len(units) - 1)
+    size = number / 1024**power if number < 1 << 1000 else float("inf")
+    return f"{size:.4g} {units[power]}"

@@ -13,7 +13,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import compare, summarize, timeouts_text
 from jaxlangnav.experiments.shards import ShardError, read_shard
 from jaxlangnav.experiments.sweep import files_there, identity, read_manifest
-from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
+from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableColumns
 from jaxlangnav.inputs import sanitize
 
 __all__ = ["render", "summarize_directory", "summary_markdown"]
@@ -30,15 +30,23 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
     ``name``, ``rows`` (one per setting and arm, rates in percent, distances in metres),
     ``comparisons`` (second arm against first in one setting), ``varied`` (columns that take more
     than one value), ``episodes``, ``files``, ``missing`` files and, of those, the ``damaged``: a
-    line for each that names it and says what is wrong.
-
-    Raises:
-        ValueError: no sweep there, or nothing of it is done yet, or nothing is sound.
+    line for each that names it and says what is wrong. ``ValueError``: no sweep there, or nothing
+    sound yet.
     """
     folder = Path(path)
-    document = read_manifest(folder)
-    settings = document["settings"]
-    table, files, damaged = _read_all(folder, identity(document))
+    manifest = read_manifest(folder)
+    settings, sweep = manifest["settings"], identity(manifest)
+    tables, damaged = list[pa.Table](), list[str]()
+    for index, file in sorted(files_there(folder)):
+        try:
+            tables.append(read_shard(file, sweep=sweep, index=index))
+        except ShardError as fault:
+            damaged.append(f"{file} {fault}")
+    if not tables:
+        others = f" (and {len(damaged) - 1} others)" if len(damaged) > 1 else ""
+        most = f": {damaged[0]}{others}" if damaged else " yet"
+        raise ValueError(f"{folder} holds no {'sound ' if damaged else ''}episodes{most}")
+    table = pa.concat_tables(tables)
     result_names = {field.name for field in dataclasses.fields(EpisodeResult)}
     names = [
         name
@@ -47,10 +55,8 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
     ]
     arm_names = [name for name in names if _is_of_arm(name)]
     setting_names = [name for name in names if not _is_of_arm(name)]
-    groups = _group(table, setting_names)
-    rows: list[dict[str, Any]] = []
-    comparisons: list[dict[str, Any]] = []
-    for setting, part in groups:
+    rows, comparisons = list[Row](), list[Row]()
+    for setting, part in _group(table, setting_names):
         arms = _group(part, arm_names)
         rows += [setting | arm | _metrics(episodes) for arm, episodes in arms]
         comparisons += [setting | one for one in _comparisons(arms)]
@@ -60,26 +66,10 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
         "comparisons": comparisons,
         "varied": [name for name in names if len(table[name].unique()) > 1],
         "episodes": table.num_rows,
-        "files": files,
-        "missing": settings["files"] - files,
+        "files": len(tables),
+        "missing": settings["files"] - len(tables),
         "damaged": damaged,
     }
-
-
-def _read_all(folder: Path, sweep: str) -> tuple[pa.Table, int, list[str]]:
-    """Read the sound files of a sweep, how many they are, and what is wrong with the others."""
-    tables: list[pa.Table] = []
-    damaged: list[str] = []
-    for index, path in sorted(files_there(folder)):
-        try:
-            tables.append(read_shard(path, sweep=sweep, index=index))
-        except ShardError as fault:
-            damaged.append(f"{path} {fault}")
-    if not tables:
-        others = f" (and {len(damaged) - 1} others)" if len(damaged) > 1 else ""
-        most = f": {damaged[0]}{others}" if damaged else " yet"
-        raise ValueError(f"{folder} holds no {'sound ' if damaged else ''}episodes{most}")
-    return pa.concat_tables(tables), len(tables), damaged
 
 
 def _is_of_arm(name: str) -> bool:
@@ -98,8 +88,7 @@ def _metrics(table: pa.Table) -> dict[str, Any]:
     names = [field.name for field in dataclasses.fields(EpisodeResult) if field.name != "final"]
     leaves: dict[str, Any] = {name: table[name].to_numpy() for name in names}
     leaves["final"] = np.stack([table[f"final_{axis}"].to_numpy() for axis in "xy"], axis=1)
-    results = EpisodeResult(**leaves)
-    return summarize(results, table["known_distance"].to_numpy()).row()
+    return summarize(EpisodeResult(**leaves), table["known_distance"].to_numpy()).row()
 
 
 def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, Any]]:
@@ -109,10 +98,8 @@ def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, 
         pairs = [(arms[0], other) for other in arms[1:]]
     found = []
     for (first, *one), (second, *two) in pairs:
-        a, b = (
-            table.filter(table["is_valid"]).select([*_PAIR, "is_success", "distance"])
-            for table in (*one, *two)
-        )
+        valid = (table.filter(table["is_valid"]) for table in (*one, *two))
+        a, b = (table.select([*_PAIR, "is_success", "distance"]) for table in valid)
         both = a.join(b, keys=[*_PAIR], join_type="inner", right_suffix=" 2")
         both = both.sort_by([(name, "ascending") for name in _PAIR])
         if both.num_rows:

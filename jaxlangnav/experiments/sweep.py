@@ -58,11 +58,7 @@ def files_there(folder: Path) -> Iterator[tuple[int, Path]]:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read which sweep a folder holds.
-
-    Raises:
-        ValueError: there is no manifest, or it is not one of a sweep.
-    """
+    """Read which sweep a folder holds; ``ValueError`` where there is no sound manifest of one."""
     path = folder / MANIFEST
     if not path.exists():
         raise ValueError(f"{folder} holds no sweep: there is no {MANIFEST}")
@@ -92,12 +88,8 @@ def _claim_folder(
     folder: Path, plan: SweepPlan, mine: Sequence[int], models: Any, *, is_resumed: bool
 ) -> str:
     """Write the manifest, or see that the one that is there is ours; the sweep's identity."""
-    settings = plan.config.document() | {
-        "chunk": CHUNK,
-        "lanes": LANES,
-        "files": plan.num_files,
-        "rows": plan.episodes(),
-    }
+    sizes = {"chunk": CHUNK, "lanes": LANES, "files": plan.num_files, "rows": plan.episodes()}
+    settings = plan.config.document() | sizes
     ours = json.loads(json.dumps(manifest(settings, models=models)))
     path = folder / MANIFEST
     # Looked at in this order because peers may be claiming the folder too: manifest first.
@@ -119,13 +111,7 @@ def _claim_folder(
 
 
 def _sound_files(
-    folder: Path,
-    plan: SweepPlan,
-    mine: Sequence[int],
-    sweep: str,
-    *,
-    on_note: Note,
-    on_kept: Callable[[int], None],
+    folder: Path, plan: SweepPlan, mine: Sequence[int], sweep: str, on_note: Note
 ) -> set[int]:
     """Find the numbers of those of our files that are there and are what was written."""
     kept = set()
@@ -140,7 +126,6 @@ def _sound_files(
             on_note(f"note: {path} {fault}; it is made again")
             continue
         kept.add(index)
-        on_kept(plan.size(index))
     return kept
 
 
@@ -162,11 +147,7 @@ def _difference(theirs: Any, ours: Any, name: str) -> str:
 
 
 def total_episodes(config: SweepConfig, *, shard: str = "1/1") -> int:
-    """Count the episodes of a shard "i/n", those already done included.
-
-    Raises:
-        ValueError: the shard is not of this form, Params that cannot be, or more than fits.
-    """
+    """Count the episodes of a shard "i/n", those done included; refuses as ``make_plan``."""
     return make_plan(config).episodes_of(shard)
 
 
@@ -193,11 +174,9 @@ def run_sweep(
 
     Returns:
         ``out``, ``episodes`` run now, ``kept`` from before, ``files``, ``is_complete`` (files of
-        all shards are there), ``wall_s`` with compilation, ``compile_s`` of it.
-
-    Raises:
-        ValueError: the folder holds another sweep, or this one and ``resume`` is not set; a
-            living process works on these files; the sweep is larger than a folder or memory.
+        all shards are there), ``wall_s`` with compilation, ``compile_s`` of it. Refused are a
+        folder of another sweep, this one's without ``resume``, files that a living process works
+        on, and a sweep larger than a folder or memory.
     """
     begin, folder = time.perf_counter(), Path(out)
     plan = make_plan(config)
@@ -213,12 +192,13 @@ def run_sweep(
                 for path in folder.iterdir():
                     if (match := _LEFT.fullmatch(path.name)) and int(match[1]) in mine:
                         path.unlink(missing_ok=True)
-            kept = _sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
+            kept = _sound_files(folder, plan, mine, sweep, note)
+            num_kept = sum(map(plan.size, kept))
+            advance(num_kept)
             make = functools.partial(_make_files, plan, folder, sweep, sentences)
             todo = _rounds((at for at in mine if at not in kept), plan.kind, mesh().size)
             for done in run_ahead(make, todo, num_threads or num_calls()):
                 advance(done)
-        num_kept = sum(plan.size(index) for index in kept)
     return {
         "out": str(folder),
         "name": config.name,

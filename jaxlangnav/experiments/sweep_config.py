@@ -36,6 +36,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 from msgspec import Meta, field
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
@@ -52,22 +53,23 @@ from jaxlangnav.world.scenario import scenario_law
 from jaxlangnav.world.state import NUM_SLOTS
 from jaxlangnav.world.templates import Template, check_relation
 
-_LARGEST_FILE = 1 << 20
-"""Bytes of a configuration."""
+_LARGEST_FILE = 1 << 20  # bytes of a configuration
 _ANY = Meta(min_length=1)
 _Seed = Annotated[int, Meta(ge=0, lt=SEED_LIMIT)]
 _Particles = Annotated[int, Meta(ge=2)]
 Choices = dict[str, tuple[float, ...]]
 
 
-class _Command(Schema):
+class Command(Schema):
+    """A sentence and the law by which a template's worlds are drawn for it."""
+
     text: PlainText
     relation: Name = "null"
 
 
 class _Sweep(Schema):
     worlds: PlainText | Annotated[list[PlainText], _ANY]
-    commands: PlainText | _Command | Annotated[list[PlainText | _Command], _ANY]
+    commands: PlainText | Command | Annotated[list[PlainText | Command], _ANY]
     name: Name = "sweep"
     episodes: Annotated[int, Meta(ge=1)] = 100
     environments: _Seed = 0
@@ -82,39 +84,27 @@ class _Sweep(Schema):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Command:
-    """A sentence and the law by which a template's worlds are drawn for it."""
-
-    text: str
-    relation: str
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class SweepConfig:
     """A grid; every field a tuple of the values it takes."""
 
     name: str
     episodes: int
-    environments: int
-    """Worlds of a template, taken in turn; 0 for a fresh one per episode."""
+    environments: int  # worlds of a template, taken in turn; 0 for a fresh one per episode
     seeds: tuple[int, ...]
     worlds: tuple[str, ...]
     commands: tuple[Command, ...]
     ranges: tuple[float, ...]
     policies: tuple[str, ...]
     particles: tuple[int, ...]
-    params: dict[str, Choices]
-    """By table (sensor, motion, map, planner), then by key."""
-    own_worlds: dict[str, WorldFile]
-    """Worlds that are no template, by their entry in ``worlds``."""
-    world_hashes: dict[str, str]
-    """SHA-256 of the world files, by their entry in ``worlds``."""
+    params: dict[str, Choices]  # by table (sensor, motion, map, planner), then by key
+    own_worlds: dict[str, WorldFile]  # worlds that are no template, by their entry in ``worlds``
+    world_hashes: dict[str, str]  # SHA-256 of the world files, by their entry in ``worlds``
 
     def document(self) -> dict[str, Any]:
         """Write the configuration out in full, for the manifest."""
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         del found["params"], found["own_worlds"], found["world_hashes"]
-        found["commands"] = [dataclasses.asdict(one) for one in self.commands]
+        found["commands"] = [msgspec.structs.asdict(one) for one in self.commands]
         return found | self.params | {"world_hashes": self.world_hashes}
 
 
@@ -124,9 +114,7 @@ def read_config(
     """Read and check a sweep's configuration, TOML; world files in it are relative to its folder.
 
     ``overrides``: by table (sensor, motion, map, planner) and key, in place of the file's values.
-
-    Raises:
-        ValueError: unreadable, or anything in it is wrong; one line.
+    ``ValueError``, in one line: unreadable, or anything in it is wrong.
     """
     path = Path(path)
     table = read_document(path, at_most=_LARGEST_FILE)
@@ -140,11 +128,7 @@ def read_config(
 
 
 def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> SweepConfig:
-    """Check a configuration, keys as in the file; world files are relative to ``folder``.
-
-    Raises:
-        ValueError: an unknown key, an empty list, a wrong value or unit; one line.
-    """
+    """Check a configuration as ``read_config``; world files are relative to ``folder``."""
     given = convert(table, _Sweep)
     worlds = tuple(_listed(given.worlds))
     own, hashes = _open_worlds(worlds, folder)
@@ -162,14 +146,20 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
         own_worlds=own,
         world_hashes=hashes,
     )
-    _check_distinct(config)
+    # Rows of a value that is listed twice could not be told apart.
+    names = ("seeds", "worlds", "commands", "ranges", "particles")
+    lists: dict[str, tuple[Any, ...]] = {name: getattr(config, name) for name in names}
+    for name, keys in config.params.items():
+        lists |= {f"{name}.{key}": values for key, values in keys.items()}
+    for name, values in lists.items():
+        if len(set(map(repr, values))) < len(values):
+            raise ValueError(f"{name} lists a value twice")
     # Noise is held against the range: where the largest fits the shortest, all do.
     for reach in (min(config.ranges), max(config.ranges)):
         default_sensor(reach, noise=max(config.params["sensor"].get("noise", (0.1,))))
-    for world in config.worlds:
+    for world in (one for one in config.worlds if one not in own):
         for command in config.commands:
-            if world not in own:
-                scenario_law(template=world, relation=command.relation)
+            scenario_law(template=world, relation=command.relation)
     return config
 
 
@@ -178,11 +168,11 @@ def _listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
-def _command(given: str | _Command) -> Command:
+def _command(given: str | Command) -> Command:
     """Read a command: the name of one of Table 2's, a sentence, or a table with its relation."""
-    if isinstance(given, _Command):
+    if isinstance(given, Command):
         check_relation(given.relation)
-        return Command(text=given.text, relation=given.relation)
+        return given
     for relation, text in SENTENCES.items():
         if given in (relation, text):
             return Command(text=text, relation=relation)
@@ -216,9 +206,8 @@ def _open_worlds(
             )
         own[entry] = found
         if is_beside:
-            hashes[entry] = hashlib.sha256(
-                read_file(beside, at_most=LARGEST_WORLD_FILE)
-            ).hexdigest()
+            content = read_file(beside, at_most=LARGEST_WORLD_FILE)
+            hashes[entry] = hashlib.sha256(content).hexdigest()
     return own, hashes
 
 
@@ -233,14 +222,3 @@ def _params(table: Mapping[str, Any], name: str) -> Choices:
             raise ValueError(f"{name}.{key} is empty: the grid would be empty")
         found[key] = tuple(FIELDS[name][key].read(one, f"{name}.{key}") for one in values)
     return found
-
-
-def _check_distinct(config: SweepConfig) -> None:
-    """Refuse values listed twice: their rows could not be told apart."""
-    names = ("seeds", "worlds", "commands", "ranges", "particles")
-    lists: dict[str, tuple[Any, ...]] = {name: getattr(config, name) for name in names}
-    for table, keys in config.params.items():
-        lists |= {f"{table}.{key}": values for key, values in keys.items()}
-    for name, values in lists.items():
-        if len(set(values)) < len(values):
-            raise ValueError(f"{name} lists a value twice")

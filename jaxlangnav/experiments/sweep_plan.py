@@ -7,15 +7,16 @@ depends on the configuration alone. Arm, setting and chunk are worked out from t
 a part of a billion episodes costs what that part costs.
 """
 
+import bisect
 import dataclasses
 import functools
+import itertools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.experiments.experiment import Grid
@@ -24,14 +25,17 @@ from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, Arm, navigator_co
 from jaxlangnav.experiments.sizes import check_engine, readable_count
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.tasks import Cell
-from jaxlangnav.messages import default_motion, default_sensor
+from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator import NavigatorParams, check, default_params
+from jaxlangnav.navigator.deployment import with_numbers
 from jaxlangnav.planner.config import POLICIES, SHIPPED
 from jaxlangnav.pytree import replace
 
 MOST_FILES = 1_000_000
 """Files of a folder: file systems grow slow with more, and their names have six digits."""
 _T = TypeVar("_T")
+Axes = dict[str, Sequence[Any]]
+"""What is varied, the slowest first: the values that a column takes, by its name."""
 
 
 class Lazy(Sequence[_T]):
@@ -61,18 +65,26 @@ class SweepPlan:
         """The grid of the sweep; settings and arms are worked out when they are asked for."""
         config = self.config
         numbers = [_size(_arm_axes(config, policy)) for policy in config.policies]
+        firsts = [0, *itertools.accumulate(numbers)]
+        of_navigator = dict.fromkeys(("particles", *_params_axes(config, "map", "planner")))
 
         def arm(place: int) -> Arm:
-            for policy, number in zip(config.policies, numbers, strict=True):
-                if place < number:
-                    return _arm(config, policy, place)
-                place -= number
-            raise IndexError("no such arm")
+            which = bisect.bisect(firsts, place) - 1
+            policy = config.policies[which]
+            picked = _pick(_arm_axes(config, policy), place - firsts[which])
+            params = _params(picked)
+            return policy_arm(
+                policy,
+                num_particles=picked.get("particles", DEFAULT_PARTICLES),
+                params=params,
+                motion=params.map.motion,
+                told={"policy": policy, **of_navigator, **picked},
+            )
 
         params = _params_axes(config, "sensor", "motion", "map", "planner")
         return Grid(
             settings=Lazy(_size(_setting_axes(config)), lambda at: _setting(config, at)),
-            arms=Lazy(sum(numbers), arm),
+            arms=Lazy(firsts[-1], arm),
             episodes=config.episodes,
             names=("world", "command", "relation", "range", "policy", "particles", *params),
         )
@@ -128,9 +140,8 @@ class SweepPlan:
 def make_plan(config: SweepConfig) -> SweepPlan:
     """Lay out a sweep.
 
-    Raises:
-        ValueError: Params with which the robot could never stop, more particles than memory
-            holds, or more files than a folder does.
+    ``ValueError``: Params with which the robot could never stop, more particles than memory holds,
+    or more files than a folder does.
     """
     plan = SweepPlan(config=config)
     arms, settings = len(plan.grid.arms), len(plan.grid.settings)
@@ -156,10 +167,6 @@ def make_plan(config: SweepConfig) -> SweepPlan:
             unclumped = replace(most.map, clumping=least.map.clumping)
             check(replace(most, map=unclumped), policy=SHIPPED[policy])
     return plan
-
-
-Axes = dict[str, Sequence[Any]]
-"""What is varied, the slowest first: the values that a column takes, by its name."""
 
 
 def _params_axes(config: SweepConfig, *tables: str) -> Axes:
@@ -191,10 +198,10 @@ def _pick(axes: Axes, place: int) -> dict[str, Any]:
     return {name: of[int(at)] for (name, of), at in zip(axes.items(), digits, strict=True)}
 
 
-def _numbers(picked: Mapping[str, Any], table: str) -> dict[str, Any]:
-    """Turn the numbers of a table into the traced scalars of Params."""
+def _numbers(picked: Mapping[str, Any], *tables: str) -> dict[str, float]:
+    """Take the numbers of some tables, by their keys."""
     own = ((name.partition("."), value) for name, value in picked.items())
-    return {key: jnp.float32(value) for (of, _, key), value in own if of == table}
+    return {key: value for (of, _, key), value in own if of in tables}
 
 
 def _setting(config: SweepConfig, place: int) -> Cell:
@@ -204,7 +211,7 @@ def _setting(config: SweepConfig, place: int) -> Cell:
         world=picked["world"],
         relation=command.relation,
         instruction_index=config.commands.index(command),
-        sensor=replace(default_sensor(picked["range"]), **_numbers(picked, "sensor")),
+        sensor=default_sensor(picked["range"], **_numbers(picked, "sensor")),
         seed=picked["seed"],
         environments=config.environments,
         scenario=None if own is None else jax.tree.map(np.asarray, own.scenario),
@@ -212,26 +219,8 @@ def _setting(config: SweepConfig, place: int) -> Cell:
     )
 
 
-def _arm(config: SweepConfig, policy: str, place: int) -> Arm:
-    picked = _pick(_arm_axes(config, policy), place)
-    of_navigator = dict.fromkeys(("particles", *_params_axes(config, "map", "planner")))
-    params = _params(picked)
-    return policy_arm(
-        policy,
-        num_particles=picked.get("particles", DEFAULT_PARTICLES),
-        params=params,
-        motion=params.map.motion,
-        told={"policy": policy, **of_navigator, **picked},
-    )
-
-
 def _params(picked: Mapping[str, Any]) -> NavigatorParams:
-    usual, motion = default_params(), replace(default_motion(), **_numbers(picked, "motion"))
-    return replace(
-        usual,
-        map=replace(usual.map, motion=motion, **_numbers(picked, "map")),
-        planner=replace(usual.planner, **_numbers(picked, "planner")),
-    )
+    return with_numbers(_numbers(picked, "motion", "map", "planner"), params=default_params())
 
 
 def parse_shard(text: str) -> tuple[int, int]:

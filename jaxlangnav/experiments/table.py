@@ -15,15 +15,14 @@ from jaxlangnav.inputs.whole_files import write_text
 if TYPE_CHECKING:
     import rich.table
 
-Document = Mapping[str, Any]
-"""What a command or an experiment found, in JSON's own types."""
-Row = dict[str, Any]
-"""A row of a table of results, by the names of its figures."""
+Document = Mapping[str, Any]  # what a command or an experiment found, in JSON's own types
+Row = dict[str, Any]  # a row of a table of results, by the names of its figures
 TableColumns = Sequence[tuple[str, str | Callable[[Any], str]]]
 """Headings of a table, each with what writes its cells; see ``Table.of``."""
 SUCCESS = "{success_rate:.1f} ({success_ci[0]:.1f}-{success_ci[1]:.1f})"
 """Writes the success of a row with its 95 % interval, percent."""
 _NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*([\s%*e-]|$)")
+_MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,8 +38,7 @@ class Table:
     row above in the leading columns, but for Markdown, in which a row is read alone."""
     faint: Sequence[bool] = ()
     """Which rows the terminal draws dim; none by default. So are columns of the paper's."""
-    fold: str = ""
-    """What to click on a page to see it; it is open where empty."""
+    fold: str = ""  # what to click on a page to see it; it is open where empty
     screen: "Table | None" = None
     """What a terminal, which has less room, draws in its place: other headings and cells."""
 
@@ -65,13 +63,11 @@ class Table:
         """Draw the table for the terminal."""
         from rich.table import Table as Drawn
 
-        if self.screen is not None:
-            small = self.screen
-            return dataclasses.replace(
-                self, headings=small.headings, rows=small.rows, screen=None
-            ).text()
-        drawn = Drawn(title=self.title or None, caption=self.caption or None,
-                      caption_justify="left")  # fmt: skip
+        if small := self.screen:
+            cells = {"headings": small.headings, "rows": small.rows}
+            return dataclasses.replace(self, screen=None, **cells).text()
+        told: dict[str, Any] = {"title": self.title or None, "caption": self.caption or None}
+        drawn = Drawn(**told, caption_justify="left")
         for place, heading in enumerate(self.headings):
             justify = "right" if self._is_numeric(place) else "left"
             style = "dim" if heading.startswith("paper") else None
@@ -120,7 +116,25 @@ def _html_text(value: object) -> str:
     return html.escape(sanitize.printable(str(value), keep="\n"), quote=True)
 
 
-_MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Told:
+    """How an experiment is told, from its document: heading, tables, and notes beneath."""
+
+    title: str
+    lead: str = ""  # what it is and what to see in it, for people
+    tables: Callable[[Document], list[Table]] = lambda _: []
+    notes: Callable[[Document], list[str]] = lambda _: []
+
+    def markdown(self, document: Document) -> str:
+        """Write heading, tables and notes in Markdown."""
+        tables = "\n".join(one.markdown() for one in self.tables(document))
+        return f"# {self.title}\n\n{tables}\n" + "\n".join(self.notes(document)) + "\n"
+
+    def render(self, document: Document) -> "rich.table.Table":
+        """Draw the first table and the notes for the terminal."""
+        notes = "\n".join(self.notes(document))
+        first = self.tables(document)[0]
+        return dataclasses.replace(first, title=self.title, caption=notes).text()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -128,8 +142,7 @@ class Section:
     """A part of the page: an experiment or a figure."""
 
     title: str
-    lead: str = ""
-    """What it is, and what to see in it."""
+    lead: str = ""  # what it is, and what to see in it
     pictures: Sequence[tuple[Path, str]] = ()
     """SVG or PNG files, each with the words for those who cannot see it."""
     tables: Sequence[Table] = ()
@@ -139,17 +152,14 @@ class Section:
 
 
 def _render_report(title: str, sections: Sequence[Section], *, made: Mapping[str, str]) -> str:
-    contents = "\n".join(
-        f'<li><a href="#part{index}">{_html_text(part.title)}</a></li>'
-        for index, part in enumerate(sections, start=1)
-    )
-    parts = "\n".join(_section(index, part) for index, part in enumerate(sections, start=1))
+    numbered = list(enumerate(sections, start=1))
+    links = [f'<a href="#part{index}">{_html_text(part.title)}</a>' for index, part in numbered]
     page = resources.files("jaxlangnav.experiments") / "report.html"
     places = {
         "__TITLE__": _html_text(title),
         "__MADE__": _facts(made),
-        "__CONTENTS__": contents,
-        "__PARTS__": parts,
+        "__CONTENTS__": "\n".join(f"<li>{one}</li>" for one in links),
+        "__PARTS__": "\n".join(_section(*one) for one in numbered),
     }
     # In one pass: a value may hold the name of another place.
     filled = page.read_text(encoding="utf-8")
@@ -159,11 +169,7 @@ def _render_report(title: str, sections: Sequence[Section], *, made: Mapping[str
 def write_report(
     title: str, sections: Sequence[Section], path: Path, *, made: Mapping[str, str]
 ) -> Path:
-    """Write the page into a file, all or nothing; ``made`` says how all of it was made.
-
-    Raises:
-        ValueError: a picture is neither SVG nor PNG.
-    """
+    """Write the page into a file, all or nothing; ``made`` says how. Pictures are SVG or PNG."""
     return write_text(_render_report(title, sections, made=made), path)
 
 
@@ -180,9 +186,8 @@ def _section(index: int, part: Section) -> str:
         notes = "".join(f"<li>{_html_text(note)}</li>" for note in part.notes)
         pieces.append(f'<ul class="notes">{notes}</ul>')
     if part.made:
-        pieces.append(
-            f"<details open><summary>How this was made</summary>{_facts(part.made)}</details>"
-        )
+        head = "<summary>How this was made</summary>"
+        pieces.append(f"<details open>{head}{_facts(part.made)}</details>")
     return "\n".join([*pieces, "</section>"])
 
 

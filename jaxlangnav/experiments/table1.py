@@ -37,6 +37,16 @@ from jaxlangnav.training.scoring import (
 from jaxlangnav.training.shipped import MODELS, LaidOut, lay_out
 
 HOLD_OUT = 1 / 3
+TABLE_1: dict[str, dict[str, float]] = {
+    "annotation": {"accuracy_mean": 62.5, "accuracy_ci95": 10.83, "train_s": 145.11,
+                   "infer_s": 0.44},
+    "behavior": {"accuracy_mean": 55.77, "accuracy_ci95": 6.83, "train_s": 18.3, "infer_s": 0.05},
+}  # fmt: skip
+"""Table 1 as printed."""
+CORPUS = "corpus39"
+_WIDEST = 256  # sets of a phrase kept at most: those of two children are combined each with each
+_MASKS = 1 + 4
+"""Bytes of what a split says of one instruction: held out or not, and how much it counts."""
 
 
 def draw_splits(count: int, splits: int, seed: int) -> np.ndarray:
@@ -46,19 +56,6 @@ def draw_splits(count: int, splits: int, seed: int) -> np.ndarray:
     for row in held_out:
         row[generator.permutation(count)[: round(count * HOLD_OUT)]] = True
     return held_out
-
-
-TABLE_1: dict[str, dict[str, float]] = {
-    "annotation": {"accuracy_mean": 62.5, "accuracy_ci95": 10.83, "train_s": 145.11,
-                   "infer_s": 0.44},
-    "behavior": {"accuracy_mean": 55.77, "accuracy_ci95": 6.83, "train_s": 18.3, "infer_s": 0.05},
-}  # fmt: skip
-"""Table 1 as printed."""
-CORPUS = "corpus39"
-_WIDEST = 256
-"""Sets of a phrase kept at most: those of two children are combined each with each."""
-_MASKS = 1 + 4
-"""Bytes of what a split says of one instruction: held out or not, and how much it counts."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,12 +99,11 @@ def _score_all(
         if on_progress is not None and ends[1] > ends[0]:
             on_progress(ends[1] - ends[0])
 
-    shared: dict[str, Any] = {"on_sentence": tell} | searched
+    searched["on_sentence"] = tell
+    given = held_out, type_names
     return {
-        "annotation": score_annotations(instructions, annotation, held_out, type_names, **shared),
-        "behavior": score_behaviors(
-            instructions, annotation, behavior, held_out, type_names, **shared
-        ),
+        "annotation": score_annotations(instructions, annotation, *given, **searched),
+        "behavior": score_behaviors(instructions, annotation, behavior, *given, **searched),
     }
 
 
@@ -123,8 +119,8 @@ def _seconds(
     count, begin = 0, time.perf_counter()
     for labelled in tested:
         belief = infer_annotations(labelled.parse, annotation, type_names, width)
-        count += name == "annotation"
         if name == "annotation":
+            count += 1
             continue
         graph = CorrespondenceGraph(Behaviors(type_names, belief.rank), behavior)
         for trees in labelled.behaving:
@@ -156,19 +152,14 @@ def evaluate(
     Returns:
         For each model the keys of the table; ``beams`` maps each width, and "exact", to its
         accuracy; ``new_words`` is on the held-out sentences with a word that training never saw;
-        ``paper`` has the printed rows.
-
-    Raises:
-        ValueError: fewer than two splits, a beam below one, more of either than memory holds, or
-            an unknown group of features.
+        ``paper`` has the printed rows. What cannot be is refused, and more than memory holds.
     """
     _check(splits, beams, without)
     type_names, corpus = load_lexicon().type_names, load_corpus(CORPUS)
     check_count("splits", splits, each=_MASKS * len(corpus))
     instructions = read_examples(corpus, type_names)
-    prepared = {
-        name: lay_out(name, instructions, type_names, frozenset(without)) for name in MODELS
-    }
+    given = instructions, type_names
+    prepared = {name: lay_out(name, *given, frozenset(without)) for name in MODELS}
     for design in (one.design for one in prepared.values()):
         counts = math.prod(design.properties.shape[:2]) * 2
         weights = design.words.shape[1] * design.properties.shape[2]
@@ -197,10 +188,8 @@ def _check(splits: int, beams: Sequence[int], without: Sequence[str]) -> None:
     unknown = sorted(set(without) - set(FEATURE_GROUPS))
     if unknown:
         raise ValueError(f"unknown features {unknown}; known are {', '.join(FEATURE_GROUPS)}")
-    if max(beams) > _WIDEST:
-        raise ValueError(
-            f"beam width is {readable_count(max(beams))}, but must be {_WIDEST} or less"
-        )
+    if (widest := max(beams)) > _WIDEST:
+        raise ValueError(f"beam width is {readable_count(widest)}, but must be {_WIDEST} or less")
 
 
 def _on_new_words(
@@ -232,8 +221,7 @@ def _on_new_words(
 def _accuracy(scores: Sequence[Scores | ExactScores]) -> dict[str, float]:
     """Write down the mean accuracy over splits and half its 95 % interval, percent."""
     accuracy = np.array([100.0 * score.accuracy for score in scores])
-    spread = accuracy.std(ddof=1) if len(accuracy) > 1 else float("nan")
-    interval = float(1.96 * spread / np.sqrt(len(accuracy)))
+    interval = float(1.96 * accuracy.std(ddof=1) / np.sqrt(len(accuracy)))
     return {"accuracy_mean": round(float(accuracy.mean()), 2), "accuracy_ci95": round(interval, 2)}
 
 

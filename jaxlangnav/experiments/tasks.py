@@ -31,24 +31,21 @@ SENTENCES = {
     "nearest": "go to the hydrant nearest to the cone",
 }
 """The three commands of Table 2 by their relation; none of them is in a training corpus."""
+SEED_LIMIT = 2**32  # seeds lie below it: they are the root of the keys, 32 bits
+BLOCK = 256  # worlds drawn in one call
+Numbers = Mapping[str, float]  # values of fields of a record of Params
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GroundedSentences:
     """Sentences as the engine takes them, and the models that read them."""
 
-    instructions: Instruction
-    """Leaves [I, …], in the order of the sentences."""
-    models: Any
-    """The trained weights, for a manifest's hash."""
+    instructions: Instruction  # leaves [I, …], in the order of the sentences
+    models: Any  # the trained weights, for a manifest's hash
 
 
 def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
-    """Parse and ground sentences with the shipped models.
-
-    Raises:
-        ValueError: a sentence is not understood or asks for nothing to be done, or there is none.
-    """
+    """Parse and ground at least one sentence with the shipped models; refuses as ``check_task``."""
     if not texts:
         raise ValueError("no sentence given")
     from jaxlangnav.grounding.instruction import understand
@@ -58,22 +55,9 @@ def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
     understood = [understand(text, models) for text in texts]
     for one in understood:
         one.check_task()
-    return GroundedSentences(
-        instructions=jax.tree.map(
-            lambda *leaves: jnp.stack(leaves), *(one.instruction for one in understood)
-        ),
-        models=models,
-    )
-
-
-SEED_LIMIT = 2**32
-"""Seeds lie below it: they are the root of the keys, 32 bits."""
-BLOCK = 256
-"""Worlds drawn in one call."""
-
-
-Numbers = Mapping[str, float]
-"""Values of fields of a record of Params."""
+    told = (one.instruction for one in understood)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *told)
+    return GroundedSentences(instructions=stacked, models=models)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -88,8 +72,7 @@ class Cell:
     instruction_index: int
     sensor: SensorParams = dataclasses.field(default_factory=default_sensor)
     motion: MotionParams = dataclasses.field(default_factory=default_motion)
-    episodes: int = 1
-    """How many ``make_tasks`` draws; a grid has a number of its own."""
+    episodes: int = 1  # how many ``make_tasks`` draws; a grid has a number of its own
     seed: int
     first_episode: int = 0
     environments: int = 0
@@ -98,8 +81,7 @@ class Cell:
     """A world of somebody's own; None draws worlds of the template that ``world`` names."""
     place: PlaceLaw | None = None
     """Places to draw in place of a template's; those of one name in ``world`` share their keys."""
-    told: SensorParams | None = None
-    """What the robot takes its detector for; the truth if None."""
+    told: SensorParams | None = None  # what the robot takes its detector for; the truth if None
     labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """What the columns of a table say of it, by name."""
     believed: Numbers = dataclasses.field(default_factory=dict)
@@ -143,9 +125,15 @@ def _draw(described: dict[str, Any], *of_episode: ArrayLike) -> Task:
         of_number, of_world = jax.vmap(
             lambda index: jax.random.split(jax.random.fold_in(root, index))
         )(jnp.stack([number, world]))
+        if "place" in cell:
+            scenario = draw_place(of_world[0], cell["place"])
+        else:
+            drawn, is_own = draw_scenario(of_world[0], cell["law"]), cell["is_own"]
+            given = cell["scenario"], drawn
+            scenario = jax.tree.map(lambda own, new: jnp.where(is_own, own, new), *given)
         return Task(
             key=of_number[1],
-            scenario=_scenario(of_world[0], cell),
+            scenario=scenario,
             instruction_index=cell["instruction_index"],
             sensor=cell["sensor"],
             motion=cell["motion"],
@@ -153,16 +141,6 @@ def _draw(described: dict[str, Any], *of_episode: ArrayLike) -> Task:
         )
 
     return jax.vmap(one)(described, *map(jnp.asarray, of_episode))
-
-
-def _scenario(key: Array, cell: dict[str, Any]) -> Scenario:
-    """Draw a world of a template or a place, or take the one that is given."""
-    if "place" in cell:
-        return draw_place(key, cell["place"])
-    drawn = draw_scenario(key, cell["law"])
-    return jax.tree.map(
-        lambda own, new: jnp.where(cell["is_own"], own, new), cell["scenario"], drawn
-    )
 
 
 @cached_jit(static_argnames=("number",))
@@ -175,10 +153,8 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
     """Draw the worlds and keys of any selection of episodes, leaves [E, …].
 
     ``index``: i[E], which cell each is of; ``numbers``: i[E], its number within the cell's (seed,
-    world). Nothing else counts: ``episodes`` and ``first_episode`` of the cells are not read.
-
-    Raises:
-        ValueError: unknown world or relation, or places beside templates.
+    world); ``episodes`` and ``first_episode`` of the cells are not read. ``ValueError``: unknown
+    world or relation, or places beside templates.
     """
     if len({one.place is None for one in cells}) > 1:
         raise ValueError("places and templates cannot be drawn at once: they differ in size")
@@ -201,32 +177,21 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
 
 def _describe(one: Cell) -> dict[str, Any]:
     """Gather what the tasks of a cell have in common; leaves are single values."""
-    common = {
-        "instruction_index": np.int32(one.instruction_index),
-        "sensor": one.sensor,
-        "motion": one.motion,
-        "told": one.told,
-    }
+    common = {name: getattr(one, name) for name in ("sensor", "motion", "told")}
+    common["instruction_index"] = np.int32(one.instruction_index)
     if one.place is not None:
         return common | {"place": one.place}
-    is_own = one.scenario is not None
     # The world of somebody's own is put in place of a drawn one, which then does not matter.
-    law = scenario_law(
-        template="1H1C" if is_own else one.world, relation="null" if is_own else one.relation
-    )
+    drawn = (one.world, one.relation) if one.scenario is None else ("1H1C", "null")
     return common | {
-        "law": law,
-        "is_own": np.asarray(is_own),
-        "scenario": one.scenario if is_own else empty_scenario(),
+        "law": scenario_law(template=drawn[0], relation=drawn[1]),
+        "is_own": np.asarray(one.scenario is not None),
+        "scenario": empty_scenario() if one.scenario is None else one.scenario,
     }
 
 
 def make_tasks(one: Cell) -> Task:
-    """Draw the worlds and keys of a cell, leaves [E, …].
-
-    Raises:
-        ValueError: unknown world or relation, or no episodes.
-    """
+    """Draw the worlds and keys of a cell, at least one, leaves [E, …]."""
     if one.episodes < 1:
         raise ValueError(f"episodes is {one.episodes}, but must be at least 1")
     if one.environments < 0:

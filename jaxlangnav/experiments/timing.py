@@ -28,24 +28,18 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 from jaxlangnav.world.templates import TABLE_2
 
-POLICY = "informed"
-"""The policy that is measured."""
-_STEPS = 5
-"""Cycles run before the parts are timed: some things are seen, some words are refuted."""
-_CALLS = 20
-"""Calls of a part in one measurement."""
-_SEED = 4242
-"""Of the worlds; none that a table uses by default."""
+POLICY = "informed"  # the policy that is measured
+_STEPS = 5  # cycles run before the parts are timed: some things are seen, some words are refuted
+_CALLS = 20  # calls of a part in one measurement
+_SEED = 4242  # of the worlds; none that a table uses by default
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cost:
     """What something took."""
 
-    cpu: float
-    """CPU seconds; seconds on the wall where the work is on another device."""
-    wall: float
-    """Seconds."""
+    cpu: float  # CPU seconds; seconds on the wall where the work is on another device
+    wall: float  # seconds
 
 
 def describe_machine() -> dict[str, Any]:
@@ -67,10 +61,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def measure(work: Callable[[], Any], repetitions: int, *, patience: float = float("inf")) -> Cost:
-    """Time work that returns arrays, warmed up by the caller: the medians of some repetitions.
-
-    After ``patience`` seconds it is not repeated any more.
-    """
+    """Time work warmed up by the caller: medians, of what fits into ``patience`` seconds."""
     is_local = jax.default_backend() == "cpu"
     costs = []
     begin = time.perf_counter()
@@ -90,12 +81,9 @@ class Part:
     """What a part of a cycle takes, for one lane."""
 
     name: str
-    seconds: float
-    """CPU seconds."""
-    operations: float
-    """Floating-point operations, by XLA's own analysis; a loop's body counts once."""
-    memory: float
-    """Bytes that its operations read and write, by the same analysis."""
+    seconds: float  # CPU seconds
+    operations: float  # floating-point operations, by XLA's own analysis; a loop's body counts once
+    memory: float  # bytes that its operations read and write, by the same analysis
 
 
 def measure_parts(
@@ -128,12 +116,16 @@ def measure_parts(
 
     first = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
     progress = jax.vmap(lambda task: begin(task, instructions, config=config))(first)
-    cycle = _compile(lambda one: advance(one, params=params, config=config)[0], progress)
+
+    def compiled(part: Callable[[EpisodeState], Any]) -> Any:
+        return jax.jit(jax.vmap(part)).lower(progress).compile()
+
+    cycle = compiled(lambda one: advance(one, params=params, config=config)[0])
     for _ in range(_STEPS):
         progress = cycle(progress)
     whole = _part("the cycle", cycle, progress, repetitions)
     sensor, both, inferred = (
-        _part(name, _compile(part, progress), progress, repetitions)
+        _part(name, compiled(part), progress, repetitions)
         for name, part in (
             ("the sensor", observe),
             ("the filter", sense_and_filter),
@@ -147,17 +139,10 @@ def measure_parts(
 
 
 def split(parts: list[Part]) -> dict[str, float]:
-    """Split a cycle into CPU seconds by part; planner and motion are what is left over.
-
-    Compiled alone a part may be slower than within the whole.
-    """
+    """Split a cycle into CPU seconds by part; planner and motion are what is left over."""
     whole, *inner = parts
     left = whole.seconds - sum(part.seconds for part in inner)
     return {part.name: part.seconds for part in inner} | {"planner, motion and the rest": left}
-
-
-def _compile(part: Callable[[EpisodeState], Any], progress: EpisodeState) -> Any:
-    return jax.jit(jax.vmap(part)).lower(progress).compile()
 
 
 def _part(name: str, part: Any, progress: EpisodeState, repetitions: int) -> Part:

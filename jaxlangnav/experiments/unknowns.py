@@ -20,6 +20,7 @@ from jax import Array
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.metrics import compare, timeouts_text
+from jaxlangnav.experiments.paper import ROW_COLUMNS
 from jaxlangnav.experiments.policies import Arm, policy_arm
 from jaxlangnav.experiments.rows import (
     AGREEMENT,
@@ -47,8 +48,7 @@ class Variation:
     """One thing that the paper leaves open, set to one value."""
 
     unknown: str
-    value: str
-    """For people."""
+    value: str  # for people
     sensor: Mapping[str, float] = dataclasses.field(default_factory=dict)
     numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
     """Of the navigator, by the names of their fields."""
@@ -56,8 +56,7 @@ class Variation:
     num_blocks: int = PlannerConfig().num_blocks
     """Blocks of the area a side, each with one frontier node at most."""
     max_steps: int = MAX_STEPS
-    is_turned: bool = False
-    """Whether each world is turned about the start by an angle of its own."""
+    is_turned: bool = False  # whether each world is turned about the start by an angle of its own
 
     def arm(self, options: Options) -> Arm:
         """Build the arm that runs it, under the options' numbers where they are not varied."""
@@ -108,11 +107,9 @@ def _turned(tasks: Task, seed: int) -> Task:
     # Places relative to each other and to whoever looks from the start stay: what was behind a cone
     # still is. The operating area becomes the square [-D, D]² around the start. A world of which
     # something then stands outside the area counts as invalid.
-    scenario = tasks.scenario
-    number = tasks.instruction_index.shape[0]
-    angle = jax.random.uniform(
-        jax.random.fold_in(jax.random.key(seed), 1), (number,), maxval=2.0 * jnp.pi
-    )
+    scenario, shape = tasks.scenario, tasks.instruction_index.shape
+    key = jax.random.fold_in(jax.random.key(seed), 1)
+    angle = jax.random.uniform(key, shape, maxval=2.0 * jnp.pi)
     cosine, sine = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
 
     def turn(x: Array, y: Array) -> tuple[Array, Array]:
@@ -122,17 +119,15 @@ def _turned(tasks: Task, seed: int) -> Task:
     goal_x, goal_y = turn(scenario.goal[:, :1], scenario.goal[:, 1:])
     depth = scenario.area[:, 1:2]
     is_inside = (jnp.maximum(jnp.abs(x), jnp.abs(y)) <= depth) | ~scenario.is_object
-    return replace(
-        tasks,
-        scenario=replace(
-            scenario,
-            object_x=x,
-            object_y=y,
-            goal=jnp.concatenate([goal_x, goal_y], axis=1),
-            area=jnp.concatenate([-depth, depth, -depth, depth], axis=1),
-            is_valid=scenario.is_valid & jnp.all(is_inside, axis=1),
-        ),
+    turned = replace(
+        scenario,
+        object_x=x,
+        object_y=y,
+        goal=jnp.concatenate([goal_x, goal_y], axis=1),
+        area=jnp.concatenate([-depth, depth, -depth, depth], axis=1),
+        is_valid=scenario.is_valid & jnp.all(is_inside, axis=1),
     )
+    return replace(tasks, scenario=turned)
 
 
 def _measure(row: Row, spec: RowSpec, mine: EpisodeResult, base: EpisodeResult) -> Row:
@@ -163,13 +158,10 @@ def _measure(row: Row, spec: RowSpec, mine: EpisodeResult, base: EpisodeResult) 
 def _found(rows: Sequence[Row], options: Options) -> Row:
     """Say how near each variation comes to the paper, and what explains each row of it."""
     params = default_params() if options.params is None else options.params
-    traced = {
-        "discount": params.planner.discount,
-        "stop_probability": params.planner.stop_probability,
-        "reach": params.planner.reach,
-        "concentration": params.map.concentration,
-    }
-    ours = {name: round(float(value), 6) for name, value in traced.items()}
+    names = ("discount", "stop_probability", "reach")
+    traced = {name: getattr(params.planner, name) for name in names}
+    traced["concentration"] = params.map.concentration
+    ours: Row = {name: round(float(value), 6) for name, value in traced.items()}
     ours |= {"num_blocks": PlannerConfig().num_blocks, "max_steps": MAX_STEPS}
     fits = []
     for at in range(0, len(rows), len(PRINTED)):
@@ -210,7 +202,7 @@ def row_name(row: Mapping[str, Any]) -> str:
 
 def _matrix(document: Document) -> Table:
     """Lay out the variations as lines and the rows of Table 2 as columns, the paper's first."""
-    paper, rows = document["paper"], document["rows"]
+    paper, rows, fits = document["paper"], document["rows"], document["variations"]
     printed = [f"{one['success_rate']:.1f} · {one['distance_mean']:.1f}" for one in paper]
     lines = [["the paper", "", *printed, "", ""]]
 
@@ -219,7 +211,7 @@ def _matrix(document: Document) -> Table:
         parts = ((row["success_rate"], "success"), (row["distance_mean"], "distance"))
         return " · ".join(f"{value:.1f}{'*' * row[f'is_{name}_near']}" for value, name in parts)
 
-    for place, fit in enumerate(document["variations"]):
+    for place, fit in enumerate(fits):
         mine = rows[place * len(paper) : (place + 1) * len(paper)]
         near = f"{fit['rows_near']} of {len(paper)}", f"{fit['rms_z']:.1f}"
         lines.append([fit["unknown"], fit["value"], *map(figures, mine), *near])
@@ -232,8 +224,7 @@ def _matrix(document: Document) -> Table:
             for line in lines
         ],
     )
-    faint = [place == 0 for place in range(len(lines))]
-    return Table(headings=headings, rows=lines, faint=faint, screen=small)
+    return Table(headings=headings, rows=lines, faint=[True, *[False] * len(fits)], screen=small)
 
 
 def _explain(one: Mapping[str, Any]) -> str:
@@ -241,14 +232,10 @@ def _explain(one: Mapping[str, Any]) -> str:
         return "ours lies within two standard errors as it is."
     if one["both"]:
         return f"explained by {_or(one['both'])}."
-    words = []
-    for name in ("success", "distance"):
-        if one[f"is_{name}_near"]:
-            words.append(f"{name} is near as it is")
-        elif one[name]:
-            words.append(f"{name} by {_or(one[name])}")
-        else:
-            words.append(f"{name} by none")
+    words = [
+        f"{name} is near as it is" if one[f"is_{name}_near"] else f"{name} by {_or(one[name])}"
+        for name in ("success", "distance")
+    ]
     far = max(abs(z) for z in one["nearest_z"])
     return (
         f"nothing explains both figures ({'; '.join(words)}); the nearest is {one['nearest']}, "
@@ -257,8 +244,8 @@ def _explain(one: Mapping[str, Any]) -> str:
 
 
 def _or(names: Sequence[str]) -> str:
-    """List names: "A, B or C"."""
-    *others, last = names
+    """List names: "A, B or C", or "none"."""
+    *others, last = names or ["none"]
     return f"{', '.join(others)} or {last}" if others else last
 
 
@@ -271,9 +258,7 @@ def _against(row: Row) -> str:
 
 
 _LONG: TableColumns = (
-    ("World", "{world}"),
-    ("Range m", "{range:g}"),
-    ("Relation", lambda row: row["relation"] or "null"),
+    *ROW_COLUMNS,
     ("Unknown", "{unknown}"),
     ("Value", "{value}"),
     ("Success % ± s. e.", "{success_rate:.1f} ± {success_se:.1f}"),

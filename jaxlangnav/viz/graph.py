@@ -20,14 +20,13 @@ from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT
 from jaxlangnav.relations.table import RELATION_WORDS
 from jaxlangnav.viz import style
-from jaxlangnav.viz.words import percent
+from jaxlangnav.viz.sentences import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLUMN, _ROW = 2.0, 0.62
-"""Inches a phrase and a symbol take."""
+_COLUMN, _ROW = 2.0, 0.62  # inches a phrase and a symbol take
 
 
 def _phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
@@ -47,12 +46,7 @@ def _symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
 
 
 def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -> "Figure":
-    """Draw the factor graph of a sentence, its phrases in reading order with likeliest symbols.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: ``num_symbols`` is less than 1.
-    """
+    """Draw a sentence's factor graph, phrases in reading order; limits as ``beliefs_figure``."""
     space = AnnotationSpace(len(model.type_names))
     names = [_symbol_name(symbol, model.type_names) for symbol in space.symbols]
     beliefs = _phrase_beliefs(parse, model)
@@ -66,10 +60,7 @@ def beliefs_figure(
 
     ``beliefs``: of all phrases, parents first; ``names``: of the S symbols; ``title``: the
     sentence; ``num_symbols``: how many of the likeliest symbols of each phrase to show, at least 1.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: ``num_symbols`` is less than 1.
+    ``MissingExtraError`` without matplotlib.
     """
     refuse_below(1, num_symbols=num_symbols)
     with style.house_style():
@@ -87,7 +78,18 @@ def beliefs_figure(
             _draw_phrase(axes, one, places[one.path], names, num_symbols)
             if one.parent is not None:
                 _draw_link(axes, one, places, num_symbols)
-        _draw_key(axes)
+        x, y = 0.25, 0.16
+        axes.plot([x], [y], marker="s", markersize=7, color=style.INK)
+        _circle(axes, x + 1.05, y, face=style.LINE)
+        _circle(axes, x + 3.35, y, face=style.PAPER, share=0.7)
+        axes.plot([x + 6.12, x + 6.4], [y, y], color=style.SERIES[0], linewidth=1.2)
+        for right, text in (
+            (0.14, "factor Ψ"),
+            (1.22, "known: phrase λ, grounding γ"),
+            (3.52, "correspondence φ, filled by probability"),
+            (6.48, "what a child phrase expresses"),
+        ):
+            axes.text(x + right, y, text, va="center", fontsize=8)
         factors = len(names) * len(beliefs)
         variables = 2 * factors + len(beliefs)
         style.title(
@@ -163,15 +165,3 @@ def _circle(axes: "Axes", x: float, y: float, *, face: str, share: float = 0.0) 
         start = 90 - 360 * min(share, 1.0)
         axes.add_patch(Wedge((x, y), 0.095, start, 90, facecolor=style.GOOD, lw=0, zorder=4))
         axes.add_patch(Circle((x, y), 0.095, fill=False, edgecolor=style.INK, lw=0.9, zorder=5))
-
-
-def _draw_key(axes: "Axes") -> None:
-    x, y = 0.25, 0.16
-    axes.plot([x], [y], marker="s", markersize=7, color=style.INK)
-    axes.text(x + 0.14, y, "factor Ψ", va="center", fontsize=8)
-    _circle(axes, x + 1.05, y, face=style.LINE)
-    axes.text(x + 1.22, y, "known: phrase λ, grounding γ", va="center", fontsize=8)
-    _circle(axes, x + 3.35, y, face=style.PAPER, share=0.7)
-    axes.text(x + 3.52, y, "correspondence φ, filled by probability", va="center", fontsize=8)
-    axes.plot([x + 6.12, x + 6.4], [y, y], color=style.SERIES[0], linewidth=1.2)
-    axes.text(x + 6.48, y, "what a child phrase expresses", va="center", fontsize=8)

@@ -26,10 +26,9 @@ from jaxlangnav.viz import narrative, panels, sentences, style, summary
 from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.narrative import narrate
 from jaxlangnav.viz.panels import belief_figure, values_figure
-from jaxlangnav.viz.words import describe_readings, percent
+from jaxlangnav.viz.sentences import describe_readings, percent
 
-_ABSENT = 65535
-"""Grid coordinate of a hypothesis that is none."""
+_ABSENT = 65535  # grid coordinate of a hypothesis that is none
 _NODES = {FRONTIER: "frontier", VISITED: "visited place", OBJECT_NODE: "object"}
 _UNNAMED, _NO_TYPE = 254, 255
 """Types of a hypothesis in one byte: what has no name of its own, and none at all."""
@@ -102,26 +101,20 @@ def _page_data(recording: Recording) -> dict[str, Any]:
 def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
     """Gather what is short enough to stand in the page as it is: the story, objects, events."""
     frames = recording.frames
-    story, headlines, objects, detections, shares = [], [], [], [], []
+    story = [narrative.tell_step(moment) for moment in recording.moments]
+    objects, detections, shares = [], [], []
     for moment in recording.moments:
         frame = moment.frame
-        story.append(narrative.tell_step(moment))
-        headlines.append(narrative.headline(moment))
-        objects.append(
-            [
-                [one.object_type, *_short(one.x, one.y, one.spread, one.probability, one.goal_mass)]
-                for one in summary.seen_objects(frame)
-            ]
-        )
+        seen = [
+            [one.object_type, *_short(one.x, one.y, one.spread, one.probability, one.goal_mass)]
+            for one in summary.seen_objects(frame)
+        ]
+        objects.append(seen)
         bearing = frame.heading + frame.detection_bearing
         x = frame.robot[0] + frame.detection_range * np.cos(bearing)
         y = frame.robot[1] + frame.detection_range * np.sin(bearing)
-        detections.append(
-            [
-                [int(frame.detection_type[i]), *_short(x[i], y[i])]
-                for i in np.flatnonzero(frame.is_detection)
-            ]
-        )
+        looks = np.flatnonzero(frame.is_detection)
+        detections.append([[int(frame.detection_type[i]), *_short(x[i], y[i])] for i in looks])
         now = sentences.claim_shares(moment.scene, frame)
         shares.append(_short(*(now.get(claim, 0.0) for claim in claims)))
     closing = narrative.closing(recording.last_scene, recording.at(-1), recording.result)
@@ -131,7 +124,7 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
         closing = [f"{said[:1].upper()}{said[1:]}.", drove]
     return {
         "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
-        "headlines": headlines,
+        "headlines": [narrative.headline(moment) for moment in recording.moments],
         "closing": closing,
         "objects": objects,
         "detections": detections,
@@ -209,9 +202,7 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
     """Write belief and value function over time, the interactive recording, and the story.
 
     belief.png, belief.svg, values.png, values.svg, episode.html and story.txt; the folder is made.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed; nothing has been written.
+    ``MissingExtraError`` without matplotlib, before anything is written.
     """
     style.require("matplotlib")
     folder = Path(folder)
@@ -226,9 +217,5 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
 def write_graph(
     parse: Parse, model: GroundingModel, folder: Path | str, *, name: str = "graph"
 ) -> list[Path]:
-    """Write the factor graph of a sentence, such as ``Understanding.parse``, as PNG and SVG.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """Write the factor graph of a sentence, such as ``Understanding.parse``, as PNG and SVG."""
     return [*style.save(graph_figure(parse, model), Path(folder) / name)]

@@ -24,26 +24,20 @@ if TYPE_CHECKING:
 
 _DART = [(1.0, 0.0), (-0.8, 0.7), (-0.45, 0.0), (-0.8, -0.7), (1.0, 0.0)]
 """The robot: an equilateral triangle would not tell which of its corners is the front."""
+_HEIGHT = 4.8
+_HEAD, _SIDE, _FOOT = 0.62, 0.55, 0.45
+_DOTS = 100
 
 
 def draw_ground(axes: "Axes", scene: StaticScene, frame: Frame) -> "AxesImage":
-    """Shade the ground by the probability that an object there would have been missed so far.
-
-    White where looked at, grey where not; the limits of the axes become those of the area.
-    """
+    """Shade ground by the probability of a miss, white where looked at; sets the axes' limits."""
     from matplotlib.colors import LinearSegmentedColormap
 
     ramp = LinearSegmentedColormap.from_list("jaxlangnav-ground", [style.PAPER, style.UNSEEN])
     image = axes.imshow(
-        np.asarray(frame.miss),
-        extent=scene.area,
-        origin="lower",
-        cmap=ramp,
-        vmin=0.0,
-        vmax=1.0,
-        interpolation="bilinear",
-        zorder=0,
-    )
+        np.asarray(frame.miss), extent=scene.area, origin="lower", cmap=ramp, vmin=0.0, vmax=1.0,
+        interpolation="bilinear", zorder=0,
+    )  # fmt: skip
     frame_area(axes, scene.area)
     return image
 
@@ -91,10 +85,7 @@ def _draw_world(axes: "Axes", world: Scenario) -> "list[PathCollection]":
 def draw_hypotheses(
     axes: "Axes", frame: Frame, *, filled: bool = True, scale: float = 1.0
 ) -> "list[PathCollection]":
-    """Draw every hypothesised object as a dot; the heavier its particle the stronger.
-
-    Dots (Figure 1) where ``filled``, else empty marks (Figure 4): one collection for each type.
-    """
+    """Draw hypothesised objects, the heavier the stronger: dots, or empty marks, by type."""
     from matplotlib.colors import to_rgb
 
     weight = np.broadcast_to(frame.weight[None, :], frame.is_hypothesised.shape)
@@ -102,22 +93,14 @@ def draw_hypotheses(
     drawn = []
     for kind in np.unique(frame.mention_type[np.asarray(frame.is_hypothesised)]):
         chosen = frame.is_hypothesised & (frame.mention_type == kind)
-        relative = weight[chosen] / full
-        color = style.type_color(int(kind))
-        strength = np.minimum(0.15 + 0.5 * relative, 1.0)
-        colors = [(*to_rgb(color), float(one)) for one in strength]
-        drawn.append(
-            axes.scatter(
-                frame.hypothesis_x[chosen],
-                frame.hypothesis_y[chosen],
-                marker=style.type_marker(int(kind)),
-                s=scale * (5 + 9 * relative),
-                facecolors=colors if filled else "none",
-                edgecolors="none" if filled else colors,
-                linewidths=0.6,
-                zorder=3,
-            )
-        )
+        relative, color = weight[chosen] / full, to_rgb(style.type_color(int(kind)))
+        colors = [(*color, float(one)) for one in np.minimum(0.15 + 0.5 * relative, 1.0)]
+        marks = axes.scatter(
+            frame.hypothesis_x[chosen], frame.hypothesis_y[chosen], s=scale * (5 + 9 * relative),
+            marker=style.type_marker(int(kind)), facecolors=colors if filled else "none",
+            edgecolors="none" if filled else colors, linewidths=0.6, zorder=3,
+        )  # fmt: skip
+        drawn.append(marks)
     return drawn
 
 
@@ -125,18 +108,12 @@ def draw_objects(axes: "Axes", frame: Frame) -> "list[PathCollection]":
     """Draw what has been observed: filled marks with a dark rim, faint if few particles agree."""
     return [
         axes.scatter(
-            [one.x],
-            [one.y],
-            marker=style.type_marker(one.object_type),
-            s=52,
-            facecolors=style.type_color(one.object_type),
-            edgecolors=style.INK,
-            linewidths=0.9,
-            alpha=min(1.0, max(0.25, one.probability)),
-            zorder=6,
+            [one.x], [one.y], s=52, marker=style.type_marker(one.object_type),
+            facecolors=style.type_color(one.object_type), edgecolors=style.INK, linewidths=0.9,
+            alpha=min(1.0, max(0.25, one.probability)), zorder=6,
         )
         for one in seen_objects(frame)
-    ]
+    ]  # fmt: skip
 
 
 def draw_path(axes: "Axes", recording: Recording, step: int) -> "Line2D":
@@ -166,33 +143,20 @@ def draw_robot(axes: "Axes", frame: Frame | WorldState) -> "PathCollection":
     from matplotlib.transforms import Affine2D
 
     turn = Affine2D().rotate(float(frame.heading))
+    dart = MarkerStyle(turn.transform_path(Path(_DART, closed=True)))
     return axes.scatter(
-        [frame.position[0]],
-        [frame.position[1]],
-        marker=MarkerStyle(turn.transform_path(Path(_DART, closed=True))),
-        s=190,
-        facecolors=style.INK,
-        edgecolors=style.PAPER,
-        linewidths=0.8,
-        zorder=8,
-    )
+        [frame.position[0]], [frame.position[1]], marker=dart, s=190, facecolors=style.INK,
+        edgecolors=style.PAPER, linewidths=0.8, zorder=8,
+    )  # fmt: skip
 
 
 def draw_waypoint(axes: "Axes", frame: Frame) -> "Line2D":
     """Draw the chosen waypoint and the straight way to it; hidden where the robot has stopped."""
     way = np.array([frame.position, frame.waypoint], float)
     (line,) = axes.plot(
-        way[:, 0],
-        way[:, 1],
-        color=style.WAYPOINT,
-        linewidth=1.2,
-        marker="x",
-        markevery=[1],
-        markersize=7,
-        markeredgewidth=1.8,
-        zorder=7,
-        visible=not bool(frame.is_done),
-    )
+        way[:, 0], way[:, 1], color=style.WAYPOINT, linewidth=1.2, marker="x", markevery=[1],
+        markersize=7, markeredgewidth=1.8, zorder=7, visible=not bool(frame.is_done),
+    )  # fmt: skip
     return line
 
 
@@ -232,21 +196,13 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
     ]
 
 
-_HEIGHT = 4.8
-_HEAD, _SIDE, _FOOT = 0.62, 0.55, 0.45
-_DOTS = 100
-
-
 def drive_picture(
     scenario: Scenario, sensor: SensorParams, world: WorldState, *, way: np.ndarray, text: str
 ) -> np.ndarray:
     """Draw the true world with the robot in it, as ``world`` says where.
 
     ``way``: f32[T, 2], true positions so far, metres; ``text``: the command. u8[480, W, 3], red,
-    green, blue; the width follows from the area's shape.
-
-    Raises:
-        MissingExtraError: without matplotlib.
+    green, blue; the width follows from the area's shape. ``MissingExtraError`` without matplotlib.
     """
     style.require("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -15,15 +15,17 @@ from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.viz import sentences, summary
+from jaxlangnav.viz.sentences import percent
 from jaxlangnav.viz.summary import explored_share, pick_moments as pick_moments
-from jaxlangnav.viz.words import (
-    FAULT_WORDS,
-    counted,
-    describe_asked,
-    describe_readings,
-    listed,
-    percent,
-)
+
+_ENDED = {
+    int(Status.NOT_FOUND): "gives up",
+    int(Status.WHICH_ONE): "asks which one",
+    int(Status.BLOCKED): "cannot get on",
+    int(Status.HALTED): "stands, told to halt",
+    int(Status.IDLE): "has no task",
+}
+_SHIFT = 0.1  # a change of an object's probability of being the goal that is worth a line
 
 
 def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[str, Any]]:
@@ -43,18 +45,17 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
         is_left = np.cos(heading) * gone_y - np.sin(heading) * gone_x > 0.0
         total = mass.sum()
         square = sum((one - (one @ mass) / max(total, 1e-9)) ** 2 for one in (gone_x, gone_y))
-        found.append(
-            {
-                "step": step,
-                "distance": float(frame.distance),
-                "event": headline(recording.moments[step]),
-                "goal_seen": float(frame.goal_mass.sum()),
-                "unseen_left": float(mass[is_left].sum()),
-                "unseen_right": float(mass[~is_left].sum()),
-                "spread": None if total < 0.05 else float(np.sqrt((square @ mass) / total)),
-                "explored": explored_share(frame),
-            }
-        )
+        told = {
+            "step": step,
+            "distance": float(frame.distance),
+            "event": headline(recording.moments[step]),
+            "goal_seen": float(frame.goal_mass.sum()),
+            "unseen_left": float(mass[is_left].sum()),
+            "unseen_right": float(mass[~is_left].sum()),
+            "spread": None if total < 0.05 else float(np.sqrt((square @ mass) / total)),
+            "explored": explored_share(frame),
+        }
+        found.append(told)
     return found
 
 
@@ -75,27 +76,15 @@ def moments_table(moments: Sequence[dict[str, Any]]) -> Table:
     return Table.of(moments, _MOMENTS)
 
 
-_ENDED = {
-    int(Status.NOT_FOUND): "gives up",
-    int(Status.WHICH_ONE): "asks which one",
-    int(Status.BLOCKED): "cannot get on",
-    int(Status.HALTED): "stands, told to halt",
-    int(Status.IDLE): "has no task",
-}
-_SHIFT = 0.1
-"""A change of an object's probability of being the goal that is worth a line."""
-
-
 def opening(scene: StaticScene) -> list[str]:
     """Tell what was said and how it was understood."""
     x_min, x_max, y_min, y_max = scene.area
-    claims = describe_readings(scene)
+    claims = sentences.describe_readings(scene)
     lines = [f"You said: “{scene.text}”."] if scene.text else []
     if claims:
         first, *others = [f"{claim} ({percent(share)})" for claim, share in claims]
         lines.append(f"It takes this to say that there is {first}.")
-        commands = describe_asked(scene)
-        if commands:
+        if commands := sentences.describe_asked(scene):
             lines.append(f"It is to {'; then to '.join(commands)}.")
         if others:
             lines.append(f"It may also mean {', or '.join(others)}.")
@@ -113,8 +102,8 @@ def tell_step(moment: Moment) -> list[str]:
     if int(frame.status) in (Status.HALTED, Status.IDLE):
         return [*heard, sentences.rests(frame)]
     if int(frame.fault):
-        why = [words for bit, words in FAULT_WORDS.items() if int(frame.fault) & bit]
-        return [*heard, f"Stands still: {listed(why)}."]
+        why = [words for bit, words in sentences.FAULT_WORDS.items() if int(frame.fault) & bit]
+        return [*heard, f"Stands still: {sentences.listed(why)}."]
     is_same = not moment.said  # what was understood before is nothing to compare with
     turns = moment.before is not None and int(frame.clause) != int(moment.before.clause)
     turned = f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
@@ -145,9 +134,8 @@ def headline(moment: Moment) -> str:
         return "first command done"
     if before is not None and int(frame.clause) != int(before.clause):
         return "turns to the next command"
-    new = sentences.new_objects(moment)
-    if new:
-        return f"discovers {counted([scene.type_name(one.object_type) for one in new])}"
+    if new := sentences.new_objects(moment):
+        return f"discovers {sentences.counted([scene.type_name(one.object_type) for one in new])}"
     if before is None:
         return "hears the sentence, sees nothing"
     share = float(frame.num_regrounded) / frame.weight.shape[0]
@@ -157,10 +145,7 @@ def headline(moment: Moment) -> str:
 
 
 def say_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tuple[str, str]:
-    """Say how an episode ended, in two or three words and in a sentence.
-
-    ``lack``: what was not found, see ``sentences.unseen``.
-    """
+    """Say how an episode ended, in a few words and in a sentence; ``lack`` is of ``unseen``."""
     ending, radius = int(result.ending), f"{scene.stop_radius:g} m"
     off = f"{float(result.goal_distance):.1f} m"
     judged = "success" if bool(result.is_success) else "failure"
@@ -209,10 +194,7 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
 
 
 def narrate(recording: Recording) -> list[str]:
-    """Tell a whole episode, steps without event drawn together.
-
-    Lines, each to be printed on its own; steps begin with their number and the metres walked.
-    """
+    """Tell a whole episode, line by line; steps without event are drawn together."""
     lines, quiet = opening(recording.scene), list[Moment]()
     for moment in recording.moments:
         if not moment.said and _is_quiet(moment):
@@ -231,10 +213,7 @@ def tell_on(
     said: Sequence[Remark],
     tell: Callable[[list[str]], object],
 ) -> Iterator[tuple[Frame, EpisodeResult]]:
-    """Tell an episode while it runs through ``tell``, which prints lines, and pass its steps on.
-
-    ``said``: utterances; a list that grows as the episode runs.
-    """
+    """Tell an episode while it runs, and pass its steps on; ``said`` grows meanwhile."""
     for moment in moments(scene, steps, said):
         if moment.said or not _is_quiet(moment):
             tell([_line(moment)])
@@ -281,7 +260,7 @@ def _drawn_together(quiet: list[Moment], recording: Recording) -> list[str]:
         gone = float(last.distance) - float(recording.frames.distance[max(first - 1, 0)])
         if len(quiet) > 2 and gone < 0.5:
             return [f"{head} Stands still. {sentences.believed(scene, last)}"]
-        return [f"{head} {sentences.goes_on(scene, last)}"]
+        return [f"{head} Goes on to {sentences.target(scene, last)}."]
     refuted = sum(int(one.frame.num_regrounded) for one in quiet)
     share = percent(summary.explored_share(last))
     seen = "Looks on" if last.is_detection.any() else "Searches, finds nothing"

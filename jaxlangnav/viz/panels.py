@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,22 +10,21 @@ from jaxlangnav.episode.recording import Frame, Moment, Recording
 from jaxlangnav.messages import Status
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import headline, pick_moments, say_ending
+from jaxlangnav.viz.sentences import percent
 from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
-from jaxlangnav.viz.words import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import PathCollection
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
-_WIDTH = 10.5
-"""Width of a figure, inches: two columns of a journal, or a screen."""
+_WIDTH = 10.5  # width of a figure, inches: two columns of a journal, or a screen
+NUM_BARS = 5  # waypoints in the chart beneath a map
 
 
 def _lay_out(
-    recording: Recording, number: int, *, text: str, foot: float, extra: float = 0.0
+    recording: Recording, number: int, *, text: str, extra: float = 0.0
 ) -> "tuple[Figure, list[Axes], list[Axes]]":
     from matplotlib.figure import Figure
 
@@ -34,7 +33,7 @@ def _lay_out(
     is_one_row = number <= (4 if shape < 1.0 else 3) or shape < 0.5
     columns = number if is_one_row else math.ceil(number / 2)
     rows = math.ceil(number / columns)
-    left, gap, right, head = 0.62, 0.16, 0.12, 0.66
+    left, gap, right, head, foot = 0.62, 0.16, 0.12, 0.66, 0.62
     above, below = 0.42, 0.40
     width = min((_WIDTH - left - right - gap * (columns - 1)) / columns, 3.6)
     height = min(width / shape, 4.4)
@@ -111,18 +110,14 @@ def _choose_steps(recording: Recording, steps: Sequence[int] | None, number: int
     return [step % most for step in steps]
 
 
-def _add_legend(figure: "Figure", handles: "Sequence[Line2D]") -> None:
+def _add_legend(figure: "Figure", handles: Sequence[Any]) -> None:
     """Put a legend along the bottom of a figure, in as many columns as fit."""
     columns = min(len(handles), max(3, int(figure.get_figwidth() / 1.55)))
     rows = math.ceil(len(handles) / columns)
     figure.legend(
-        handles=list(handles),
-        loc="lower center",
-        ncols=math.ceil(len(handles) / rows),
-        bbox_to_anchor=(0.5, 0.02 / figure.get_figheight()),
-        columnspacing=1.4,
-        handletextpad=0.5,
-    )
+        handles=list(handles), loc="lower center", ncols=math.ceil(len(handles) / rows),
+        bbox_to_anchor=(0.5, 0.02 / figure.get_figheight()), columnspacing=1.4, handletextpad=0.5,
+    )  # fmt: skip
 
 
 def belief_figure(
@@ -130,21 +125,15 @@ def belief_figure(
 ) -> "Figure":
     """Draw the belief at several moments of an episode; ``style.save`` writes the figure.
 
-    Args:
-        recording: the episode.
-        steps: moments to show, negative ones counted from the end; those that tell the most if
-            None.
-        num_panels: how many, where no moments are given.
-
-    Raises:
-        MissingExtraError: without matplotlib.
-        ValueError: a step is not in the recording, or there are none.
+    ``steps``: those to show, negative ones counted from the end; by default ``num_panels`` of them,
+    those that tell the most. ``MissingExtraError`` without matplotlib, ``ValueError`` for a step
+    that is not in the recording or for none.
     """
     chosen = _choose_steps(recording, steps, num_panels)
     scene = recording.scene
     text = "Dots: hypotheses, one map per particle, stronger where heavier. Grey: not looked at."
     with style.house_style():
-        figure, maps, _ = _lay_out(recording, len(chosen), text=text, foot=0.62)
+        figure, maps, _ = _lay_out(recording, len(chosen), text=text)
         for index, (axes, step) in enumerate(zip(maps, chosen, strict=True)):
             frame = recording.at(step)
             mapping.draw_ground(axes, scene, frame)
@@ -160,15 +149,8 @@ def belief_figure(
     return figure
 
 
-NUM_BARS = 5
-"""Waypoints in the chart beneath a map."""
-
-
 def best_nodes(frame: Frame, number: int = NUM_BARS) -> np.ndarray:
-    """Rank the places open to a step, the best first; nodes that stand together are one place.
-
-    i64[≤ number] node indices.
-    """
+    """Rank the places open to a step, the best first: i64[≤ number] nodes, one for each place."""
     return distinct_nodes(frame)[:number]
 
 
@@ -178,15 +160,33 @@ def values_figure(
     """Draw the value function at several moments of an episode; all else as ``belief_figure``."""
     chosen = _choose_steps(recording, steps, num_panels)
     with style.house_style():
+        from matplotlib.lines import Line2D
+        from matplotlib.patches import Patch
+
         text = "Discs: waypoints it may choose, darker where more valuable at that step."
         if recording.scene.portrayal.is_field:
             text += " Lines: equal value."
-        figure, maps, charts = _lay_out(recording, len(chosen), text=text, foot=0.62, extra=0.95)
+        figure, maps, charts = _lay_out(recording, len(chosen), text=text, extra=0.95)
         for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
             _draw_values(axes, recording, step)
             _draw_parts(chart, recording.at(step), with_label=axes.get_ylabel() != "")
             _head_panel(axes, recording.moments[step], index)
-        _add_legend(figure, _handles(recording))
+        marks = [
+            handle
+            for handle in mapping.legend_handles(recording, filled=False)
+            if not str(handle.get_label()).endswith(("true place", "view", "1.5 m"))
+        ]
+        ramp = style.value_colormap()
+        discs = [
+            Line2D(
+                [], [], linestyle="none", marker="o", markersize=7, markeredgecolor=style.INK,
+                markeredgewidth=0.7, markerfacecolor=ramp(level), label=label,
+            )
+            for level, label in ((0.1, "low value"), (0.95, "high value"))
+        ]  # fmt: skip
+        names = {"goal": "from the goal", "information": "from information", "cost": "cost"}
+        parts = [Patch(color=style.SPLIT[name], label=label) for name, label in names.items()]
+        _add_legend(figure, [*marks, *discs, *parts])
     return figure
 
 
@@ -202,19 +202,12 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
         axes.contourf(x, y, field, levels=12, cmap=ramp, norm=norm, alpha=0.4, zorder=1)
         axes.contour(x, y, field, levels=12, colors=style.MUTED, linewidths=0.35, zorder=1)
     mapping.draw_hypotheses(axes, frame, filled=False)
-    is_open = np.isfinite(frame.value)
-    order = np.argsort(frame.value[is_open])
+    is_open = np.flatnonzero(np.isfinite(frame.value))
+    order = is_open[np.argsort(frame.value[is_open])]
     nodes = axes.scatter(
-        frame.node_x[is_open][order],
-        frame.node_y[is_open][order],
-        c=frame.value[is_open][order],
-        cmap=ramp,
-        norm=norm,
-        s=62,
-        edgecolors=style.INK,
-        linewidths=0.7,
-        zorder=5,
-    )
+        frame.node_x[order], frame.node_y[order], c=frame.value[order], cmap=ramp, norm=norm, s=62,
+        edgecolors=style.INK, linewidths=0.7, zorder=5,
+    )  # fmt: skip
     mapping.draw_path(axes, recording, step)
     mapping.draw_objects(axes, frame)
     mapping.draw_waypoint(axes, frame)
@@ -292,26 +285,3 @@ def _norm(values: np.ndarray) -> "Normalize":
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     return PowerNorm(0.7, vmin=low, vmax=max(high, low + 1e-6))
-
-
-def _handles(recording: Recording) -> list:
-    """Build the legend: marks of the map, then the parts of a value."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    marks = [
-        handle
-        for handle in mapping.legend_handles(recording, filled=False)
-        if not str(handle.get_label()).endswith(("true place", "view", "1.5 m"))
-    ]
-    ramp = style.value_colormap()
-    discs = [
-        Line2D(
-            [], [], linestyle="none", marker="o", markersize=7, markeredgecolor=style.INK,
-            markeredgewidth=0.7, markerfacecolor=ramp(level), label=label,
-        )
-        for level, label in ((0.1, "low value"), (0.95, "high value"))
-    ]  # fmt: skip
-    names = {"goal": "from the goal", "information": "from information", "cost": "cost"}
-    parts = [Patch(color=style.SPLIT[name], label=label) for name, label in names.items()]
-    return [*marks, *discs, *parts]

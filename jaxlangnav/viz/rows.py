@@ -1,4 +1,7 @@
-"""Results: the rows of a table as points with bars (Table 2, the summary of a sweep)."""
+"""Results: the rows of a table as points with bars (Table 2, the summary of a sweep).
+
+All raise ``MissingExtraError`` without matplotlib, and ``ValueError`` for what has nothing to draw.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,26 +12,22 @@ import numpy as np
 from jaxlangnav.experiments.paper import least_distance
 from jaxlangnav.experiments.table import Row
 from jaxlangnav.viz import style
-from jaxlangnav.viz.style import legend_of, looks_of
+from jaxlangnav.viz.sentences import percent
+from jaxlangnav.viz.style import looks_of
 from jaxlangnav.viz.sweep import PAPER_BARS, draw_line, line_panels
-from jaxlangnav.viz.words import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 LIMIT_NAME = "limit, map unknown"
-MOST_LINES = 48
-"""Settings of a sweep that one figure can show."""
+MOST_LINES = 48  # settings of a sweep that one figure can show
+Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Of each bin: mean prediction, share that came true, ends of its 95 % interval, predictions."""
 
 
 def table_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw a document of ``paper.table_2`` beside the paper's rows: success left, distance right.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: the document has no rows.
-    """
+    """Draw a document of ``paper.table_2`` beside the paper's: success left, distance right."""
     rows: Sequence[Row] = document["rows"]
     names = {_row_name(row) for row in rows}
     printed = [row for row in document.get("paper", ()) if _row_name(row) in names]
@@ -46,15 +45,7 @@ def table_figure(document: Mapping[str, Any]) -> "Figure":
 
 
 def summary_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw a sweep's summary: a line for each setting, its arms beneath one another.
-
-    ``document``: of ``experiments.summary.summarize_directory``. Success stands at the left,
-    distance at the right.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: there are more than ``MOST_LINES`` settings.
-    """
+    """Draw what ``summarize_directory`` found: a line a setting, ``MOST_LINES`` at most."""
     lines = summary_lines(document)
     number = len({setting for setting, _, _ in lines})
     if number > MOST_LINES:
@@ -71,11 +62,7 @@ def summary_figure(document: Mapping[str, Any]) -> "Figure":
 
 
 def _rows_figure(
-    lines: Sequence[tuple[str, str, Row]],
-    *,
-    title: str,
-    subtitle: str,
-    bounds: Mapping[str, Row],
+    lines: Sequence[tuple[str, str, Row]], *, title: str, subtitle: str, bounds: Mapping[str, Row]
 ) -> "Figure":
     """Draw rows (name, arm, results; "paper" is an arm) as points with bars, limits beside."""
     if not lines:
@@ -103,8 +90,7 @@ def _rows_figure(
                 axes.plot([value, value], span, label=LIMIT_NAME, **look)
         ways.set_xlim(left=0)
         style.title(figure, title, subtitle)
-        handles, labels = legend_of([[rates]])
-        figure.legend(handles, labels, loc="lower center", ncols=3)
+        style.add_legend(figure, [rates])
     return figure
 
 
@@ -133,10 +119,6 @@ def _row_name(row: Row) -> str:
     return f"{row['world']}, {row['range']:g} m, {relation}"
 
 
-Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Of each bin: mean prediction, share that came true, ends of its 95 % interval, predictions."""
-
-
 def reliability_figure(
     panels: Mapping[str, Mapping[str, Curve]], *, title: str, subtitle: str = ""
 ) -> "Figure":
@@ -144,10 +126,6 @@ def reliability_figure(
 
     ``panels``: heading of each panel to its curves by name; ``subtitle``: a line before the word on
     how to read the figure.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: no curve.
     """
     if not any(panels.values()):
         raise ValueError("no predictions given, so there is nothing to draw")
@@ -174,8 +152,7 @@ def reliability_figure(
         grid[1][0].set_ylim(0, 2 * most)
         grid[0][0].set_ylabel("share that came true")
         grid[1][0].set_ylabel("predictions")
-        handles, labels = legend_of([grid[0]])
-        figure.legend(handles, labels, loc="lower center", ncols=columns)
+        style.add_legend(figure, grid[0], columns=columns)
         text = "On the dotted line probabilities mean what they say; bars: 95 %."
         style.title(figure, title, f"{subtitle}\n{text}" if subtitle else text)
     return figure
@@ -205,14 +182,7 @@ def _draw_reliability(
 
 
 def time_figure(parts: Mapping[str, float], *, what: str = "one decision cycle") -> "Figure":
-    """Draw where the time goes: a bar for each part, the longest first, with its share.
-
-    ``parts``: microseconds by part, of what ``what`` says.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: no parts, or no time at all.
-    """
+    """Draw where the time of ``what`` goes: a bar for each part, microseconds, longest first."""
     total = sum(parts.values())
     if not parts or total <= 0.0:
         raise ValueError("no time was measured, so there is nothing to draw")

@@ -18,11 +18,7 @@ _APPLICATION = "jaxlangnav"
 
 
 def write_rrd(recording: Recording, path: Path | str) -> Path:
-    """Write an episode for the rerun viewer, usually ``.rrd``; folders are made.
-
-    Raises:
-        MissingExtraError: rerun is not installed.
-    """
+    """Write an episode for the rerun viewer, ``.rrd``; ``MissingExtraError`` without rerun."""
     style.require("rerun", extra="rerun")
     rerun: Any = importlib.import_module("rerun")
     path = Path(path)

@@ -6,7 +6,8 @@ used and never through pyplot: no window, no global figure, no style left behind
 """
 
 import importlib.util
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from jaxlangnav.inputs.sanitize import printable
 from jaxlangnav.inputs.whole_files import replacing
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.figure import Figure
 
@@ -23,11 +25,9 @@ INK = "#1f2328"
 MUTED = "#6b7280"
 LINE = "#d5d8dd"
 PAPER = "#ffffff"
-UNSEEN = "#dfe3e8"
-"""Ground that nobody has looked at."""
+UNSEEN = "#dfe3e8"  # ground that nobody has looked at
 PATH = "#1f2328"
-VIEW = "#7aa6c2"
-"""The field of view."""
+VIEW = "#7aa6c2"  # the field of view
 GOOD = "#009e73"
 BAD = "#b3261e"
 WAYPOINT = "#7b3294"
@@ -45,8 +45,7 @@ TYPE_COLORS = (
 )
 TYPE_MARKERS = ("o", "s", "D", "p", "^", "P", "h", "X")
 """Marker of each object type, in matplotlib's letters."""
-SPLIT = {"goal": "#d55e00", "information": "#0072b2", "cost": "#6b7280"}
-"""Parts of a value."""
+SPLIT = {"goal": "#d55e00", "information": "#0072b2", "cost": "#6b7280"}  # parts of a value
 VALUE_STOPS = ("#f2ead3", "#e3c878", "#7fb08a", "#2f7f8f", "#173f5f")
 """Sequential ramp of the value function, light to dark: monotone in lightness."""
 Mark = tuple[str, str, str]
@@ -69,11 +68,7 @@ class MissingExtraError(ValueError):
 
 
 def require(module: str, *, extra: str = "viz") -> None:
-    """Make sure that a module is there before anything is drawn.
-
-    Raises:
-        MissingExtraError: it is not installed; says which extra brings it.
-    """
+    """Raise ``MissingExtraError``, which says what to install, where a module is not there."""
     if importlib.util.find_spec(module) is None:
         raise MissingExtraError(
             f"{module} is not installed: pip install 'jaxlangnav[{extra}]' brings it"
@@ -96,23 +91,17 @@ def type_marker(object_type: int) -> str:
 
 def looks_of(arms: Sequence[str]) -> dict[str, Mark]:
     """Give each arm its colour, marker and name; what is no policy takes the next colour."""
-    markers = "os^vDPXh"
-    return {
-        arm: POLICY_LOOKS.get(
-            arm, (SERIES[index % len(SERIES)], markers[index % len(markers)], arm)
-        )
-        for index, arm in enumerate(arms)
-    }
+    looks = zip(itertools.cycle(SERIES), itertools.cycle("os^vDPXh"), arms, strict=False)
+    return {arm: POLICY_LOOKS.get(arm, (color, marker, arm)) for color, marker, arm in looks}
 
 
-def legend_of(grid: Any) -> tuple[list[Any], list[str]]:
-    """Gather the legend over several axes, each label once."""
+def add_legend(figure: "Figure", panels: "Iterable[Axes]", *, columns: int = 3) -> None:
+    """Put the legend over several panels along the bottom of a figure, each label once."""
     found: dict[str, Any] = {}
-    for line in grid:
-        for axes in line:
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                found.setdefault(label, handle)
-    return list(found.values()), list(found)
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    figure.legend(list(found.values()), list(found), loc="lower center", ncols=columns)
 
 
 def value_colormap() -> "LinearSegmentedColormap":
@@ -161,11 +150,7 @@ def rc() -> dict[str, Any]:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw in the house style inside the block; settings outside stay as they were.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """Draw in the house style inside the block; settings outside stay as they were."""
     require("matplotlib")
     import matplotlib as mpl
 

@@ -12,8 +12,8 @@ from jaxlangnav.episode.recording import Frame, Recording, StaticScene
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
 
-_LEAST_SHARE = 0.02
-"""Objects that fewer particles believe in than this are left out of pictures."""
+_LEAST_SHARE = 0.02  # objects that fewer particles believe in than this are left out of pictures
+SAME_PLACE = 0.25  # metres within which two nodes are one place to a person
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -60,10 +60,7 @@ def seen_objects(frame: Frame) -> list[SeenObject]:
 
 
 def expected_goal(frames: Frame) -> np.ndarray:
-    """Compute the mean place of the goal in one step, or in steps with a leading axis.
-
-    f64[..., 2], metres, map frame; NaN where no goal is believed anywhere.
-    """
+    """Compute the mean place of the goal, f64[..., 2] metres; NaN where none is believed."""
     x, y, mass = _goals(frames)
     total = mass.sum(axis=-1, dtype=float)
     safe = np.where(total > 1e-6, total, np.nan)
@@ -119,10 +116,6 @@ def chosen_node(frame: Frame) -> int | None:
     return best if squared[best] < 1e-4 else None
 
 
-SAME_PLACE = 0.25
-"""Metres within which two nodes are one place to a person."""
-
-
 def distinct_nodes(frame: Frame) -> np.ndarray:
     """Rank the open nodes by value, i64[≤ A]; of nodes that stand together the best counts."""
     order = np.argsort(-np.asarray(frame.value), kind="stable")
@@ -137,10 +130,7 @@ def distinct_nodes(frame: Frame) -> np.ndarray:
 
 
 def tested_share(scene: StaticScene, frame: Frame) -> float:
-    """Compute how much belief the way to the waypoint puts to the test.
-
-    The weight of the particles that have a hypothesised object within sensing range of the way.
-    """
+    """Compute the weight of particles with a hypothesis within range of the way to the waypoint."""
     start, end = np.asarray(frame.robot, float), np.asarray(frame.waypoint, float)
     span = end - start
     dx, dy = frame.hypothesis_x - start[0], frame.hypothesis_y - start[1]
@@ -163,11 +153,7 @@ def explored_share(frame: Frame) -> float:
 
 
 def pick_moments(recording: Recording, number: int = 6) -> list[int]:
-    """Choose min(number, T) steps to show, in order; the last is one, and of several the first.
-
-    Raises:
-        ValueError: ``number`` is less than 1.
-    """
+    """Choose min(number, T) steps to show, in order: the last, of several the first; number ≥ 1."""
     refuse_below(1, **{"number of panels": number})
     last, frames = recording.num_steps - 1, recording.frames
     chosen = {0, last} if number > 1 else {last}

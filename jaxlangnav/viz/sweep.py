@@ -1,4 +1,7 @@
-"""Success and distance as curves and as points with bars: Figure 5, the unknowns, robustness."""
+"""Success and distance as curves and as points with bars: Figure 5, the unknowns, robustness.
+
+All raise ``MissingExtraError`` without matplotlib, and ``ValueError`` for a document without rows.
+"""
 
 import itertools
 import math
@@ -13,7 +16,7 @@ from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
 from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.unknowns import UNKNOWNS, row_name
 from jaxlangnav.viz import style
-from jaxlangnav.viz.style import POLICY_LOOKS, Mark, legend_of, looks_of
+from jaxlangnav.viz.style import POLICY_LOOKS, Mark, looks_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,8 +25,11 @@ if TYPE_CHECKING:
 PAPER_NAME = "paper, as printed"
 PAPER_BARS = f"paper: ± 1 σ of the distance, 95 % of a rate of {PAPER_RUNS} runs"
 _Z95 = 1.96
-_APART = 1.025
-"""Factor on the range between the points of two policies."""
+_APART = 1.025  # factor on the range between the points of two policies
+_WIDE, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
+"""Inches: the figure, a scenario, what is above and below them."""
+_WITH_BELIEF = 0.4  # largest ECE that the panel shows; beyond it a point stands at its border
+_LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155  # inches: labels, a row of Table 2, a variation
 
 
 def range_figure(document: Mapping[str, Any]) -> "Figure":
@@ -32,10 +38,6 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
     ``document``: of ``paper.figure_5``: ``rows`` by world, relation, policy and range, and
     ``paper``, the printed rows that match. Our error bars are 95 % intervals of the mean; the paper
     prints one standard deviation.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: the document has no rows.
     """
     rows: Sequence[Row] = document["rows"]
     columns = list(dict.fromkeys((row["world"], row["relation"]) for row in rows))
@@ -60,17 +62,15 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
             above.set_title(f"{world}, “{said or relation or 'no relation'}”")
             below.set_xlabel("sensing range (m, logarithmic)")
         grid[0][0].set_ylabel("distance travelled (m)")
-        grid[1][0].set_ylabel("success (%)")
         grid[0][0].set_ylim(bottom=0)
-        grid[1][0].set_ylim(0, 104)
+        grid[1][0].set(ylabel="success (%)", ylim=(0, 104))
         number = document.get("episodes", "?")
         style.title(
             figure,
             "Distance and success against the sensing range",
             f"{number} episodes a point; bars: 95 % interval of the mean; {PAPER_BARS}.",
         )
-        handles, labels = legend_of(grid)
-        figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 3))
+        style.add_legend(figure, grid.flat)
     return figure
 
 
@@ -78,9 +78,8 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
     """Draw all policies of one world and relation, and the paper's points."""
     policies = list(dict.fromkeys(row["policy"] for row in rows))
     for index, policy in enumerate(policies):
-        mine = sorted(
-            (row for row in rows if row["policy"] == policy), key=lambda row: row["range"]
-        )
+        mine = [row for row in rows if row["policy"] == policy]
+        mine.sort(key=lambda row: row["range"])
         # A little apart, so that error bars can be told from each other.
         apart = _APART ** (index - (len(policies) - 1) / 2)
         color, marker, name = POLICY_LOOKS.get(policy, (style.INK, "D", policy))
@@ -181,21 +180,11 @@ def draw_line(
     return look
 
 
-_WIDE, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
-"""Inches: the figure, a scenario, what is above and below them."""
-_WITH_BELIEF = 0.4
-"""Largest ECE that the panel shows; beyond it a point stands at its border."""
-
-
 def robustness_figure(document: Mapping[str, Any]) -> "Figure":
     """Draw success, distance and calibration of every scenario of a document of ``robustness``.
 
     A scenario's name is green where ``informed`` meets all of its targets, red where it misses one,
     and black where it has none.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: the document has no rows.
     """
     rows: Sequence[Row] = document["rows"]
     if not rows:
@@ -211,10 +200,17 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
             margins=(0.185, _HEAD, _FOOT),
             widths=(5, 4, 3),
         )
+        mark: dict[str, Any] = {"color": style.INK, "linewidth": 1.4, "zorder": 4}
         for row in rows:
-            shift = 0.66 * ((arms.index(row["policy"]) + 0.5) / len(arms) - 0.5)
             place = names.index(row["scenario"])
-            _draw_scenario(panels, row, looks[row["policy"]], place, shift)
+            at = place + 0.66 * ((arms.index(row["policy"]) + 0.5) / len(arms) - 0.5)
+            look = draw_line(panels, row, looks[row["policy"]], at, markersize=4.5, linewidth=1.0)
+            if row["ece"] is not None:
+                look |= {} if row["is_told"] else {"markerfacecolor": style.PAPER}
+                panels[2].plot([min(row["ece"], _WITH_BELIEF)], [at], **look)
+            for axes, target in zip(panels, (row["target"], row.get("longest")), strict=False):
+                if target is not None:
+                    axes.plot([target] * 2, [place - 0.42, place + 0.42], **mark)
         for name, text in zip(names, panels[0].get_yticklabels(), strict=True):
             mine = [row for row in rows if row["scenario"] == name]
             judged = [row.get(key) for row in mine for key in ("is_met", "is_calibrated")]
@@ -232,28 +228,8 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
             "strokes: targets of informed.\nNames: green, all targets met; red, one is missed; "
             "black, none is set. Empty points of ECE: the belief was not told the truth.",
         )
-        handles, labels = legend_of([[panels[0]]])
-        figure.legend(handles, labels, loc="lower center", ncols=3)
+        style.add_legend(figure, panels[:1])
     return figure
-
-
-def _draw_scenario(
-    panels: "Sequence[Axes]", row: Row, looks: Mark, place: int, shift: float
-) -> None:
-    rates, ways, scores = panels
-    look = draw_line(panels, row, looks, place + shift, markersize=4.5, linewidth=1.0)
-    if row["ece"] is not None:
-        fill: dict[str, Any] = {} if row["is_told"] else {"markerfacecolor": style.PAPER}
-        scores.plot([min(row["ece"], _WITH_BELIEF)], [place + shift], **(look | fill))
-    mark: dict[str, Any] = {"color": style.INK, "linewidth": 1.4, "zorder": 4}
-    if row["target"] is not None:
-        rates.plot([row["target"]] * 2, [place - 0.42, place + 0.42], **mark)
-    if row.get("longest"):
-        ways.plot([row["longest"]] * 2, [place - 0.42, place + 0.42], **mark)
-
-
-_LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155
-"""Inches: labels, a row of Table 2, a variation."""
 
 
 def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
@@ -262,10 +238,6 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     A column for each row of Table 2, success above, distance below; a line for each variation. A
     band spans two standard errors of the printed figure, a bar two of ours; filled points agree
     with it.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: the document has no rows.
     """
     paper, fits = document["paper"], document["variations"]
     if not document["rows"]:
@@ -283,11 +255,11 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
         )  # fmt: skip
         for index, printed in enumerate(paper):
             mine = document["rows"][index :: len(paper)]
-            _draw_panel(grid[0][index], mine, printed, "success_rate", "success")
-            _draw_panel(grid[1][index], mine, printed, "distance_mean", "distance")
-            grid[0][index].set_title(row_name(printed))
-            grid[0][index].set_xlabel("success (%)")
-            grid[1][index].set_xlabel("distance (m)")
+            above, below = grid[:, index]
+            _draw_panel(above, mine, printed, "success_rate")
+            _draw_panel(below, mine, printed, "distance_mean")
+            above.set(title=row_name(printed), xlabel="success (%)")
+            below.set_xlabel("distance (m)")
         grid[0][0].set_yticks(
             range(len(fits)), [f"{one['unknown']}  {one['value']}".strip() for one in fits]
         )
@@ -306,8 +278,9 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     return figure
 
 
-def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str, name: str) -> None:
+def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str) -> None:
     """Draw one figure of one row of Table 2 for all variations."""
+    name = key.partition("_")[0]
     value, error = printed[key], printed["distance_sd"] / math.sqrt(PAPER_RUNS)
     if name == "success":
         error = rate_error(value, PAPER_RUNS)

@@ -21,17 +21,15 @@ from jaxlangnav.episode.recording import (
 )
 from jaxlangnav.inputs.sanitize import Plain
 from jaxlangnav.viz import narrative, style, summary
-from jaxlangnav.viz.words import percent
+from jaxlangnav.viz.sentences import percent
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.text import Text
 
 ARROWS = "→↗↑↖←↙↓↘"
-_DENSITY = "·░▒▓"
-"""Hypotheses in a cell, from few to many."""
-_CELL_SHAPE = 2.0
-"""Height of a character over its width."""
+_DENSITY = "·░▒▓"  # hypotheses in a cell, from few to many
+_CELL_SHAPE = 2.0  # height of a character over its width
 
 
 def _letters(scene: StaticScene) -> dict[int, str]:
@@ -97,10 +95,8 @@ def _draw_moment(moment: Moment, *, width: int = 48) -> "RenderableType":
         ("looked at", summary.explored_share(frame), style.type_color(1)),
     ):
         full = round(20 * min(max(share, 0.0), 1.0))
-        side.append(f"{name:<12}")
-        side.append("█" * full, style=look)
-        side.append("─" * (20 - full), style="grey70")
-        side.append(f" {percent(share)}\n")
+        bar = ("█" * full, look), ("─" * (20 - full), "grey70")
+        side.append(Text.assemble(f"{name:<12}", *bar, f" {percent(share)}\n"))
     side.append("\n")
     names = _letters(scene)
     for kind in sorted({one.object_type for one in summary.seen_objects(frame)}):
