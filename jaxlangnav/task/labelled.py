@@ -13,6 +13,7 @@ A file of JSON lines. Each line is an object with
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -89,17 +90,13 @@ def is_among(scenario: Scenario, goals: list[Goal]) -> bool:
     if own != NONE:
         return any(goal.region == AT and goal.index == own for goal in goals)
     x, y = np.asarray(scenario.goal).tolist()
-    return any(
-        np.hypot(x - goal.position[0], y - goal.position[1]) <= SUCCESS_RADIUS for goal in goals
-    )
+    return any(math.dist((x, y), goal.position) <= SUCCESS_RADIUS for goal in goals)
 
 
 def with_goal(scenario: Scenario, goal: Goal) -> Scenario:
     """Make a place that is meant the goal of a world."""
-    index = goal.index if goal.region == AT else NONE
-    return replace(
-        scenario, goal=jnp.asarray(goal.position, jnp.float32), goal_index=jnp.int32(index)
-    )
+    index = jnp.int32(goal.index if goal.region == AT else NONE)
+    return replace(scenario, goal=jnp.asarray(goal.position, jnp.float32), goal_index=index)
 
 
 @jax.jit

@@ -75,7 +75,7 @@ def open_task(
             key=jax.random.key(seed),
             scenario=place.scenario,
             instruction_index=jax.device_put(np.int32(0)),
-            sensor=_seen(place.sensor, sensing_range),
+            sensor=sensor_of(world, sensing_range),
             motion=place.motion,
         )
         words = (place.instruction or "", understood.parse.instruction)
@@ -119,11 +119,7 @@ def slots_of(world: str) -> int:
 def sensor_of(world: str, sensing_range: float | None) -> SensorParams:
     """Tell what a world says of the detector; another range, metres, in place of its own."""
     place = open_world(world)
-    return _seen(place.sensor if isinstance(place, WorldFile) else default_sensor(), sensing_range)
-
-
-def _seen(sensor: SensorParams, sensing_range: float | None) -> SensorParams:
-    """Put another range in place of a detector's own, if one is given."""
+    sensor = place.sensor if isinstance(place, WorldFile) else default_sensor()
     if sensing_range is None:
         return sensor
     return replace(sensor, range_max=jnp.float32(sensing_range))
