@@ -87,9 +87,9 @@ def page(folder: Path, commit: str, kept: str) -> str:
     machine = read(folder, "time")["machine"]
     return f"""# Results
 
-`jaxlangnav reproduce all --out results` writes the first part of this page and `report.html`, with
-all tables and figures beside the paper's numbers. What follows is such a run of commit {commit}:
-{table2["episodes"]} episodes a row of Table 2,
+`jaxlangnav reproduce all --out results` writes this page up to "Where the time goes" and
+`report.html`, which sets all tables and figures beside the paper's numbers. What follows is such a
+run of commit {commit}: {table2["episodes"]} episodes a row of Table 2,
 {figure5["rows"][0]["episodes"]} of Figure 5 (seed {table2["seed"]}), {unknowns["episodes"]}
 of the paper's unknowns (seed {unknowns["seed"]}),
 models SHA-256 `{table2["models_sha256"][:12]}…`, JAX {machine["jax"]},
@@ -102,8 +102,8 @@ CPU threads: {machine["threads"]}. Table 2 took {table2["wall_s"]:.0f} s,
 
 {shorten(body)}
 
-A fresh world an episode, 64 particles; all policies have the same worlds and noise. `table2.md` has
-more policies (lawnmower, a sweep that knows the worlds' law, the known map, the limit) and columns.
+A fresh world an episode, 64 particles; all policies have the same worlds and noise. "Known" has the
+map and drives to the goal itself; others may stop within reach of it (1.2 m). `table2.md` has more.
 
 {unknowns_section(unknowns)}
 
@@ -111,10 +111,9 @@ more policies (lawnmower, a sweep that knows the worlds' law, the known map, the
 
 ![How often "this object is the goal" came true, by the probability given to it](calibration.png)
 
-Over every step of {table2["calibration_episodes"]} episodes a row. The steps of one episode judge
-the same object again and again, so the intervals are clustered by episodes. With two hydrants and
-no relation nothing says which is meant: every hydrant seen fits the command, and half of them are
-not the one that the lot has drawn.
+Over every step of {table2["calibration_episodes"]} episodes a row; intervals are clustered by
+episodes. With two hydrants and no relation nothing says which is meant: every hydrant seen fits
+the command, and half are not the one that was drawn at random.
 
 ## Figure 5
 
@@ -122,7 +121,8 @@ not the one that the lot has drawn.
 
 {range_table(figure5)}
 
-All policies stand in the figure. {describe_falls(figure5)} The printed figure
+`known` drives to the goal itself, so others may end below it. All policies stand in the figure.
+{describe_falls(figure5)} The printed figure
 states no numbers; where Table 2 prints a row of the same world, command and range, it is drawn.
 
 ## Figures 1 and 4
