@@ -102,22 +102,6 @@ def _head(phrase: Phrase) -> list[Word]:
     return [word for word in phrase.words if word.senses]
 
 
-def _check_mode(clause: Phrase) -> None:
-    """Refuse a command to be both quick and careful."""
-    modes = {s: word for word in clause.words for s in word.senses if s.startswith("mode:")}
-    if len(modes) > 1:
-        reason = "contradicts the manner asked for before; say one of them"
-        raise _refuse(list(modes.values())[1:2], reason)
-
-
-def _check_start(clause: Phrase, unknown: set[int]) -> None:
-    """Refuse a later clause that begins with an unknown verb and no connective before it."""
-    first = clause.words[:1]
-    if first and first[0].tag == "VB" and first[0].position in unknown:
-        reason = "unknown word; it may be a verb or a mistyped relation: say it in other words"
-        raise _refuse(first, reason)
-
-
 def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
     """Refuse what would be a guess.
 
@@ -128,8 +112,11 @@ def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
     Raises:
         LanguageError: one line naming the words.
     """
-    for clause in clauses[1:]:
-        _check_start(clause, unknown)
+    for first in (clause.words[0] for clause in clauses[1:] if clause.words):
+        # No connective stands before it.
+        if first.tag == "VB" and first.position in unknown:
+            reason = "unknown word; it may be a verb or a mistyped relation: say it in other words"
+            raise _refuse([first], reason)
     for clause in clauses:
         for phrase in clause.walk():
             if phrase.label == "NP":
@@ -141,4 +128,7 @@ def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
         _check_unknown(clause, unknown)
         if clause.label == "VP":
             _check_verb(clause, unknown if clause is clauses[0] else set())
-            _check_mode(clause)
+            modes = {s: word for word in clause.words for s in word.senses if s.startswith("mode:")}
+            if len(modes) > 1:
+                reason = "contradicts the manner asked for before; say one of them"
+                raise _refuse(list(modes.values())[1:2], reason)

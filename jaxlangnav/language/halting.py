@@ -46,11 +46,9 @@ def act_of(text: str) -> Act | None:
     """
     if not isinstance(text, str):
         return None
-    found = [_act_of_part(part) for part in _parts(text)]
-    if None in found:
-        return None
-    acts = [act for part in found for act in part or ()]
-    return min(acts, key=_URGENCY.index, default=None)
+    found = [_urgencies(part) for part in _parts(text)]
+    told = [urgency for part in found for urgency in part or ()]
+    return None if None in found or not told else _URGENCY[min(told)]
 
 
 def opening_of(text: str) -> tuple[Act, str] | None:
@@ -69,10 +67,9 @@ def opening_of(text: str) -> tuple[Act, str] | None:
         start = found[size][1]
         between = text[found[size - 1][2] : start].replace("-", "")
         is_parted = words[size - 1] in _PARTING or words[size] in _table()["onward"]
-        if is_parted or _BREAK.search(between):
-            act = min(_act_of_part(words[:size]) or (), key=_URGENCY.index, default=Act.RESUME)
-            if act != Act.RESUME:
-                return act, text[start:]
+        told = _urgencies(words[:size]) if is_parted or _BREAK.search(between) else None
+        if told and _URGENCY[told[0]] != Act.RESUME:
+            return _URGENCY[told[0]], text[start:]
     return None
 
 
@@ -153,24 +150,23 @@ def _parts(text: str, most: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
     return [part.split() for part in _BREAK.split(plain) if part.strip()]
 
 
-def _act_of_part(words: list[str]) -> frozenset[Act] | None:
-    """Read a part as a row of wordings: the acts of the most urgent reading; None without one."""
-    wordings, around, longest = _wordings()
+def _urgencies(words: list[str]) -> tuple[int, ...] | None:
+    """Read a part as a row of wordings: what its most urgent reading asks for; None without one.
+
+    Numbers are places in ``_URGENCY``, the first of them the least.
+    """
+    wordings, longest = _wordings()
     words = [_repaired(word) for word in words]
-    best: list[frozenset[Act] | None] = [frozenset()] + [None] * len(words)
+    best: list[tuple[int, ...] | None] = [()] + [None] * len(words)
     for end in range(1, len(words) + 1):
         for start in range(max(0, end - longest), end):
-            piece, before = tuple(words[start:end]), best[start]
-            if before is None or (piece not in wordings and piece not in around):
-                continue
-            acts = before | ({wordings[piece]} if piece in wordings else set())
-            best[end] = min((one for one in (best[end], acts) if one is not None), key=_urgency)
+            told, before = wordings.get(tuple(words[start:end])), best[start]
+            if told is not None and before is not None:
+                ways = best[end], tuple(sorted({*before, *told}))
+                # Mere politeness comes last.
+                known = (way for way in ways if way is not None)
+                best[end] = min(known, key=lambda way: way or (len(_URGENCY),))
     return best[-1]
-
-
-def _urgency(acts: frozenset[Act]) -> tuple[int, ...]:
-    """Rank a reading: that of the most urgent act first, mere politeness last."""
-    return tuple(sorted(_URGENCY.index(act) for act in acts)) or (len(_URGENCY),)
 
 
 def _repaired(word: str) -> str:
@@ -183,10 +179,11 @@ def _repaired(word: str) -> str:
 @cache
 def _mistyped() -> tuple[frozenset[str], dict[str, str]]:
     """Collect the words of all wordings, and those to halt by how they may be mistyped."""
-    wordings, around, _ = _wordings()
-    known = frozenset(word for words in (*wordings, *around) for word in words)
+    wordings, _ = _wordings()
+    known = frozenset(word for words in wordings for word in words)
     slips: dict[str, str] = {}
-    halts = [words[0] for words, act in wordings.items() if act == Act.HALT and len(words) == 1]
+    halt = (_URGENCY.index(Act.HALT),)
+    halts = [words[0] for words, told in wordings.items() if told == halt and len(words) == 1]
     for word in (one for one in halts if len(one) >= _LEAST_MISTYPED):
         slips[_RUN.sub(r"\1", word)] = word
         for place in range(1, len(word)):
@@ -216,9 +213,10 @@ def _table() -> dict[str, Any]:
 
 
 @cache
-def _wordings() -> tuple[dict[tuple[str, ...], Act], frozenset[tuple[str, ...]], int]:
-    """Read the wordings, what is said around them, and the length of the longest in words."""
+def _wordings() -> tuple[dict[tuple[str, ...], tuple[int, ...]], int]:
+    """Read the wordings with their urgency, none of what is said around them; and the longest."""
     table = _table()
-    wordings = {tuple(wording.split()): act for act in Act for wording in table[act]}
-    around = frozenset(tuple(wording.split()) for wording in table["around"])
-    return wordings, around, max(len(words) for words in (*wordings, *around))
+    found: dict[tuple[str, ...], tuple[int, ...]] = {tuple(w.split()): () for w in table["around"]}
+    for act in Act:
+        found |= {tuple(wording.split()): (_URGENCY.index(act),) for wording in table[act]}
+    return found, max(map(len, found))

@@ -5,7 +5,6 @@ how every sentence is understood without a word: both are refused, in one line.
 """
 
 import re
-from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -75,12 +74,11 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
                 document["class"][name].setdefault(senses, []).append(expression)
 
 
-def _expressions(value: Any, where: str) -> Iterator[str]:
+def _expressions(value: Any, where: str) -> list[str]:
     """Read a list of expressions."""
     if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
         raise ValueError(f"{where} must be a list of words")
-    for text in value:
-        yield _expression(text, where)
+    return [_expression(text, where) for text in value]
 
 
 def _expression(text: str, where: str) -> str:
@@ -97,10 +95,8 @@ def _expression(text: str, where: str) -> str:
         if len(bare) > LONGEST_WORD:
             raise ValueError(f"{where}: {shown(word)} has more than {LONGEST_WORD} letters")
         if not is_word(bare):
-            raise ValueError(
-                f"{where}: {shown(word)} could not be read as a word: use letters, with hyphens "
-                "between them"
-            )
+            fault = "could not be read as a word: use letters, with hyphens between them"
+            raise ValueError(f"{where}: {shown(word)} {fault}")
     return " ".join(words)
 
 
@@ -131,6 +127,9 @@ class _Known:
         self._all_senses = {senses for uses in self._senses.values() for _, senses in uses}
         self._refused = {w: why for why, words in document["refused"].items() for w in words}
         self._tags = set(document["tags"])
+        # Words that stand in the rules of the grammar themselves.
+        rules = read_shipped("language", "grammar.txt")
+        self._literals = _MARKS.union(re.findall(r'"([^"\s]+)"', rules))
         self._owners = {
             form: kind
             for kind, names in document["types"].items()
@@ -149,10 +148,9 @@ class _Known:
         words = expression.split()
         for word in (words[0], words[-1]):
             if self._is_of_grammar(word, len(words) == 1):
-                raise ValueError(
-                    f"{where}: '{word}' has a meaning of its own in every sentence and cannot be "
-                    f"{'a name' if len(words) == 1 else 'an end of a name'}: choose another"
-                )
+                fault = f"'{word}' has a meaning of its own in every sentence and cannot be"
+                what = "a name" if len(words) == 1 else "an end of a name"
+                raise ValueError(f"{where}: {fault} {what}: choose another")
         self._owners |= {expression: kind, _plural(expression): kind}
 
     def check_sense(self, expression: str, name: str, senses: str, where: str) -> None:
@@ -187,20 +185,13 @@ class _Known:
     def _is_closed(self, word: str) -> bool:
         """Tell whether a word belongs to the grammar: articles, links, the rules' own words."""
         uses = {name for name, _ in self._senses.get(word, ())}
-        return bool(uses & {"det", "rel", "be", "link", "conn", "beside"}) or word in _literals()
+        return bool(uses & {"det", "rel", "be", "link", "conn", "beside"}) or word in self._literals
 
 
 def _check_halting(expression: str, where: str) -> None:
     """Refuse to give words that halt the robot another meaning."""
     if halts_alone(expression):
         raise ValueError(f"{where}: '{expression}' halts the robot: choose another")
-
-
-@cache
-def _literals() -> frozenset[str]:
-    """Collect the words that stand in the rules of the grammar themselves."""
-    rules = read_shipped("language", "grammar.txt")
-    return frozenset(re.findall(r'"([^"\s]+)"', rules)) | _MARKS
 
 
 def _plural(expression: str) -> str:
