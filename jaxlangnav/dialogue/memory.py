@@ -4,7 +4,10 @@ The paper conditions on the history of utterances A^t. Here their readings are j
 (``join``), and this record says of it what readings do not hold: from where each relation was said,
 of which things the task speaks, which of them are to be kept away from, and what is not meant.
 
-All of it is arrays of fixed shapes. C commands, K readings, M mentions, J relations, O slots.
+All of it is arrays of fixed shapes. C commands, K readings, M mentions, J relations, O slots. In
+what a decision makes of it, particles and their behavior have leaves [..., P], ``mention_type``
+i32[K, M] is of the readings, ``words`` are what these are about, and ``clause`` i32[] is the
+present command.
 """
 
 from typing import Any, TypeVar
@@ -63,9 +66,6 @@ def begin_conversation(
         pose: f32[3], x, y, heading as it hears it, map frame.
         num_objects: O.
         words: what the readings are about; by default the task speaks of all of it.
-
-    Returns:
-        The memory.
     """
     readings = instruction.readings
     return Conversation(
@@ -133,13 +133,6 @@ def focus(particles: SemanticMap, words: Words) -> SemanticMap:
     nothing that a goal would have to be confirmed by.
 
     Limits: where the task speaks of all of it, nothing changes.
-
-    Args:
-        particles: leaves [..., P].
-        words: what their readings are about.
-
-    Returns:
-        The particles, to plan with.
     """
     is_asked = _of_reading(words.is_asked, particles)
     return replace(
@@ -166,13 +159,6 @@ def pinned(
     command do not.
 
     Limits: nothing changes where no other utterance has spoken of what the command is about.
-
-    Args:
-        behavior: of every particle, leaves [..., P].
-        particles: leaves [..., P].
-        mention_type: i32[K, M], of the readings.
-        words: what they are about.
-        clause: i32[], the present command.
 
     Returns:
         The behavior, without goals at others of that type.
@@ -204,12 +190,6 @@ def avoided(
 
     A thing that is the goal is not kept away from, whatever was said before.
 
-    Args:
-        behavior: of every particle, leaves [..., P].
-        particles: leaves [..., P].
-        mention_type: i32[K, M], of the readings.
-        words: what they are about.
-
     Returns:
         The behavior with constraints on observed slots; nothing changes where nothing is avoided.
     """
@@ -228,18 +208,10 @@ def avoided(
 
 
 def excluding(talk: Conversation, clause: Array, slots: Array) -> Conversation:
-    """Rule out observed slots: what the present command is about is none of them.
+    """Rule out observed slots, i32[], a bit each: the present command is about none of them.
 
     It is evidence like any other: the words are grounded anew without these, and what remains is
     weighed as before. So a hypothesis that had nothing else loses its weight.
-
-    Args:
-        talk: what has been said.
-        clause: i32[], the present command.
-        slots: i32[], observed slots, a bit each.
-
-    Returns:
-        The memory, in which they are neither meant nor a goal.
     """
     excluded = talk.context.excluded
     goal = jnp.take(talk.words.goal, clause, axis=1, mode="clip")

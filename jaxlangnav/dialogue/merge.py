@@ -2,9 +2,7 @@
 
 Readings of earlier utterances and of the new one are multiplied: of all pairs the K likeliest stay.
 A thing of the new one is a thing spoken of before where language says so. What does not fit the
-arrays leaves, the oldest relations first, and is counted.
-
-How words are joined depends on the words alone, not on the robot.
+arrays leaves, the oldest relations first, and is counted. All of it depends on the words alone.
 """
 
 import dataclasses
@@ -51,10 +49,8 @@ def _places(old: Account, new: Account, spoken: Spoken | None, *, is_loose: bool
 
 
 def _said_again(old: Account, new: Account) -> dict[int, int]:
-    """Find what the new utterance describes, beside others of its kind, as it has been before.
-
-    Of "the cone behind the cone", said again, neither cone is the other one.
-    """
+    """Find what the new utterance describes, beside others of its kind, as it has been before."""
+    # Of "the cone behind the cone", said again, neither cone is the other one.
     kinds, found = [one.kind for one in new.mentions], {}
     for index, one in enumerate(new.mentions):
         said = new.description(index)
@@ -79,7 +75,6 @@ def _product(
     for place, one in zip(places, new.mentions, strict=True):
         if place == len(mentions):
             mentions.append(dataclasses.replace(one))
-            continue
         known = mentions[place]
         known.is_asked = known.is_asked or one.is_asked
         known.avoid = max(known.avoid, one.avoid)
@@ -125,8 +120,7 @@ def _is_needed(reading: Account, edge: Edge) -> bool:
     """Tell whether a relation is the last that speaks of a goal, or of what is to be avoided."""
     goals = {*reading.goals, *reading.new_goals} - {NONE}
     needed = goals | {m for m, one in enumerate(reading.mentions) if one.avoid}
-    others = [one for one in reading.edges if one is not edge]
-    held = {end for one in others for end in (one.figure, one.landmark)}
+    held = {end for one in reading.edges if one is not edge for end in (one.figure, one.landmark)}
     return bool({edge.figure, edge.landmark} & needed - held)
 
 

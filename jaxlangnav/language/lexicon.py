@@ -81,13 +81,12 @@ class Lexicon:
 
 
 _PLURALS = {
-    **{one: one.rstrip("e")[:-1] + "ves" for one in ("shelf", "leaf", "wolf", "half", "calf")},
-    **{one: one.rstrip("e")[:-1] + "ves" for one in ("loaf", "scarf", "knife", "wife", "thief")},
-    **{one: one[:-3] + "men" for one in ("man", "woman", "fireman", "policeman", "workman")},
-    **{"child": "children", "person": "people", "goose": "geese", "mouse": "mice"},
-    **{"foot": "feet", "tooth": "teeth"},
-}
-
+    "shelf": "shelves", "leaf": "leaves", "wolf": "wolves", "half": "halves", "calf": "calves",
+    "loaf": "loaves", "scarf": "scarves", "knife": "knives", "wife": "wives", "thief": "thieves",
+    "man": "men", "woman": "women", "fireman": "firemen", "policeman": "policemen",
+    "workman": "workmen", "child": "children", "person": "people", "goose": "geese",
+    "mouse": "mice", "foot": "feet", "tooth": "teeth",
+}  # fmt: skip
 SINGULARS = {many: one for one, many in _PLURALS.items()}
 """Nouns by their irregular plurals."""
 
@@ -177,10 +176,9 @@ def load_lexicon() -> Lexicon:
         return read_lexicon(text)
     try:
         added = read_text(own, at_most=_LARGEST_FILE)
-    except OSError as error:
-        raise ValueError(f"{OWN_LEXICON}: cannot read {own}: {error.strerror}") from None
-    except ValueError as error:
-        raise ValueError(f"{OWN_LEXICON}: {error}") from None
+    except (OSError, ValueError) as error:
+        why = f"cannot read {own}: {error.strerror}" if isinstance(error, OSError) else error
+        raise ValueError(f"{OWN_LEXICON}: {why}") from None
     try:
         return read_lexicon(text, added)
     except ValueError as error:
@@ -216,11 +214,11 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
     refused: dict[str, str] = {}
     expressions: dict[tuple[str, ...], str] = {}
     for reason, listed in document["refused"].items():
-        for words in map(str.split, listed):
-            if len(words) > 1:
-                expressions[tuple(words)] = REASONS[reason]
+        for text in listed:
+            if " " in text:
+                expressions[tuple(text.split())] = REASONS[reason]
             else:
-                refused.setdefault(words[0], REASONS[reason])
+                refused.setdefault(text, REASONS[reason])
     return Lexicon(
         type_names=tuple(document["types"]),
         entries=entries,

@@ -310,14 +310,7 @@ def _follow(
 
 
 def of_clauses(clauses: Sequence[Phrase], said: Sequence[PlacedMeasure]) -> tuple[Measure, ...]:
-    """Find the command of each measure.
-
-    Args:
-        clauses: roots of the trees, in order.
-        said: of ``take_out``.
-
-    Returns:
-        A measure for each clause; an empty one where nothing is measured.
+    """Find the measure of each clause, of those of ``take_out``; an empty one where none is.
 
     Raises:
         LanguageError: a distance that is not from the command's own goal: it tells which thing is
@@ -328,9 +321,8 @@ def of_clauses(clauses: Sequence[Phrase], said: Sequence[PlacedMeasure]) -> tupl
     for one in said:
         index = max((i for i, start in enumerate(starts) if start <= one.position), default=0)
         goal = _goal_of(clauses[index])
-        is_goal = goal is not None and (
-            not one.words or any(word.position == one.position for word in goal.words)
-        )
+        places = [] if goal is None else [word.position for word in goal.words]
+        is_goal = one.position in places if one.words else goal is not None
         if not is_goal or measures[index].metres:
             reason = "a distance that tells which thing is meant is not supported; leave it out"
             raise LanguageError.at(one.words, one.position, reason)

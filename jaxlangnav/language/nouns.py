@@ -120,13 +120,12 @@ def _size_of_name(
     tokens: list[Token], index: int, names: Collection[tuple[str, ...]], longest: int
 ) -> int:
     """Count the words of the name that begins at a token; 0 where none does."""
-    words = [token.text for token in tokens[index : index + longest]]
+    words = tuple(token.text for token in tokens[index : index + longest])
     for size in range(len(words), 0, -1):
-        name, text = tuple(words[:size]), " ".join(words[:size])
-        if "" in name or not {name, tuple(singular(text).split())} & set(names):
-            continue
+        name, one = words[:size], singular(" ".join(words[:size]))
         # "The tree that stands by …" is no plural of "stand".
-        if name not in names and singular(text) in load_nouns().also:
+        is_plural = tuple(one.split()) in names and one not in load_nouns().also
+        if "" in name or not (name in names or is_plural):
             continue
         if size > 1 or tokens[index].terminal.startswith("?") or is_noun_place(tokens, index):
             return size

@@ -35,14 +35,8 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
 
     A refused expression before all; a negation anywhere; of the words up to where no tree can go
     on: a condition, else the last word that is unsupported or unknown, else a small word just
-    before, else the one there.
-
-    Args:
-        tokens: words and marks of the sentence.
-        index: the first token that continues no tree; the number of tokens at the end.
-
-    Returns:
-        The refusal; its line has no full stop.
+    before, else the one there. ``index`` is of the first token that continues no tree, the number
+    of tokens at the end.
     """
     expression = _refused_expression(tokens, index)
     if expression is not None:

@@ -63,13 +63,9 @@ def _nominal() -> frozenset[str]:
 def repair(word: str, *, is_noun: bool = False) -> str | None:
     """Find the one word of the lexicon that a mistyped word must be.
 
-    Args:
-        word: lower case, not in the lexicon.
-        is_noun: it is the noun of a phrase: "the easel" has nothing to do with "ease".
-
-    Returns:
-        The repaired word; None where the word is short, English, hopeless, or could be any of
-        several words of different meaning.
+    None where the word, in lower case, is short, English, hopeless, or could be any of several
+    words of different meaning. ``is_noun``: it is the noun of a phrase, so that "the easel" has
+    nothing to do with "ease".
     """
     lexicon = load_lexicon()
     if word in lexicon.slips:

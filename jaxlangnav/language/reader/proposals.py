@@ -276,10 +276,8 @@ def _relations(words: Sequence[str]) -> set[int]:
 
 
 def _bar(model: ReaderModel, sentence: ReaderSentence) -> np.ndarray:
-    """Bar words that a word was never read as: 0 or -∞, [T, L].
-
-    A verb of a class of its own may be read as going or stopping without having been met.
-    """
+    """Bar words that a word was never read as: 0 or -∞, [T, L]."""
+    # A verb of a class of its own may be read as going or stopping without having been met.
     barred = np.zeros((len(sentence.words), len(model.labels)))
     instead = [(column, label) for column, label in enumerate(model.labels) if label[0] == "="]
     for row, (word, classes) in enumerate(zip(sentence.words, sentence.classes, strict=True)):
