@@ -247,7 +247,7 @@ class Observation:
                 "as of default_sensor(range_max)"
             )
         numbers = check_sensor(given)
-        found: dict[str, Any] = observations.detected(detections, numbers, types)._asdict()
+        found: dict[str, Any] = observations.detected(detections, numbers, types)
         found["pose"] = observations.pose_numbers(pose)
         # NumPy's numbers pass for JAX's: nothing is sent to a device before it is used.
         return cls(sensor=_sensor(numbers), **found)

@@ -15,10 +15,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxlangnav.inputs import own_files, whole_files
+from jaxlangnav.inputs import whole_files
 from jaxlangnav.inputs.arrays import faults_as_values, parse_floats
-from jaxlangnav.inputs.own_files import check_own_files, own_folder, read_own_file, write_own_file
-from jaxlangnav.inputs.whole_files import read_file
+from jaxlangnav.inputs.whole_files import (
+    check_own_files,
+    own_folder,
+    read_file,
+    read_own_file,
+    write_own_file,
+)
 from jaxlangnav.planner import prior
 
 WRITER = """
@@ -227,7 +232,7 @@ def test_what_is_another_users_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
     (folder / "file").chmod(0o664)
     check_own_files(folder)
     stranger = os.geteuid() + 1
-    monkeypatch.setattr(own_files.os, "geteuid", lambda: stranger)
+    monkeypatch.setattr(whole_files.os, "geteuid", lambda: stranger)
     with pytest.raises(PermissionError, match="belongs to another user"):
         own_folder(folder)
     for read in (check_own_files, lambda of: read_own_file(of / "file", at_most=9)):
@@ -266,7 +271,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing(
     def full(*_: object) -> None:
         raise OSError("full")
 
-    monkeypatch.setattr(own_files.os, "replace", full)
+    monkeypatch.setattr(whole_files.os, "replace", full)
     with pytest.raises(OSError, match="full"):
         write_own_file(tmp_path / "file", b"new")
     assert [one.name for one in tmp_path.iterdir()] == ["file"]

@@ -30,8 +30,8 @@ def keep_compiled_programs() -> None:
     """
     import jax
 
-    from jaxlangnav.inputs.own_files import check_own_files, own_folder
     from jaxlangnav.inputs.program_cache import set_cache_dir
+    from jaxlangnav.inputs.whole_files import check_own_files, own_folder
 
     if not getattr(jax.config, "jax_enable_compilation_cache", True):
         return

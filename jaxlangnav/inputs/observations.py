@@ -9,7 +9,7 @@ import difflib
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,16 +27,6 @@ from jaxlangnav.inputs.sanitize import quoted
 
 SLOTS = (8, 16, 32, 64)
 """Sizes to which detections are padded: each has a compiled program of its own."""
-
-
-class _Detected(NamedTuple):
-    """Detections in padded arrays on the host, by the names of the fields of ``Observation``."""
-
-    detection_type: np.ndarray  # i32[D] type index; −1 in empty slots
-    detection_range: np.ndarray  # f32[D] metres
-    detection_bearing: np.ndarray  # f32[D] radians, robot frame
-    is_detection: np.ndarray  # bool[D]
-    detection_attribute: np.ndarray  # i32[D] codes of ``attributes``; 0 where nothing is known
 
 
 def _type_index(name: Any, types: Sequence[str], what: str) -> int:
@@ -115,7 +105,7 @@ def detected(
     detections: Iterable[Sequence[Any]],
     sensor: Sequence[np.float32],
     types: Sequence[str],
-) -> _Detected:
+) -> dict[str, np.ndarray]:
     """Hold detections against their sensor, and pad them.
 
     Args:
@@ -126,7 +116,8 @@ def detected(
         types: names of object types; a type index is an index into them.
 
     Returns:
-        Arrays of 8, 16, 32 or 64 slots.
+        Arrays of 8, 16, 32 or 64 slots on the host, by the fields of ``Observation``; the type is
+        −1 in empty ones.
 
     Raises:
         ValueError: names the detection, the value, the limit and the remedy.
@@ -138,21 +129,20 @@ def detected(
             f"detections is {quoted(detections)}, but must be a list of (type, range, bearing)"
         )
     slots = padded(len(rows))
-    found = _Detected(
-        np.full(slots, -1, np.int32),
-        np.zeros(slots, np.float32),
-        np.zeros(slots, np.float32),
-        np.arange(slots) < len(rows),
-        np.zeros(slots, np.int32),
-    )
+    table = np.tile([-1.0, 0.0, 0.0, 0.0], (slots, 1))
     for slot, row in enumerate(rows):
         what = f"detection {slot + 1}"
         kind, metres, bearing, looks = _entries(row, what)
-        found.detection_type[slot] = _type_index(kind, types, what)
+        index = _type_index(kind, types, what)
         polar = _polar(metres, bearing, range_max, field_of_view, noise, what)
-        found.detection_range[slot], found.detection_bearing[slot] = polar
-        found.detection_attribute[slot] = _attribute_code(looks, what)
-    return found
+        table[slot] = index, *polar, _attribute_code(looks, what)
+    return {
+        "detection_type": table[:, 0].astype(np.int32),
+        "detection_range": table[:, 1].astype(np.float32),
+        "detection_bearing": table[:, 2].astype(np.float32),
+        "is_detection": np.arange(slots) < len(rows),
+        "detection_attribute": table[:, 3].astype(np.int32),
+    }
 
 
 def _entries(row: Any, what: str) -> list[Any]:

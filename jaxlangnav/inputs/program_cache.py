@@ -6,7 +6,7 @@ follows from: the source of this package, the versions below it, this machine, a
 static values of a call.
 
 What is loaded runs as the user. So the folder must be the user's own and closed to others, the
-files too (``own_files`` guards against people), and each file's digest must be right
+files too (``whole_files`` guards against people), and each file's digest must be right
 (``program_serialization`` guards against accidents; some damage would end the process).
 Whatever does not pass is said once and compiled as if nothing had been kept.
 
@@ -29,8 +29,8 @@ import jax
 import jax.core
 import jaxlib.version
 
-from jaxlangnav.inputs.own_files import own_folder, read_own_file, write_own_file
 from jaxlangnav.inputs.program_serialization import Call, compile_program, load_program
+from jaxlangnav.inputs.whole_files import own_folder, read_own_file, write_own_file
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -94,7 +94,8 @@ def cached_jit(
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         jitted = jax.jit(function, static_argnames=static_argnames)
         whole: Callable[..., R] = function
-        programs: dict[str, _Program] = {}
+        programs: dict[str, Call] = {}
+        lock = threading.Lock()
 
         @functools.wraps(jitted)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -112,26 +113,16 @@ def cached_jit(
                 args, kwargs = jax.tree.unflatten(tree, leaves)
                 return whole(*args, **kwargs, **static)
 
-            return programs.setdefault(name, _Program()).run(folder / name, flat, leaves)
+            if name not in programs:
+                with lock:  # threads that ask for it at the same time wait for one of them
+                    if name not in programs:
+                        path = folder / name
+                        programs[name] = _load(path, leaves) or _compile(path, flat, leaves)
+            return programs[name](leaves)
 
         return call
 
     return decorate
-
-
-class _Program:
-    """One compiled program; threads that ask for it at the same time wait for one of them."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._call: Call | None = None
-
-    def run(self, path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Any:
-        """Run it; load or compile it first if nobody has."""
-        with self._lock:
-            if self._call is None:
-                self._call = _load(path, leaves) or _compile(path, flat, leaves)
-        return self._call(leaves)
 
 
 def cache_dir() -> Path | None:

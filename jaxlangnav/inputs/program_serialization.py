@@ -6,7 +6,7 @@
 
 Nothing is parsed, let alone handed to XLA, before the digest is right: XLA ends the process on some
 bytes and runs others. The digest guards against accidents. It is no signature: who can write the
-file can make it right, so it must come from nobody but the user (``own_files``).
+file can make it right, so it must come from nobody but the user (``whole_files``).
 
 JAX's own ``serialize_executable`` wraps the same machine code in a pickle.
 """

@@ -11,7 +11,6 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 
-from jaxlangnav.language.check import refuse_guesses
 from jaxlangnav.language.grammar import (
     COMMA,
     FULLSTOP,
@@ -27,7 +26,14 @@ from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reader.proposals import propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
-from jaxlangnav.language.refusal import NOUN, Token, explain, is_contrary, offer
+from jaxlangnav.language.refusal import (
+    NOUN,
+    Token,
+    explain,
+    is_contrary,
+    offer,
+    refuse_guesses,
+)
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import (
     COMMA_MARK,

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
-from jaxlangnav.language.phrase import LanguageError
+from jaxlangnav.language.phrase import LanguageError, Phrase, Word
+from jaxlangnav.language.reference import is_thing
 from jaxlangnav.language.tokens import MARKS, SpokenToken
 
 NOUN = "?noun"
@@ -61,15 +63,15 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
             after = next((t.text for t in tokens if t.position == token.position + 1), "")
             if refused.get(after) == REASONS["a distance"]:  # "two metres"
                 reason = refused[after]
-            return _refusal(token, reason)
+            return _refusal([token], reason)
     later = [t for t in tokens[index + 1 : index + 3] if _is_unknown(t)]
     if stuck is not None and later:
-        return _refusal(later[0], UNKNOWN_HERE)
+        return _refusal(later[:1], UNKNOWN_HERE)
     if stuck is None:
         where = f"'{read[-1].text[:30]}' (word {read[-1].position})"
         line = f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'"
         return LanguageError(line, position=read[-1].position)
-    return _refusal(stuck, _NO_PLACE)
+    return _refusal([stuck], _NO_PLACE)
 
 
 def is_contrary(text: str) -> bool:
@@ -77,8 +79,9 @@ def is_contrary(text: str) -> bool:
     return text == "but" or not text[:1].isalnum() or load_lexicon().refused.get(text) in _STRONG
 
 
-def _refusal(token: Token, reason: str) -> LanguageError:
-    return LanguageError.at(token.text[:30], token.position, reason)
+def _refusal(words: Sequence[Token | Word], reason: str) -> LanguageError:
+    text = " ".join(word.text[:30] for word in words)
+    return LanguageError.at(text, words[0].position, reason)
 
 
 def _refused_expression(tokens: list[Token], last: int) -> LanguageError | None:
@@ -188,3 +191,127 @@ def _trimmed(tokens: list[SpokenToken]) -> list[SpokenToken]:
     while last > first and tokens[last - 1].text in _JOINTS | _LOOSE:
         last -= 1
     return tokens[first:last]
+
+
+# -------------------------------------------------- readings that the grammar allows: guesses
+# A wrong reading is worse than a refusal (issue 3): a noun compound with a type inside that is no
+# known compound ("car park"), "go by the cone" (past it, or near it?), a fragment or an unknown
+# verb with nothing known to hold on to.
+
+
+_OF_WHAT = "of what kind? name the object"
+
+
+def _check_compound(phrase: Phrase) -> None:
+    """Refuse a noun phrase whose modifying noun is an object type of its own."""
+    nouns = [word for word in phrase.words if word.tag.startswith("NN")]
+    if phrase.says("foreign"):
+        raise _refusal(nouns, "is no object I know; name another")
+    for word, following in pairwise(nouns):
+        if word.type_sense:
+            raise _refusal([word, following], "names no one object; name one")
+
+
+def _check_verb(clause: Phrase, guessed: set[int]) -> None:
+    """Refuse a command in which neither verb nor object is known."""
+    verbs = [word for word in clause.words if word.tag.startswith("VB") and not word.senses]
+    has_action = any(s.startswith(("action", "constraint")) for w in clause.words for s in w.senses)
+    said = clause.all_words()
+    is_known = any(word.type_sense and word.position not in guessed for word in said)
+    if has_action or is_known or any({"anaphor", "place"} & set(w.senses) for w in said):
+        return
+    words = [one for one in (*verbs, *said) if one.position in guessed] or verbs or said
+    reason = "neither a verb nor an object that I know; say for example 'go to the cone'"
+    raise _refusal(words[:1], reason)
+
+
+def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
+    """Refuse a guess that rests on a guess: an unknown verb says nothing of its object.
+
+    "Smash the box" is not "go to the box"; only "to" makes a verb of motion. An unknown verb
+    before an unknown adjective, or three unknown words on one noun, is another language.
+    """
+    # What a rule has put in stands where another word stood, and is known by its senses.
+    guesses = [w for w in clause.words if w.position in unknown and not w.senses]
+    verbs = [w for w in guesses if w.tag.startswith("VB")]
+    is_motion = any(w.text in ("to", "toward", "towards") for c in clause.children for w in c.words)
+    for phrase in clause.walk():
+        guessed = [w for w in phrase.words if w.position in unknown and phrase is not clause]
+        if len(guessed) > 2 or (verbs and guessed):
+            raise _refusal((verbs or guessed)[:1], "one of too many unknown words")
+    if verbs and not is_motion:
+        raise _refusal(verbs[:1], "a verb I do not know; say for example 'go to the cone'")
+
+
+def _check_one(phrase: Phrase) -> None:
+    """Refuse "the nearest one" and "the red one" where nothing says one of what.
+
+    "The one nearest to the cone" is of any kind.
+    """
+    leaf, *others = phrase.children if phrase.label == "NP" else (phrase.children[0],)
+    if leaf.label != "NP" or leaf.children:
+        return
+    is_known = leaf.says("other") or any(word.type_sense for word in leaf.words)
+    words = [word for other in others for word in other.all_words()]
+    is_ranked = any("superlative" in word.senses for word in words)
+    is_told = bool(others) and (not is_ranked or any(word.type_sense for word in words))
+    if leaf.says("anaphor") and not is_known and not is_told:
+        raise _refusal(leaf.words[-1:], _OF_WHAT)
+
+
+def _check_landmark(phrase: Phrase) -> None:
+    """Refuse "the hydrant behind the thing on your left": a landmark has a type."""
+    figure, *others = phrase.children
+    if phrase.label != "NP" or is_thing(figure):
+        return
+    for one in (inner for other in others for inner in other.walk()):
+        if one.label == "NP" and one.children and is_thing(one.children[0]):
+            raise _refusal(one.children[0].words[-1:], _OF_WHAT)
+
+
+def _check_between(phrase: Phrase) -> None:
+    """Refuse "between" with one landmark, and what is said to lie between twice over."""
+    parts = [one for child in phrase.children[1:] for one in (child, *child.children)]
+    told = [one for one in parts if one.says("between")]
+    if len(told) > 1:
+        raise _refusal(_head(told[1]), "said of one thing twice; say one of them")
+    nouns = [word for word in phrase.children[0].all_words() if word.tag.startswith("NN")]
+    if phrase.says("between") and len(phrase.children) == 1 and nouns[0].tag != "NNS":
+        raise _refusal(_head(phrase), "between that and what? name both")
+
+
+def _head(phrase: Phrase) -> list[Word]:
+    """Find the words that carry the senses of a phrase."""
+    return [word for word in phrase.words if word.senses]
+
+
+def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
+    """Refuse what would be a guess.
+
+    Args:
+        clauses: roots of the trees, in order.
+        unknown: positions of words that the lexicon does not know.
+
+    Raises:
+        LanguageError: one line naming the words.
+    """
+    for first in (clause.words[0] for clause in clauses[1:] if clause.words):
+        # No connective stands before it.
+        if first.tag == "VB" and first.position in unknown:
+            reason = "unknown word; it may be a verb or a mistyped relation: say it in other words"
+            raise _refusal([first], reason)
+    for clause in clauses:
+        for phrase in clause.walk():
+            if phrase.label == "NP":
+                _check_compound(phrase)
+            if phrase.children:
+                _check_one(phrase)
+                _check_landmark(phrase)
+                _check_between(phrase)
+        _check_unknown(clause, unknown)
+        if clause.label == "VP":
+            _check_verb(clause, unknown if clause is clauses[0] else set())
+            modes = {s: word for word in clause.words for s in word.senses if s.startswith("mode:")}
+            if len(modes) > 1:
+                reason = "contradicts the manner asked for before; say one of them"
+                raise _refusal(list(modes.values())[1:2], reason)
