@@ -88,40 +88,27 @@ def read_shipped(floor: str, name: str) -> str:
 
 def _parse(loads: Callable[[str], Any], text: str, kind: str) -> Any:
     """Read a document and check its depth and numbers."""
+    too_deep = f"is nested more than {DEEPEST} deep: use fewer tables inside tables"
     try:
         document = loads(text)
     except RecursionError:
-        raise _too_deep() from None
+        raise DocumentError(too_deep) from None
     except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
         raise DocumentError(f"is no valid {kind}: {cut(str(error), _MESSAGE)}") from None
     except ValueError:
         # Python's own limit on the digits of a whole number, or a date that is none.
-        raise DocumentError(
-            f"is no valid {kind}: a number of too many digits, or no such date"
-        ) from None
-    _check(document)
-    return document
-
-
-def _check(document: Any) -> None:
-    """Refuse what is too deep or too large; level by level, so that depth costs no stack."""
+        why = "a number of too many digits, or no such date"
+        raise DocumentError(f"is no valid {kind}: {why}") from None
     level, depth = [document], 0
-    while level:
+    while level:  # level by level, so that depth costs no stack
         if depth > DEEPEST:
-            raise _too_deep()
+            raise DocumentError(too_deep)
         below: list[Any] = []
         for value in level:
-            if isinstance(value, dict):
-                below += value.values()
-            elif isinstance(value, list):
-                below += value
+            if isinstance(value, dict | list):
+                below += value.values() if isinstance(value, dict) else value
             elif isinstance(value, int) and value.bit_length() > _BITS:
-                raise DocumentError(
-                    f"holds a whole number of {value.bit_length()} bits: use at most {_BITS}"
-                )
+                bits = f"{value.bit_length()} bits: use at most {_BITS}"
+                raise DocumentError(f"holds a whole number of {bits}")
         level, depth = below, depth + 1
-
-
-def _too_deep() -> DocumentError:
-    """Build the error for a document that nests too deep."""
-    return DocumentError(f"is nested more than {DEEPEST} deep: use fewer tables inside tables")
+    return document

@@ -57,14 +57,9 @@ def number(value: Any, what: str) -> float:
 
 
 def bounded(value: Any, low: float, high: float, what: str, remedy: str) -> float:
-    """Read a number between two bounds.
+    """Read a number, or an array of one, between two bounds.
 
-    Args:
-        value: a number, or an array of one.
-        low: the least that it may be.
-        high: the most.
-        what: what it is, for the refusal.
-        remedy: what to do, for the refusal.
+    ``what`` it is and the ``remedy`` are for the refusal.
 
     Raises:
         ValueError: it is none, or out of the bounds; one line.
@@ -97,14 +92,7 @@ class Quantity:
     """Whether ``low`` itself is refused."""
 
     def read(self, value: Any, name: str) -> float:
-        """Read a value.
-
-        Args:
-            value: a number, or a text with a unit.
-            name: of the key, for messages.
-
-        Returns:
-            The value in the key's own unit.
+        """Read a number, or a text with a unit, in the key's own unit; ``name`` is the key's.
 
         Raises:
             ValueError: no number, a unit of another kind, or out of limits; one line.
@@ -130,8 +118,8 @@ class Quantity:
             try:
                 return float(value)
             except OverflowError:
-                fault = f"{name} is {shown(value)}, but must be {self._limits()}"
-                raise ValueError(fault) from None
+                line = f"{name} is {shown(value)}, but must be {self._limits()}"
+                raise ValueError(line) from None
         match = _TEXT.match(value) if isinstance(value, str) else None
         if match is None:
             raise ValueError(

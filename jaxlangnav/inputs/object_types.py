@@ -53,13 +53,10 @@ def group_of(word: str) -> str | None:
 
 
 def attributes(*words: str) -> int:
-    """Build the code of attributes, for ``Observation.detection_attribute``.
+    """Build the code of attributes, for ``Observation.detection_attribute``; 0 of none.
 
     Args:
         *words: values of ``ATTRIBUTES``, at most one of each group.
-
-    Returns:
-        The code; 0 where nothing is known.
 
     Raises:
         ValueError: a word is no attribute, or two are of one group.
@@ -121,14 +118,8 @@ def fits(thing: Any, kind: Any) -> Any:
     """Tell whether a thing may be of a kind: the same label, and no attribute speaks against it.
 
     Limits: without attributes on one side it is equality of labels; what is not known of a thing
-    does not speak against it; of ``ANYTHING`` the attributes alone count.
-
-    Args:
-        thing: i32[...], kinds of things seen or supposed.
-        kind: i32[...], kinds that are asked for.
-
-    Returns:
-        bool[...].
+    does not speak against it; of ``ANYTHING`` the attributes alone count. Kinds i32[...] of things
+    and of what is asked for give bool[...].
     """
     other = thing ^ kind
     # Negative kinds differ from the others in the sign, and from each other in the low bits.
@@ -137,22 +128,15 @@ def fits(thing: Any, kind: Any) -> Any:
 
 
 def _told(kind: Any) -> Any:
-    """Mark the groups of attributes that a kind has a value of: the top bit of each, no other.
-
-    Adding all lower bits of a group to them carries into its top bit unless they are all 0.
-    """
+    """Mark the groups of attributes that a kind has a value of: the top bit of each, no other."""
+    # Adding all lower bits of a group to them carries into its top bit unless they are all 0.
     return (((kind & _LOWER) + _LOWER) | kind) & _TOPS
 
 
 def joined(known: Any, seen: Any) -> Any:
     """Add what one more look shows to what is known of a thing: the last word counts.
 
-    Args:
-        known: i32[...], kind of a thing.
-        seen: i32[...], kind of a detection of it, of the same label.
-
-    Returns:
-        i32[...], the kind with the groups of attributes that were seen.
+    ``known``, i32[...], is its kind, ``seen`` that of a detection of it, of the same label.
     """
     for mask in _MASKS:
         own = seen & mask

@@ -209,6 +209,9 @@ def sensor_numbers(
     return tuple(map(np.float32, (reach, view, seen, errs, false, wrong)))
 
 
+_NEAR = "give metres from the map's origin"
+
+
 def _listed(values: Any, most: int) -> list[Any] | None:
     """Read a list as far as it may go, for it may have no end; None of what is no list."""
     try:
@@ -227,44 +230,28 @@ def _parts(values: Any, number_of: int, what: str, remedy: str) -> list[Any]:
 
 
 def pose_numbers(pose: Sequence[Any]) -> np.ndarray:
-    """Hold a pose against what it can be.
-
-    Args:
-        pose: x, y, heading, metres and radians, map frame.
-
-    Returns:
-        f32[3].
+    """Hold a pose (x, y, heading), metres and radians, map frame, against what it can be: f32[3].
 
     Raises:
         ValueError: not three finite numbers, far from the map's origin, or a heading that looks
             like degrees.
     """
     x, y, turned = _parts(pose, 3, "pose", "(x, y, heading), in metres and radians")
-    near = "give metres from the map's origin"
-    x = bounded(x, -FARTHEST, FARTHEST, "pose's x", near)
-    y = bounded(y, -FARTHEST, FARTHEST, "pose's y", near)
+    x = bounded(x, -FARTHEST, FARTHEST, "pose's x", _NEAR)
+    y = bounded(y, -FARTHEST, FARTHEST, "pose's y", _NEAR)
     wrap = "give radians, wrapped to one turn (degrees? use math.radians)"
     heading = bounded(turned, -TURNS, TURNS, "pose's heading", wrap)
     return np.array([x, y, heading], np.float32)
 
 
 def area_numbers(area: Sequence[Any]) -> np.ndarray:
-    """Read the bounds of an operating area, each for itself.
-
-    Args:
-        area: x_min, x_max, y_min, y_max, metres, map frame.
-
-    Returns:
-        f32[4].
+    """Read an operating area, x_min, x_max, y_min, y_max, metres, map frame: f32[4].
 
     Raises:
         ValueError: not four finite numbers, or far from the map's origin.
     """
     names = ("x_min", "x_max", "y_min", "y_max")
     parts = _parts(area, 4, "area", f"({', '.join(names)}), in metres")
-    near = "give metres from the map's origin"
-    bounds = [
-        bounded(one, -FARTHEST, FARTHEST, f"area's {name}", near)
-        for name, one in zip(names, parts, strict=True)
-    ]
+    named = zip(names, parts, strict=True)
+    bounds = [bounded(one, -FARTHEST, FARTHEST, f"area's {name}", _NEAR) for name, one in named]
     return np.array(bounds, np.float32)

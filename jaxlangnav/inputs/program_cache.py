@@ -133,11 +133,8 @@ def cache_dir() -> Path | None:
 
 
 def _is_ours(value: object) -> bool:
-    """Tell whether a static value is plain or of this package.
-
-    What it does is then told by its ``repr`` and the source of this package. Of somebody's own
-    policy neither tells: its code may have changed since its program was kept.
-    """
+    """Tell whether a static value is plain or of this package, and so told by its ``repr``."""
+    # Of somebody's own policy it does not tell: its code may have changed meanwhile.
     if isinstance(value, tuple):
         return all(map(_is_ours, value))
     if value is None or isinstance(value, str | int | float):

@@ -50,7 +50,9 @@ def compile_program(
 
     def listed(*values: Any) -> list[Any]:
         found, tree = jax.tree.flatten(strong(flat(*values)))
-        shapes.append((tree, [_kind(leaf) for leaf in found]))
+        # Empty for numbers, for a key its generator, which has a name.
+        kinds = [jax.random.key_impl(leaf) if _is_key(leaf) else "" for leaf in found]
+        shapes.append((tree, kinds))
         return found
 
     # A program in a file takes every argument, used or not.
@@ -104,15 +106,13 @@ def load_program(content: bytes, *, name: str) -> Call:
 
 def _plain(value: Any) -> jax.Array:
     """Turn an argument into what XLA takes: an array on the device, a key as its numbers."""
-    if jnp.issubdtype(jax.typeof(value).dtype, jax.dtypes.prng_key):
+    if _is_key(value):
         return jax.random.key_data(value)
     return value if isinstance(value, jax.Array) else jax.device_put(value)
 
 
-def _kind(leaf: jax.Array) -> Hashable:
-    """Tell a leaf of a result: empty for numbers, for a key its generator, which has a name."""
-    is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-    return jax.random.key_impl(leaf) if is_key else ""
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(jax.typeof(leaf).dtype, jax.dtypes.prng_key)
 
 
 def _describe(node: Any) -> Any:
@@ -147,11 +147,8 @@ def _build(node: Any, arrays: Iterator[jax.Array]) -> Any:
 
 @contextlib.contextmanager
 def _outside_of_the_cache() -> Iterator[None]:
-    """Have JAX's own cache take nothing of what is compiled inside.
-
-    A CPU program that JAX has loaded from its cache is written without its functions (JAX 0.10),
-    so programs to be kept must never be found there.
-    """
+    """Have JAX's own cache take nothing of what is compiled inside."""
+    # A CPU program that JAX has loaded from its cache is written without its functions (JAX 0.10).
     global _num_outside, _least_seconds
     name = "jax_persistent_cache_min_compile_time_secs"
     with _outside:

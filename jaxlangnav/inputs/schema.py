@@ -54,12 +54,9 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def convert(document: Any, schema: type[_T], *, where: str = "") -> _T:
-    """Read a document by its schema.
+    """Read a document of JSON's or TOML's types by its schema.
 
-    Args:
-        document: of JSON's or TOML's types.
-        schema: what it must be.
-        where: the keys that lead to it, such as "sensor"; empty for a whole file.
+    ``where`` are the keys that lead to it, such as "sensor"; empty for a whole file.
 
     Raises:
         ValueError: the first part that does not fit; one line.

@@ -42,17 +42,9 @@ _OPEN_FLAGS = (
 
 
 def read_file(path: str | Path, *, at_most: int) -> bytes:
-    """Read a regular file whole; links are followed.
+    """Read a regular file of ``at_most`` bytes whole; links are followed.
 
-    Limits: a file of exactly ``at_most`` bytes is read; neither time nor memory grows with one
-    that is larger, whatever size it claims.
-
-    Args:
-        path: of the file.
-        at_most: bytes, the limit.
-
-    Returns:
-        Its bytes.
+    Neither time nor memory grows with a larger one, whatever size it claims.
 
     Raises:
         ValueError: it is no regular file, or has more bytes; the message begins with the path.
@@ -91,14 +83,10 @@ _CANNOT_SYNC = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.EACCES)
 
 @contextlib.contextmanager
 def replacing(path: Path, *, is_private: bool = False) -> Iterator[Path]:
-    """Write a file beside its place and move it there at the end.
+    """Write a file beside its place and move it there at the end; folders are made.
 
-    Args:
-        path: where the file is to stand; folders are made.
-        is_private: nobody else may read it, whatever the umask (0600).
-
-    Yields:
-        The temporary path to write to, with the ending of ``path``; removed if writing fails.
+    Yields the temporary path to write to, with the ending of ``path``; removed if writing fails.
+    If ``is_private`` nobody else may read it, whatever the umask (0600).
 
     Raises:
         OSError: the disk is full, or the folder cannot be written to.
@@ -188,13 +176,7 @@ def own_folder(path: Path) -> Path:
 
     Every folder above must belong to this user or to root and be writable by nobody else, but for
     those in which one may rename only what one owns (sticky, as ``/tmp`` is). Folders that are
-    missing are made, 0700 whatever the umask.
-
-    Args:
-        path: of the folder.
-
-    Returns:
-        Its real path, free of links.
+    missing are made, 0700 whatever the umask. Returns the real path, free of links.
 
     Raises:
         OSError: it cannot be made, or does not pass; the message says which folder, why and what
@@ -218,10 +200,9 @@ def own_folder(path: Path) -> Path:
 
 
 def check_own_files(folder: Path) -> None:
-    """Refuse a folder in which a file is another user's, however it came there.
+    """Refuse a folder that ``own_folder`` has passed in which a file is another user's.
 
-    ``own_folder`` has passed it, so nobody else can enter. Whoever made the files may have let
-    others write them, as many do with those of their group.
+    Whoever made the files may have let others write them, as many do with those of their group.
 
     Raises:
         OSError: a file belongs to another user; the message says which.
