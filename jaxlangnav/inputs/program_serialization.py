@@ -51,7 +51,9 @@ def compile_program(
     def listed(*values: Any) -> list[Any]:
         found, tree = jax.tree.flatten(strong(flat(*values)))
         # Empty for numbers, for a key its generator, which has a name.
-        kinds = [jax.random.key_impl(leaf) if _is_key(leaf) else "" for leaf in found]
+        kinds: list[Hashable] = [
+            jax.random.key_impl(leaf) if _is_key(leaf) else "" for leaf in found
+        ]
         shapes.append((tree, kinds))
         return found
 

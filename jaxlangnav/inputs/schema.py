@@ -80,7 +80,7 @@ def _explain(complaint: str, value: Any, kind: inspect.Type, where: str) -> str:
     for name, index in _PART.findall(path):
         value = value[name or int(index)]
         if isinstance(kind, inspect.StructType):
-            below = next(one.type for one in kind.fields if one.name == name)
+            below = next(one.type for one in kind.fields if one.encode_name == name)
         else:
             below = kind.item_type if isinstance(kind, inspect.ListType) else inspect.AnyType()
         kind = _meant(below, value)
@@ -90,7 +90,7 @@ def _explain(complaint: str, value: Any, kind: inspect.Type, where: str) -> str:
     if start == "Object missing required":
         return f"{inside}{rest[:-1]} is missing: add it"
     if start == "Object contains unknown" and isinstance(kind, inspect.StructType):
-        return f"{inside}{unknown_key(rest[:-1], (one.name for one in kind.fields))}"
+        return f"{inside}{unknown_key(rest[:-1], (one.encode_name for one in kind.fields))}"
     if not problem.startswith(("Expected", "Invalid enum", "Number out")):
         return inside + problem  # of a ``__post_init__``
     if isinstance(kind, inspect.LiteralType):

@@ -91,16 +91,14 @@ def _words(noun: str) -> list[str]:
 
 def _fillable(ways: Rules) -> Rules:
     """Leave out what cannot be filled with words."""
-    before: Rules = {}
-    while before != ways:
-        before, ways = (
-            ways,
-            {
-                left: [r for r in rights if all(part[0] == '"' or ways.get(part) for part in r)]
-                for left, rights in ways.items()
-            },
-        )
-    return {left: rights for left, rights in ways.items() if rights}
+    while True:
+        kept = {
+            left: [r for r in rights if all(part[0] == '"' or ways.get(part) for part in r)]
+            for left, rights in ways.items()
+        }
+        if kept == ways:
+            return {left: rights for left, rights in ways.items() if rights}
+        ways = kept
 
 
 def _reached(ways: Rules) -> Rules:

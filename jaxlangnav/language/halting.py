@@ -157,16 +157,15 @@ def _urgencies(words: list[str]) -> tuple[int, ...] | None:
     """
     wordings, longest = _wordings()
     words = [_repaired(word) for word in words]
-    best: list[tuple[int, ...] | None] = [()] + [None] * len(words)
+    best: dict[int, tuple[int, ...]] = {0: ()}
     for end in range(1, len(words) + 1):
         for start in range(max(0, end - longest), end):
-            told, before = wordings.get(tuple(words[start:end])), best[start]
-            if told is not None and before is not None:
-                ways = best[end], tuple(sorted({*before, *told}))
+            told = wordings.get(tuple(words[start:end]))
+            if told is not None and start in best:
+                way = tuple(sorted({*best[start], *told}))
                 # Mere politeness comes last.
-                known = (way for way in ways if way is not None)
-                best[end] = min(known, key=lambda way: way or (len(_URGENCY),))
-    return best[-1]
+                best[end] = min(best.get(end, way), way, key=lambda one: one or (len(_URGENCY),))
+    return best.get(len(words))
 
 
 def _repaired(word: str) -> str:

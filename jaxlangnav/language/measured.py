@@ -138,9 +138,10 @@ def take_out(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[Pla
         LanguageError: a turn or a distance from where the robot will stand later, or of what
             cannot be measured.
     """
-    left, held = _hold(list(tokens))
-    said: list[PlacedMeasure] = []
-    left = _own_motions(_from_things(left, held, said), held, said)
+    left = list(tokens)
+    held = _hold(left)
+    said = _from_things(left, held)
+    left = _own_motions(left, held, said)
     if late := next((token for token in left if _HELD.fullmatch(token.text)), None):
         raise _stuck([late], held, REASONS["a distance"])
     return left, said
@@ -152,7 +153,7 @@ def _stuck(tokens: Sequence[SpokenToken], held: Sequence[_Held], reason: str) ->
     return LanguageError.at(words, tokens[0].position, reason)
 
 
-def _hold(tokens: list[SpokenToken]) -> tuple[list[SpokenToken], list[_Held]]:
+def _hold(tokens: list[SpokenToken]) -> list[_Held]:
     """Put one token in the place of each distance."""
     held: list[_Held] = []
     while (match := _words().distance.search(text := _text(tokens))) is not None:
@@ -167,13 +168,12 @@ def _hold(tokens: list[SpokenToken]) -> tuple[list[SpokenToken], list[_Held]]:
             raise LanguageError.at(match[0], tokens[first].position, reason)
         tokens[first:last] = [replace(tokens[first], text=f"#{len(held)}")]
         held.append(_Held(metres, match[0]))
-    return tokens, held
+    return held
 
 
-def _from_things(
-    tokens: list[SpokenToken], held: list[_Held], said: list[PlacedMeasure]
-) -> list[SpokenToken]:
+def _from_things(tokens: list[SpokenToken], held: list[_Held]) -> list[PlacedMeasure]:
     """Take out distances from things: "10 feet past the cone"."""
+    said: list[PlacedMeasure] = []
     while (match := _words().places.search(text := _text(tokens))) is not None:
         first, last = _span(text, match)
         after = tokens[last].text if last < len(tokens) else ""
@@ -183,7 +183,7 @@ def _from_things(
         one = held[int(match[1])]
         said.append(PlacedMeasure(Measure(metres=one.metres), tokens[place].position, one.words))
         tokens[first:last] = _placed(_words().instead[match[2]], tokens[place:last])
-    return tokens
+    return said
 
 
 def _placed(words: str, over: Sequence[SpokenToken]) -> list[SpokenToken]:

@@ -30,20 +30,6 @@ class Body(Protocol):
         ...
 
 
-@pytree
-class Holonomic:
-    """Goes anywhere from where it stands, and looks where it goes."""
-
-    def move(
-        self, key: Array, state: WorldState, action: Action, motion: MotionParams
-    ) -> WorldState:
-        """Carry out one decision cycle's step, see ``carry_out``."""
-        return carry_out(key, state, action, motion)
-
-
-HOLONOMIC = Holonomic()
-
-
 def _wrapped(angle: Array) -> Array:
     return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
 
@@ -74,6 +60,16 @@ def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParam
     way = jnp.minimum(asked, limit)
     heading = jnp.where(way > 0.0, jnp.arctan2(step[1], step[0]), state.odometry[2])
     return _driven(key, state, step, way, heading, motion)
+
+
+@pytree
+class Holonomic:
+    """Goes anywhere from where it stands, and looks where it goes: see ``carry_out``."""
+
+    move = staticmethod(carry_out)
+
+
+HOLONOMIC = Holonomic()
 
 
 def _driven(

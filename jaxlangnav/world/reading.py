@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -101,25 +102,17 @@ class _Object(Schema, omit_defaults=True, kw_only=True):
 
 
 class _Sensor(Schema):
-    range: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] = 3.0
+    range_max: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] = field(default=3.0, name="range")
     field_of_view: Annotated[float, Meta(ge=0.1, le=360.0)] = 360.0
     detection_probability: Annotated[float, Meta(ge=SMALLEST, le=1.0)] = 0.95
     noise: Annotated[float, Meta(ge=0.0)] | None = None
 
     def __post_init__(self) -> None:
-        if self.noise is not None and self.noise > self.range:
-            most = f"at most {self.range:g}, the range"
+        if self.noise is None:
+            self.noise = min(0.1, self.range_max)
+        if self.noise > self.range_max:
+            most = f"at most {self.range_max:g}, the range"
             raise ValueError(f"noise is {shown(self.noise)}, but must be {most}")
-
-    def to_params(self) -> SensorParams:
-        """Convert degrees, and numbers to arrays."""
-        noise = min(0.1, self.range) if self.noise is None else self.noise
-        return SensorParams(
-            range_max=jnp.float32(self.range),
-            field_of_view=jnp.float32(math.radians(self.field_of_view)),
-            detection_probability=jnp.float32(self.detection_probability),
-            noise=jnp.float32(noise),
-        )
 
 
 class _Motion(Schema):
@@ -129,12 +122,24 @@ class _Motion(Schema):
     heading_noise: _Drift = 0.0
     turn_noise: _Drift = 0.0
 
-    def to_params(self) -> MotionParams:
-        """Convert degrees, and numbers to arrays."""
-        numbers = structs.asdict(self) | {
-            name: math.radians(getattr(self, name)) for name in DRIFTS
-        }
-        return MotionParams(**{name: jnp.float32(value) for name, value in numbers.items()})
+
+_IN_DEGREES = ("field_of_view", *DRIFTS)
+
+
+def _to_arrays(part: _Sensor | _Motion) -> dict[str, Array]:
+    """Convert degrees, and numbers to arrays."""
+    return {
+        name: jnp.float32(math.radians(value) if name in _IN_DEGREES else value)
+        for name, value in structs.asdict(part).items()
+    }
+
+
+def _to_numbers(record: SensorParams | MotionParams, names: Iterable[str]) -> dict[str, float]:
+    """Write arrays as the shortest numbers that are read back the same."""
+    return {
+        name: (_degrees if name in _IN_DEGREES else _decimal)(getattr(record, name))
+        for name in names
+    }
 
 
 class _World(Schema, omit_defaults=True, kw_only=True):
@@ -223,8 +228,8 @@ def _to_world(world: _World, stem: str, num_slots: int | None) -> WorldFile:
             start=np.array([start.x, start.y, math.radians(start.heading)], np.float32),
             object_attribute=np.array(codes, np.int32) if any(codes) else None,
         ),
-        sensor=world.sensor.to_params(),
-        motion=world.motion.to_params(),
+        sensor=SensorParams(**_to_arrays(world.sensor)),
+        motion=MotionParams(**_to_arrays(world.motion)),
         has_goal=world.goal is not None,
         object_names=(*names, *[""] * (num_slots - number)),
         type_names=tuple(type_names),
@@ -266,7 +271,7 @@ def _goal(world: _World, start: _Start, names: list[str]) -> tuple[tuple[float, 
 
 def world_to_dict(world: WorldFile) -> dict[str, Any]:
     """Turn a world into tables that ``world_from_dict`` reads back to the same world."""
-    scenario, sensor, motion = world.scenario, world.sensor, world.motion
+    scenario = world.scenario
     names = [*world.object_names, *[""] * scenario.is_object.size]
     goal, goal_index = None, int(scenario.goal_index)
     if goal_index >= 0 and not names[goal_index]:
@@ -288,17 +293,8 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
             heading=_degrees(scenario.start[2]),
         ),
         goal=goal,
-        sensor=_Sensor(
-            range=_decimal(sensor.range_max),
-            field_of_view=_degrees(sensor.field_of_view),
-            detection_probability=_decimal(sensor.detection_probability),
-            noise=_decimal(sensor.noise),
-        ),
-        motion=_Motion(
-            step_length=_decimal(motion.step_length),
-            odometry_noise=_decimal(motion.odometry_noise),
-            **{name: _degrees(getattr(motion, name)) for name in DRIFTS},
-        ),
+        sensor=_Sensor(**_to_numbers(world.sensor, _Sensor.__struct_fields__)),
+        motion=_Motion(**_to_numbers(world.motion, _Motion.__struct_fields__)),
         objects=[
             _Object(
                 type=world.type_names[int(scenario.object_type[slot])],
