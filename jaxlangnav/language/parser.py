@@ -30,7 +30,6 @@ from jaxlangnav.language.refusal import (
     NOUN,
     Token,
     explain,
-    is_contrary,
     offer,
     refuse_guesses,
 )
@@ -303,8 +302,6 @@ def _read(
 
 def _with_nearest(error: LanguageError, reader: _Reader) -> LanguageError:
     """Add to a refusal the nearest sentence that can be read, where there is one."""
-    position, heard = error.position or 0, reader.tokens
-    blamed = next((one.text for one in heard if one.position == position), "")
 
     def can_read(text: str) -> bool:
         try:
@@ -314,6 +311,6 @@ def _with_nearest(error: LanguageError, reader: _Reader) -> LanguageError:
             return False
         return COMMAND in found.kinds and not found.unknown_words
 
-    near = offer(heard, position, is_contrary=is_contrary(blamed), can_read=can_read)
+    near = offer(reader.tokens, error.position or 0, can_read=can_read)
     line = f"{error}; I can read '{near}'"
     return error if near is None or len(line) > _LONGEST_LINE else LanguageError(line)

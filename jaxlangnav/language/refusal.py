@@ -74,11 +74,6 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     return _refusal([stuck], _NO_PLACE)
 
 
-def is_contrary(text: str) -> bool:
-    """Tell whether a word turns round what is said: a negation, a condition, a sign."""
-    return text == "but" or not text[:1].isalnum() or load_lexicon().refused.get(text) in _STRONG
-
-
 def _refusal(words: Sequence[Token | Word], reason: str) -> LanguageError:
     text = " ".join(word.text[:30] for word in words)
     return LanguageError.at(text, words[0].position, reason)
@@ -132,26 +127,20 @@ _LOOSE |= frozenset({"back", "near", "next", "closest", "nearest", "farthest", "
 
 
 def offer(
-    tokens: Sequence[SpokenToken],
-    position: int,
-    *,
-    is_contrary: bool,
-    can_read: Callable[[str], bool],
+    tokens: Sequence[SpokenToken], position: int, *, can_read: Callable[[str], bool]
 ) -> str | None:
     """Find a sentence near to one that is refused; None where there is none.
 
     Args:
         tokens: words and marks of the sentence, as they were said.
         position: of the word that stands in the way.
-        is_contrary: it turns round what is said, as "not" and "if" do: only what stands before
-            it, or apart from it, may be offered.
         can_read: whether a sentence can be read; asked four times at most.
     """
     index = next((i for i, t in enumerate(tokens) if t.position == position), None)
     if index is None:
         return None
     tried: set[str] = set()
-    for left in _candidates(list(tokens), index, is_contrary):
+    for left in _candidates(list(tokens), index):
         text = " ".join(token.text for token in left)
         text = text.replace(" ,", ",").replace(" .", ".").replace(" 's", "'s")
         if not text or text in tried or "it" in (token.text for token in left):
@@ -162,23 +151,23 @@ def offer(
     return None
 
 
-def _candidates(
-    tokens: list[SpokenToken], index: int, is_contrary: bool
-) -> Iterator[list[SpokenToken]]:
+def _candidates(tokens: list[SpokenToken], index: int) -> Iterator[list[SpokenToken]]:
     """List what could be read, the nearest first."""
     before, after = tokens[:index], tokens[index:]
-    if not is_contrary:
+    text = after[0].text
+    last = next((i for i, t in enumerate(after) if t.text in _JOINTS), len(after))
+    # Of what turns round what is said ("not", "if", a sign) only what stands apart is offered.
+    is_contrary = text == "but" or not text[:1].isalnum()
+    if not is_contrary and load_lexicon().refused.get(text) not in _STRONG:
         names = load_lexicon().entries[TYPE_CLASS]
-        named = next((i for i, token in enumerate(after) if (token.text,) in names), None)
-        end = next((i for i, token in enumerate(after) if token.text in _JOINTS), len(after))
-        if named is not None and named < end:
+        named = next((i for i, token in enumerate(after[:last]) if (token.text,) in names), None)
+        if named is not None:
             yield _trimmed(before + after[named + 1 :])
-        other = _OTHERWISE.get(after[0].text, "near")
+        other = _OTHERWISE.get(text, "near")
         if after[1:] and (after[1].text in _ARTICLES) == (other == "near"):
             yield [*before, replace(after[0], text=other), *after[1:]]
     yield _trimmed(before)
     first = max((i + 1 for i, t in enumerate(before) if t.text in _JOINTS), default=0)
-    last = next((i for i, t in enumerate(after) if t.text in _JOINTS), len(after))
     apart = _trimmed(tokens[:first] + after[last + 1 :])
     yield apart if len(apart) > _SHORTEST else []
 

@@ -126,8 +126,8 @@ def _draw_pair(key: Array, law: PlaceLaw) -> tuple[Array, Array, Array]:
     goal = cone + law.side * jnp.stack([gap * jnp.cos(turn), gap * jnp.sin(turn)])
     is_fit = (jnp.hypot(cone[0], cone[1]) > _NEAREST) & (jnp.abs(bearing) <= law.bearing)
     is_fit &= jnp.hypot(goal[0], goal[1]) > _NEAREST
-    low, high = law.area[0::2, None] + BORDER_MARGIN, law.area[1::2, None] - BORDER_MARGIN
-    is_fit &= jnp.all((goal >= low) & (goal <= high), axis=0)
+    low, high = _within(law.area)
+    is_fit &= jnp.all((goal >= low[:, None]) & (goal <= high[:, None]), axis=0)
     at = jnp.argmax(is_fit)
     return goal[:, at], cone[:, at], jnp.any(is_fit)
 
@@ -177,10 +177,14 @@ def _errors(key: Array, law: PlaceLaw) -> Errors:
     )
 
 
+def _within(area: Array) -> tuple[Array, Array]:
+    """Leave out the border of an area: f32[4] to its corners, f32[2] each."""
+    return area[0::2] + BORDER_MARGIN, area[1::2] - BORDER_MARGIN
+
+
 def _anywhere(key: Array, area: Array, shape: tuple[int, ...]) -> Array:
     """Draw places evenly from the area but for its border, f32[2, *shape] metres."""
-    low = area[0::2].reshape(2, *(1,) * len(shape)) + BORDER_MARGIN
-    high = area[1::2].reshape(2, *(1,) * len(shape)) - BORDER_MARGIN
+    low, high = (one.reshape(2, *(1,) * len(shape)) for one in _within(area))
     return low + (high - low) * jax.random.uniform(key, (2, *shape))
 
 

@@ -49,6 +49,10 @@ NEAREST_DISTANCE_MAX = 3.0
 LATERAL_SD = 0.4
 WEDGE_COSINE = math.cos(math.pi / 4)
 NUM_FREE = MAX_CONES - 1
+NUM_ATTEMPTS = 16
+"""Whole worlds tried at once; the first that meets the law is taken."""
+NUM_CANDIDATES = 32
+"""K, places tried at once for each part of a world."""
 NULL, _BEHIND, _NEAREST = range(len(RELATION_NAMES))
 
 
@@ -86,9 +90,9 @@ def _area_depth(law: ScenarioLaw) -> Array:
     return law.range_mean + AREA_SIGMAS * law.range_sd
 
 
-def _try_placement(key: Array, law: ScenarioLaw, num_candidates: int) -> _Placement:
+def _try_placement(key: Array, law: ScenarioLaw) -> _Placement:
     """Try once to build a world."""
-    draws = _draw(key, law, num_candidates)
+    draws = _draw(key, law)
     is_hydrant = jnp.arange(MAX_HYDRANTS) < law.num_hydrants
     fits = jax.vmap(_hydrants_fit, in_axes=(-1, None, None))
     is_fit = fits(draws.point[:, :MAX_HYDRANTS], is_hydrant, _area_depth(law))
@@ -137,9 +141,9 @@ def _place_free_cones(
     return placed[:, 2 * MAX_HYDRANTS :], is_met
 
 
-def _draw(key: Array, law: ScenarioLaw, num_candidates: int) -> _Draws:
+def _draw(key: Array, law: ScenarioLaw) -> _Draws:
     """Draw points of the hydrant law and the way from each to a cone, nothing checked."""
-    shape = (MAX_HYDRANTS + NUM_FREE, num_candidates)
+    shape = (MAX_HYDRANTS + NUM_FREE, NUM_CANDIDATES)
     drawn = batching.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
     distance = law.range_mean + law.range_sd * batching.normal(drawn[0])
     bearing = batching.between(drawn[1], -OBJECT_BEARING_MAX, OBJECT_BEARING_MAX)
@@ -206,12 +210,6 @@ def is_behind(figure: Array, landmark: Array) -> Array:
     return along >= WEDGE_COSINE * jnp.sqrt(x**2 + y**2)
 
 
-NUM_ATTEMPTS = 16
-"""Whole worlds tried at once; the first that meets the law is taken."""
-NUM_CANDIDATES = 32
-"""Places tried at once for each part of a world."""
-
-
 def scenario_law(*, template: str | Template, relation: str) -> ScenarioLaw:
     """Build the law of a template's worlds, for ``draw_scenario``.
 
@@ -266,30 +264,21 @@ def sample_scenario(
     return draw_scenario(key, scenario_law(template=record, relation=relation), num_slots=num_slots)
 
 
-@functools.partial(jax.jit, static_argnames=("num_slots", "num_attempts", "num_candidates"))
-def draw_scenario(
-    key: Array,
-    law: ScenarioLaw,
-    *,
-    num_slots: int = NUM_SLOTS,
-    num_attempts: int = NUM_ATTEMPTS,
-    num_candidates: int = NUM_CANDIDATES,
-) -> Scenario:
+@functools.partial(jax.jit, static_argnames="num_slots")
+def draw_scenario(key: Array, law: ScenarioLaw, *, num_slots: int = NUM_SLOTS) -> Scenario:
     """Draw one world of a law: the first of a fixed number of attempts that meets it.
 
     Args:
         key: random key.
         law: what to draw; traced.
         num_slots: O, object slots; a law of more objects makes the world invalid.
-        num_attempts: worlds tried at once.
-        num_candidates: K, places tried at once for each part of a world.
 
     Returns:
         The world; where no attempt meets the law, the first attempt with ``is_valid`` False.
     """
     key_place, key_lot = jax.random.split(key)
-    keys = jax.random.split(key_place, num_attempts)
-    attempts = jax.vmap(_try_placement, in_axes=(0, None, None))(keys, law, num_candidates)
+    keys = jax.random.split(key_place, NUM_ATTEMPTS)
+    attempts = jax.vmap(_try_placement, in_axes=(0, None))(keys, law)
     chosen = jax.tree.map(lambda leaf: leaf[jnp.argmax(attempts.is_met)], attempts)
     lots = (jax.random.uniform(key_lot, (2,)) * law.num_hydrants).astype(jnp.int32)
     anchor, other = jnp.minimum(lots, law.num_hydrants - 1)
