@@ -107,21 +107,22 @@ def accounts_of(readings: Readings, words: Words) -> list[Account]:
     table, about = jax.device_get((readings, words))
     num_mentions, num_relations = table.mention_type.shape[1], table.relation.shape[1]
     found = []
-    for k in np.argsort(-table.log_probability, kind="stable"):
+    things = np.stack([table.mention_type, about.is_asked, about.avoid], axis=-1)
+    ties = (table.figure, table.relation, table.landmark, table.rank, about.heard)
+    for k in np.argsort(-table.log_probability, kind="stable").tolist():
         if table.log_probability[k] == -np.inf:
             continue
         mentions = [
-            Mention(int(kind), bool(about.is_asked[k, m]), int(about.avoid[k, m]),
-                     int(k) * num_mentions + m)
-            for m, kind in enumerate(table.mention_type[k]) if kind != NONE
-        ]  # fmt: skip
+            Mention(kind, bool(is_asked), avoid, source=k * num_mentions + m)
+            for m, (kind, is_asked, avoid) in enumerate(things[k].tolist())
+            if kind != NONE
+        ]
         edges = [
-            Edge(*(int(leaf[k, j]) for leaf in (table.figure, table.relation, table.landmark,
-                    table.rank, about.heard)), source=int(k) * num_relations + j)
-            for j in range(num_relations) if table.figure[k, j] != NONE
-        ]  # fmt: skip
-        goals = [int(goal) for goal in about.goal[k]]
-        pinned = [bool(one) for one in about.is_pinned[k]]
+            Edge(*row, source=k * num_relations + j)
+            for j, row in enumerate(np.stack(ties, axis=-1)[k].tolist())
+            if row[0] != NONE
+        ]
+        goals, pinned = about.goal[k].tolist(), about.is_pinned[k].tolist()
         log_probability = float(table.log_probability[k])
         found.append(Account(mentions, edges, goals, pinned, [], log_probability))
     return found

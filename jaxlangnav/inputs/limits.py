@@ -100,16 +100,17 @@ class Quantity:
         number = self._convert(value, name)
         is_low = number <= self.low if self.is_low_open else number < self.low
         if not math.isfinite(number) or is_low or number > self.high:
-            raise ValueError(
-                f"{name} is {_shown(value)}, but must be {self._limits()}{self._remedy(value)}"
-            )
+            # A unit may have been forgotten.
+            meant = {"angle": ("deg", "degrees are"), "share": ("%", "percent is")}.get(self.kind)
+            remedy = ""
+            if meant and not (isinstance(value, str) or value <= self.high):
+                remedy = f'; write "{value:g} {meant[0]}" if {meant[1]} meant'
+            raise ValueError(f"{name} is {_shown(value)}, but must be {self._limits()}{remedy}")
         is_lost = number != 0.0 and not SMALLEST <= abs(number) <= LARGEST
-        if is_lost or (self.kind == "length" and number > FARTHEST):
-            most = FARTHEST if self.kind == "length" else LARGEST
-            raise ValueError(
-                f"{name} is {_shown(value)}, but single precision serves for {SMALLEST:g} to "
-                f"{most:g} only"
-            )
+        most = FARTHEST if self.kind == "length" else LARGEST
+        if is_lost or number > most:
+            reach = f"single precision serves for {SMALLEST:g} to {most:g} only"
+            raise ValueError(f"{name} is {_shown(value)}, but {reach}")
         return number
 
     def _convert(self, value: Any, name: str) -> float:
@@ -121,23 +122,16 @@ class Quantity:
                 line = f"{name} is {shown(value)}, but must be {self._limits()}"
                 raise ValueError(line) from None
         match = _TEXT.match(value) if isinstance(value, str) else None
+        units = ", ".join(_UNITS[self.kind])
+        wanted, example = _NAMES[self.kind], f" ({units})" if units else ""
         if match is None:
-            raise ValueError(
-                f"{name} is {shown(value)}, but must be {_NAMES[self.kind]}{self._example()}"
-            )
+            raise ValueError(f"{name} is {shown(value)}, but must be {wanted}{example}")
         number, unit = float(match[1]), match[2]
         if not unit or unit in _UNITS[self.kind]:
             return number * _UNITS[self.kind].get(unit, 1.0)
         meant = next((kind for kind, units in _UNITS.items() if unit in units), None)
         what = f"is {_NAMES[meant]}" if meant else f'has the unknown unit "{cut(unit)}"'
-        raise ValueError(
-            f'{name} = "{cut(match[0])}" {what}, but {_NAMES[self.kind]} is needed{self._example()}'
-        )
-
-    def _example(self) -> str:
-        """Say which units there are."""
-        units = list(_UNITS[self.kind])
-        return f" ({', '.join(units)})" if units else ""
+        raise ValueError(f'{name} = "{cut(match[0])}" {what}, but {wanted} is needed{example}')
 
     def _limits(self) -> str:
         """Say between which values it must lie."""
@@ -145,13 +139,6 @@ class Quantity:
         above = f"above {self.low:g}" if self.is_low_open else f"at least {self.low:g}"
         below = "" if math.isinf(self.high) else f" and at most {self.high:.6g}"
         return f"{above}{below}{unit}"
-
-    def _remedy(self, value: Any) -> str:
-        """Guess at a forgotten unit."""
-        meant = {"angle": ("deg", "degrees are"), "share": ("%", "percent is")}.get(self.kind)
-        if meant is None or isinstance(value, str) or value <= self.high:
-            return ""
-        return f'; write "{value:g} {meant[0]}" if {meant[1]} meant'
 
 
 LENGTH = Quantity(kind="length", is_low_open=True)

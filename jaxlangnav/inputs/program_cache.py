@@ -148,7 +148,11 @@ def _name(function: Callable[..., Any], static: Any, tree: Any, leaves: list[Any
     """Name a program by all that it follows from."""
     types = [jax.typeof(leaf) for leaf in leaves]
     parts = (
-        _setting(),
+        # What programs depend on besides their call; JAX's settings can change in between.
+        *_machine(),
+        *(getattr(jax.config, name) for name in _SETTINGS),
+        jax.config.read("jax_disable_most_optimizations"),
+        os.environ.get("XLA_FLAGS", ""),
         function.__module__,
         function.__qualname__,
         static,
@@ -156,16 +160,6 @@ def _name(function: Callable[..., Any], static: Any, tree: Any, leaves: list[Any
         [(one.shape, str(one.dtype), getattr(one, "weak_type", False)) for one in types],
     )
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32] + _SUFFIX
-
-
-def _setting() -> tuple[Any, ...]:
-    """List what programs depend on besides their call; JAX's settings can change in between."""
-    return (
-        *_machine(),
-        *(getattr(jax.config, name) for name in _SETTINGS),
-        jax.config.read("jax_disable_most_optimizations"),
-        os.environ.get("XLA_FLAGS", ""),
-    )
 
 
 @functools.cache

@@ -186,7 +186,13 @@ def own_folder(path: Path) -> Path:
         raise PermissionError(f"{path}: this system does not tell whose it is")
     real = Path(os.path.realpath(path))
     for one in (*reversed(real.parents), real):
-        _make(one)
+        try:
+            os.mkdir(one, 0o700)
+            os.chmod(one, 0o700)
+        except OSError:
+            # A root that cannot be written says so in place of saying that it exists.
+            if not os.path.lexists(one):
+                raise
         status = os.lstat(one)
         if not stat.S_ISDIR(status.st_mode):
             raise NotADirectoryError(f"{one}: is no folder")
@@ -241,16 +247,3 @@ def write_own_file(path: Path, content: bytes) -> None:
     """
     with replacing(path, is_private=True) as temporary:
         temporary.write_bytes(content)
-
-
-def _make(folder: Path) -> None:
-    """Make a folder if there is none; those above it are there."""
-    try:
-        os.mkdir(folder, 0o700)
-        os.chmod(folder, 0o700)
-    except FileExistsError:
-        pass
-    except OSError:
-        # A root that cannot be written says so in place of saying that it exists.
-        if not os.path.lexists(folder):
-            raise
