@@ -13,15 +13,14 @@ import json
 from collections.abc import Iterable
 from typing import Literal
 
-from jaxlangnav.language.grammar import COMMA, FULLSTOP, UNKNOWN, Grammar, load_grammar
+from jaxlangnav.language.grammar import UNKNOWN, Grammar, load_grammar
 from jaxlangnav.language.nouns import load_nouns
-from jaxlangnav.language.tokens import is_word, plainly
+from jaxlangnav.language.tokens import MARKS, is_word, plainly
 
 Notation = Literal["lark", "gbnf"]
 Rules = dict[str, list[tuple[str, ...]]]
 """Ways to make each symbol; a part in double quotes is a word."""
 START = "start"
-_MARKS = {f'"{COMMA}"': ",", f'"{FULLSTOP}"': "."}
 _LEFT_OUT = frozenset({"one", "VP_after", "of_all"})
 """What people say and a rewriting needs not: "the one", "after going to", "of all the"."""
 _UNKNOWN_NOUN, _ADJECTIVE, _ADJECTIVES, _GROUP = "unknown_noun", "adj", "adjs", "noun_group"
@@ -123,4 +122,4 @@ def _name(left: str, form: Notation) -> str:
 def _literal(part: str) -> str:
     """Write a word with the space before it, or a mark without."""
     word = part.strip('"')
-    return json.dumps(_MARKS.get(part) or (word if word == "'s" else f" {word}"))
+    return json.dumps(word if word in ("'s", *MARKS) else f" {word}")

@@ -19,11 +19,12 @@ from lark.lexer import Lexer
 from jaxlangnav.inputs.documents import read_shipped
 from jaxlangnav.language.lexicon import LexicalEntry, Lexicon, load_lexicon
 from jaxlangnav.language.refusal import NOUN
-from jaxlangnav.language.tree import Derivation, ForestReader, Production
+from jaxlangnav.language.tokens import MARKS
+from jaxlangnav.language.tree import PUNCTUATION, Derivation, ForestReader, Production
 
 P_OPTIONAL = 0.2
 W_EXPRESSION = 0.005  # of a word of fixed expressions to be a noun, beside an unknown word
-COMMA, FULLSTOP, UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "comma", "fullstop", "?", "?ly", "?ing"
+UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "?", "?ly", "?ing"
 # What an unknown word may be, with its weight beside the known words of the class.
 UNKNOWN_CLASSES = {
     "unknown_noun": {UNKNOWN: 1.0, UNKNOWN_ING: 0.1, NOUN: 0.01},
@@ -113,7 +114,8 @@ def _lexical_rules(
         known = max(1, len(lexicon.entries.get(name, {})))
         rules += [(name, (f'"{mark}"',), known * share, None) for mark, share in marks.items()]
     rules += [("unknown_noun", (f'"{word}"',), W_EXPRESSION, None) for word in _free_words(lexicon)]
-    rules += [(mark, (f'"{mark}"',), 1.0, None) for mark in (COMMA, FULLSTOP)]
+    marks = zip(PUNCTUATION, MARKS, strict=True)
+    rules += [(name, (f'"{mark}"',), 1.0, None) for name, mark in marks]
     return rules
 
 

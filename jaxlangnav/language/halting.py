@@ -151,10 +151,7 @@ def _parts(text: str, most: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
 
 
 def _urgencies(words: list[str]) -> tuple[int, ...] | None:
-    """Read a part as a row of wordings: what its most urgent reading asks for; None without one.
-
-    Numbers are places in ``_URGENCY``, the first of them the least.
-    """
+    """Read a part as a row of wordings: its most urgent reading, by places in ``_URGENCY``."""
     wordings, longest = _wordings()
     words = [_repaired(word) for word in words]
     best: dict[int, tuple[int, ...]] = {0: ()}

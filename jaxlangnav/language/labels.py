@@ -64,13 +64,10 @@ class Geometry:
     def __init__(
         self, world: PlacedWorld, *, ranks_among_part: bool = True, side_range: float = SIDE_RANGE
     ) -> None:
-        """Evaluate all six relations over all pairs.
+        """Evaluate all six relations over all pairs; index ``len(objects)`` stands for the robot.
 
-        Args:
-            world: placed objects; index ``len(objects)`` stands for the robot.
-            side_range: metres up to which something is on a side of the robot.
-            ranks_among_part: "the second cone on your left" is the second of those on the left;
-                otherwise the second of all, if it is on the left.
+        Up to ``side_range`` metres something is on a side of the robot. ``ranks_among_part``: "the
+        second cone on your left" is the second of those there; otherwise of all, if it is there.
         """
         self.world = world
         self.ranks_among_part = ranks_among_part
@@ -255,10 +252,8 @@ def _regions(regions: tuple[tuple[str, int, int], ...], geometry: Geometry) -> _
 
 
 def _restrict(children: list[_Sense], geometry: Geometry) -> _Sense:
-    """Keep the objects that lie in one region of every modifier; without objects, the regions.
-
-    A rank counts among those that the other modifiers leave: "the second cone on your left".
-    """
+    """Keep the objects that lie in one region of every modifier; without objects, the regions."""
+    # A rank counts among those that the other modifiers leave: "the second cone on your left".
     base, *modifiers = children
     regions = [modifier.regions or () for modifier in modifiers]
     if base.objects is None:

@@ -13,7 +13,6 @@ from functools import cache, cached_property
 from typing import Any
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped, read_text
-from jaxlangnav.language.own_words import extend
 
 OWN_LEXICON = "JAXLANGNAV_LEXICON"
 """Environment variable that names a lexicon file of one's own, joined to the package's."""
@@ -92,9 +91,10 @@ SINGULARS = {many: one for one, many in _PLURALS.items()}
 
 
 def plural(noun: str) -> str:
-    """Make a plural: boxes, benches, cones, shelves."""
-    if noun in _PLURALS:
-        return _PLURALS[noun]
+    """Make a plural: boxes, benches, cones, book shelves."""
+    before, space, last = noun.rpartition(" ")
+    if last in _PLURALS:
+        return before + space + _PLURALS[last]
     if noun.endswith(("s", "x", "ch", "sh")):
         return noun + "es"
     if noun.endswith("y") and noun[-2:-1] not in "aeiou":
@@ -204,6 +204,8 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
         if table not in document:
             raise ValueError(f"lexicon: table [{table}] is missing")
     if own is not None:
+        from jaxlangnav.language.own_words import extend  # which needs the plurals of this module
+
         extend(document, parse_toml(own))
     unknown = set(document["refused"]) - set(REASONS)
     if unknown:

@@ -67,15 +67,13 @@ def load_nouns() -> Nouns:
 
 def singular(noun: str) -> str:
     """Undo a plural; the noun itself where it is none."""
-    *before, last = noun.split() or [""]
+    before, space, last = noun.rpartition(" ")
     if last in SINGULARS:
-        return " ".join([*before, SINGULARS[last]])
+        return before + space + SINGULARS[last]
     for ending, instead in (("ies", "y"), ("es", ""), ("s", "")):
         stem = noun.removesuffix(ending) + instead
-        if noun.endswith(ending) and len(stem) > 2:
-            *before, last = stem.split()
-            if " ".join([*before, plural(last)]) == noun:
-                return stem
+        if noun.endswith(ending) and len(stem) > 2 and plural(stem) == noun:
+            return stem
     return noun
 
 

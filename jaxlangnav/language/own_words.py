@@ -11,6 +11,7 @@ from typing import Any
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.inputs.sanitize import cut, fault_of_name, printable, shown
 from jaxlangnav.language.halting import halts_alone
+from jaxlangnav.language.lexicon import plural
 from jaxlangnav.language.tokens import is_word, plainly
 
 MOST_EXPRESSIONS = 1000
@@ -134,14 +135,14 @@ class _Known:
             form: kind
             for kind, names in document["types"].items()
             for name in (kind, *names)
-            for form in (name, _plural(name))
+            for form in (name, plural(name))
         }
 
     def check_name(self, expression: str, kind: str, where: str) -> None:
         """Refuse a name of a type that belongs to another type, or to the grammar."""
         if "*" in expression:
             raise ValueError(f"{where}: '{expression}' could not be read as a word: leave out *")
-        for form in (expression, _plural(expression)):
+        for form in (expression, plural(expression)):
             if (owner := self._owners.get(form, kind)) != kind:
                 raise ValueError(f"{where}: '{form}' is a name of {owner} already")
         _check_halting(expression, where)
@@ -151,7 +152,7 @@ class _Known:
                 fault = f"'{word}' has a meaning of its own in every sentence and cannot be"
                 what = "a name" if len(words) == 1 else "an end of a name"
                 raise ValueError(f"{where}: {fault} {what}: choose another")
-        self._owners |= {expression: kind, _plural(expression): kind}
+        self._owners |= {expression: kind, plural(expression): kind}
 
     def check_sense(self, expression: str, name: str, senses: str, where: str) -> None:
         """Refuse senses that do not exist, or words of a class that have others already."""
@@ -192,11 +193,3 @@ def _check_halting(expression: str, where: str) -> None:
     """Refuse to give words that halt the robot another meaning."""
     if halts_alone(expression):
         raise ValueError(f"{where}: '{expression}' halts the robot: choose another")
-
-
-def _plural(expression: str) -> str:
-    """Make the plural of an expression, as the lexicon does."""
-    from jaxlangnav.language.lexicon import plural
-
-    *before, last = expression.split()
-    return " ".join([*before, plural(last)])

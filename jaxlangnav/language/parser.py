@@ -12,8 +12,6 @@ from dataclasses import replace
 from functools import cache
 
 from jaxlangnav.language.grammar import (
-    COMMA,
-    FULLSTOP,
     UNKNOWN,
     UNKNOWN_ADVERB,
     UNKNOWN_ING,
@@ -131,16 +129,14 @@ class _Reader:
 
 def _to_token(spoken: SpokenToken) -> Token:
     """Say what a word or a mark can be to the grammar."""
-    terminal = {COMMA_MARK: COMMA, FULLSTOP_MARK: FULLSTOP}.get(spoken.text, spoken.text)
-    if spoken.text not in MARKS and spoken.text not in load_lexicon().vocabulary:
-        is_adverb = spoken.text.endswith("ly") and len(spoken.text) > 4
-        is_verb = spoken.text.endswith("ing") and len(spoken.text) > 5
-        terminal = UNKNOWN_ADVERB if is_adverb else UNKNOWN_ING if is_verb else UNKNOWN
-    return Token(
-        text="" if spoken.text in MARKS else spoken.text,
-        terminal=terminal,
-        position=spoken.position,
-    )
+    text = terminal = spoken.text
+    if text in MARKS:
+        text = ""
+    elif text not in load_lexicon().vocabulary:
+        is_adverb, is_verb = text.endswith("ly"), text.endswith("ing")
+        terminal = UNKNOWN_ADVERB if is_adverb and len(text) > 4 else UNKNOWN
+        terminal = UNKNOWN_ING if is_verb and len(text) > 5 else terminal
+    return Token(text=text, terminal=terminal, position=spoken.position)
 
 
 @cache
@@ -225,10 +221,8 @@ def parse(
 
 
 def _read_freely(reader: _Reader, as_said: Parse | None, least: float) -> Parse | None:
-    """Read a sentence by its likeliest meaning, if that has at least ``least``, or as it stands.
-
-    Sentences of one meaning share their probabilities. None: it is refused.
-    """
+    """Read a sentence by its likeliest meaning of at least ``least``, or as it stands, or None."""
+    # Sentences of one meaning share their probabilities.
     found: dict[object, tuple[float, Parse]] = {}
     proposals = propose_readings(reader.tokens, reader.labels, is_readable=as_said is not None)
     probability, best, unread = 0.0, None, sum(one.probability for one in proposals)

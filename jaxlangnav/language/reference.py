@@ -153,10 +153,8 @@ def _restricted(leaf: Phrase, said: tuple[Phrase, ...]) -> Phrase:
 
 
 def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
-    """Let a command's bare goal have what a statement says of the same thing.
-
-    "Find a cone. It is behind the car": right after a command, "it" is what the command is about.
-    """
+    """Let a command's bare goal have what a statement says of the same thing."""
+    # "Find a cone. It is behind the car": right after a command, "it" is what that is about.
     figure, said = head_of(statement), _said_of(statement)
     kind = None if figure is None else type_sense(figure)
     first = next((i for i, c in enumerate(command.children) if c.label != "VP"), None)

@@ -215,11 +215,9 @@ def _check_verb(clause: Phrase, guessed: set[int]) -> None:
 
 
 def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
-    """Refuse a guess that rests on a guess: an unknown verb says nothing of its object.
-
-    "Smash the box" is not "go to the box"; only "to" makes a verb of motion. An unknown verb
-    before an unknown adjective, or three unknown words on one noun, is another language.
-    """
+    """Refuse a guess that rests on a guess: an unknown verb says nothing of its object."""
+    # "Smash the box" is not "go to the box"; only "to" makes a verb of motion. An unknown verb
+    # before an unknown adjective, or three unknown words on one noun, is another language.
     # What a rule has put in stands where another word stood, and is known by its senses.
     guesses = [w for w in clause.words if w.position in unknown and not w.senses]
     verbs = [w for w in guesses if w.tag.startswith("VB")]
@@ -233,10 +231,7 @@ def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
 
 
 def _check_one(phrase: Phrase) -> None:
-    """Refuse "the nearest one" and "the red one" where nothing says one of what.
-
-    "The one nearest to the cone" is of any kind.
-    """
+    """Refuse "the nearest one" where nothing says one of what; "the one behind it" is of any kind."""
     leaf, *others = phrase.children if phrase.label == "NP" else (phrase.children[0],)
     if leaf.label != "NP" or leaf.children:
         return

@@ -110,7 +110,8 @@ _LITERAL_TAGS = {
     "to": "TO", "and": "CC", "but": "CC", "'s": "POS", "face": "VB", "out": "RP", "is": "VBZ",
     "then": "RB", "you": "PRP", "both": "DT", "where": "WRB", "whichever": "WDT", "whatever": "WDT",
 }  # fmt: skip
-PUNCTUATION = {"comma", "fullstop"}
+PUNCTUATION = ("comma", "fullstop")
+"""How the rules name ``MARKS``."""
 PARTED = "NPX"
 
 
