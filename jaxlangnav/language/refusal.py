@@ -231,7 +231,7 @@ def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
 
 
 def _check_one(phrase: Phrase) -> None:
-    """Refuse "the nearest one" where nothing says one of what; "the one behind it" is of any kind."""
+    """Refuse "the nearest one" where nothing says one of what; "the one behind it" is of any."""
     leaf, *others = phrase.children if phrase.label == "NP" else (phrase.children[0],)
     if leaf.label != "NP" or leaf.children:
         return

@@ -201,7 +201,7 @@ class Labelling:
         return not is_choosing or is_moved or self.is_gone(index)
 
     def _is_converse(self, index: int) -> bool:
-        """Tell whether a relation put for a preposition, if one is, is the converse of what goes."""
+        """Tell whether a relation put for a preposition is the converse of what goes, if one is."""
         # "The house with the truck in front" is the house behind the truck.
         put = _relations(self.labels[index][1:].split())
         if not put:
