@@ -23,7 +23,7 @@ from jaxlangnav.grounding.readings import in_order, things_last
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 
 
-def _places(old: Account, new: Account, spoken: Spoken | None, *, is_loose: bool) -> list[int]:
+def _places(old: Account, new: Account, told: Spoken, *, is_loose: bool) -> list[int]:
     """Find which mention of all that is said each mention of the new utterance is."""
     places: list[int] = []
     size, again = len(old.mentions), _said_again(old, new)
@@ -36,9 +36,9 @@ def _places(old: Account, new: Account, spoken: Spoken | None, *, is_loose: bool
         # What the task speaks of comes to mind first, then what was spoken of last.
         alike.sort(key=lambda m: (old.mentions[m].is_asked, m), reverse=True)
         said = new.description(index)
-        if one.kind != ROBOT and spoken is not None and one.label in spoken.others:
+        if one.kind != ROBOT and one.label in told.others:
             alike = []
-        elif one.kind != ROBOT and not (spoken is not None and one.label in spoken.known):
+        elif one.kind != ROBOT and one.label not in told.known:
             # Two descriptions may be of one thing where one of them says all that the other does.
             before = {m: old.description(m) for m in alike}
             alike = [m for m in alike if said <= before[m] or before[m] <= said]
@@ -65,10 +65,10 @@ def _said_again(old: Account, new: Account) -> dict[int, int]:
 
 
 def _product(
-    old: Account, new: Account, spoken: Spoken | None, *, is_new_task: bool, is_loose: bool
+    old: Account, new: Account, told: Spoken, *, is_new_task: bool, is_loose: bool
 ) -> Account:
     """Say two readings together."""
-    places = _places(old, new, spoken, is_loose=is_loose)
+    places = _places(old, new, told, is_loose=is_loose)
     mentions = [
         dataclasses.replace(one, is_asked=one.is_asked and not is_new_task) for one in old.mentions
     ]
@@ -90,10 +90,9 @@ def _product(
     return Account(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
 
 
-def _is_apart(old: Account, new: Account, spoken: Spoken | None) -> bool:
+def _is_apart(old: Account, new: Account, told: Spoken) -> bool:
     """Tell whether what is spoken of as known is of one type before, and of another one now."""
     # Of a noun that may be either of two labels each is a reading of its own.
-    told = spoken or Spoken()
     before, now = ({one.label for one in said.mentions} for said in (old, new))
     return any(
         told.known >= set(way) and bool(before & set(way)) and not before & now & set(way)
@@ -188,10 +187,10 @@ def join(
     old = accounts_of(readings, words) or [Account([], [], [], [], [], 0.0)]
     new = new_accounts(instruction, spoken, heard, is_asked=is_asked)
     new = new or [Account([], [], [], [], [NONE] * int(instruction.num_clauses), 0.0)]
-    pairs = list(itertools.product(old, new))
+    pairs, told = list(itertools.product(old, new)), spoken or Spoken()
     both = [
-        _product(one, other, spoken, is_new_task=is_new_task, is_loose=is_loose)
-        for one, other in [pair for pair in pairs if not _is_apart(*pair, spoken)] or pairs
+        _product(one, other, told, is_new_task=is_new_task, is_loose=is_loose)
+        for one, other in [pair for pair in pairs if not _is_apart(*pair, told)] or pairs
     ]
     both.sort(key=lambda one: -one.log_probability)
     (k_size, m_size), j_size = readings.mention_type.shape, readings.relation.shape[1]

@@ -116,24 +116,10 @@ def _check(condition: bool, message: str) -> None:
         raise CorpusError(cut(printable(message), _LONGEST_LINE))
 
 
-_Legal = Mapping[str, tuple[Sequence[str], ...]]
-"""Kind of symbol → what each of its arguments may be."""
-
-
-def _annotation_symbols(types: Sequence[str]) -> _Legal:
-    landmarks = (*types, ROBOT_LABEL)
-    region = (RELATIONS, landmarks)
-    return {"object": (types,), "region": region, "relation": (types, *region)}
-
-
-def _behavior_symbols(num_objects: int) -> _Legal:
-    objects = tuple(map(str, range(num_objects)))
-    places = dict.fromkeys(("region", "goal", "constraint"), (REGIONS, (*objects, ROBOT_LABEL)))
-    return {"object": (objects,), **places, "action": (ACTIONS,), "mode": (MODES,)}
-
-
-def _check_symbols(labels: Sequence[Sequence[str]], legal: _Legal) -> None:
-    """Check the symbols of phrases."""
+def _check_symbols(
+    labels: Sequence[Sequence[str]], legal: Mapping[str, tuple[Sequence[str], ...]]
+) -> None:
+    """Check the symbols of phrases by what each argument of each kind may be."""
     for symbol in itertools.chain(*labels):
         is_one = _SYMBOL.fullmatch(symbol) is not None
         _check(is_one, f"'{symbol}' is no symbol; expected kind(argument,...)")
@@ -154,7 +140,10 @@ def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
     for key, labels in (("annotation", record.annotation), ("rank", record.rank)):
         count = len(labels)
         _check(count == len(heads), f"{where} {count} {key} for {len(heads)} phrases")
-    _check_symbols(record.annotation, _annotation_symbols(load_lexicon().type_names))
+    types = load_lexicon().type_names
+    region = (RELATIONS, (*types, ROBOT_LABEL))
+    legal = {"object": (types,), "region": region, "relation": (types, *region)}
+    _check_symbols(record.annotation, legal)
     annotation = tuple(map(frozenset, record.annotation))
     return ClauseLabels(annotation=annotation, rank=tuple(record.rank))
 
@@ -173,11 +162,14 @@ def _read_world(record: _World, found: Parse) -> WorldLabels:
         previous is None or previous < count,
         f"previous must be null or an object's index below {count}, not {previous}",
     )
+    indices = tuple(map(str, range(count)))
+    places = dict.fromkeys(("region", "goal", "constraint"), (REGIONS, (*indices, ROBOT_LABEL)))
+    legal = {"object": (indices,), **places, "action": (ACTIONS,), "mode": (MODES,)}
     _check(len(record.behavior) == len(found.clauses), "behavior needs one list per clause")
     for root, labels in zip(found.clauses, record.behavior, strict=True):
         phrases = len(list(root.walk()))
         _check(len(labels) == phrases, f"behavior: {len(labels)} labels for {phrases} phrases")
-        _check_symbols(labels, _behavior_symbols(count))
+        _check_symbols(labels, legal)
     x, y, heading = record.robot
     return WorldLabels(
         world=PlacedWorld(objects=tuple(objects), robot=(x, y, heading), previous=previous),

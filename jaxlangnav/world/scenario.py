@@ -68,14 +68,6 @@ class ScenarioLaw:
 
 
 @pytree
-class _Draws:
-    """Unchecked draws, K candidates of each: hydrants first, then the free cones' points."""
-
-    point: Array  # f32[2, B + F, K] metres, by the law of hydrants
-    offset: Array  # f32[2, B + F, K] metres, from a point to its cone; along, across line of sight
-
-
-@pytree
 class _Placement:
     """A world before the lot: B = MAX_HYDRANTS hydrants, F = NUM_FREE free cones."""
 
@@ -92,26 +84,26 @@ def _area_depth(law: ScenarioLaw) -> Array:
 
 def _try_placement(key: Array, law: ScenarioLaw) -> _Placement:
     """Try once to build a world."""
-    draws = _draw(key, law)
+    point, offset = _draw(key, law)
     is_hydrant = jnp.arange(MAX_HYDRANTS) < law.num_hydrants
     fits = jax.vmap(_hydrants_fit, in_axes=(-1, None, None))
-    is_fit = fits(draws.point[:, :MAX_HYDRANTS], is_hydrant, _area_depth(law))
-    hydrant = draws.point[:, :MAX_HYDRANTS, jnp.argmax(is_fit)]
-    anchor_cone, is_anchored = _place_anchor_cones(draws, law, hydrant, is_hydrant)
-    free_cone, is_free_met = _place_free_cones(draws, law, hydrant, anchor_cone)
+    is_fit = fits(point[:, :MAX_HYDRANTS], is_hydrant, _area_depth(law))
+    hydrant = point[:, :MAX_HYDRANTS, jnp.argmax(is_fit)]
+    anchor_cone, is_anchored = _place_anchor_cones(offset, law, hydrant, is_hydrant)
+    free_cone, is_free_met = _place_free_cones(point, offset, law, hydrant, anchor_cone)
     is_met = jnp.any(is_fit) & is_anchored & is_free_met
     return _Placement(hydrant=hydrant, anchor_cone=anchor_cone, free_cone=free_cone, is_met=is_met)
 
 
 def _place_anchor_cones(
-    draws: _Draws, law: ScenarioLaw, hydrant: Array, is_hydrant: Array
+    offset: Array, law: ScenarioLaw, hydrant: Array, is_hydrant: Array
 ) -> tuple[Array, Array]:
     """Give each hydrant the cone it would have as the anchor: f32[2, B] and bool[], all found."""
     cones, is_met = [], jnp.array(True)
     for index in range(MAX_HYDRANTS):
         own = hydrant[:, index : index + 1]
         rest = is_hydrant & (jnp.arange(MAX_HYDRANTS) != index)
-        candidate = _beside(own, draws.offset[:, index])
+        candidate = _beside(own, offset[:, index])
         is_only = is_behind(own, candidate) & ~_has_behind(candidate, hydrant, rest)
         is_fit = _is_inside(candidate, _area_depth(law)) & _is_clear(candidate, hydrant, rest)
         is_fit &= is_only | (law.relation == _NEAREST)
@@ -121,7 +113,7 @@ def _place_anchor_cones(
 
 
 def _place_free_cones(
-    draws: _Draws, law: ScenarioLaw, hydrant: Array, anchor_cone: Array
+    points: Array, offset: Array, law: ScenarioLaw, hydrant: Array, anchor_cone: Array
 ) -> tuple[Array, Array]:
     """Place the cones that belong to no hydrant: f32[2, F] and bool[], all found."""
     depth, is_met = _area_depth(law), jnp.array(True)
@@ -129,8 +121,8 @@ def _place_free_cones(
     placed = jnp.concatenate([hydrant, anchor_cone], axis=1)
     is_placed = jnp.concatenate([is_hydrant, is_hydrant])
     for index in range(NUM_FREE):
-        point = draws.point[:, MAX_HYDRANTS + index]
-        candidate = _beside(point, draws.offset[:, MAX_HYDRANTS + index])
+        point = points[:, MAX_HYDRANTS + index]
+        candidate = _beside(point, offset[:, MAX_HYDRANTS + index])
         is_stray = _has_behind(candidate, hydrant, is_hydrant) & (law.relation != _NEAREST)
         is_fit = _is_inside(point, depth) & _is_inside(candidate, depth) & ~is_stray
         is_fit &= _is_clear(candidate, placed, is_placed)
@@ -141,8 +133,10 @@ def _place_free_cones(
     return placed[:, 2 * MAX_HYDRANTS :], is_met
 
 
-def _draw(key: Array, law: ScenarioLaw) -> _Draws:
-    """Draw points of the hydrant law and the way from each to a cone, nothing checked."""
+def _draw(key: Array, law: ScenarioLaw) -> tuple[Array, Array]:
+    """Draw points of the hydrant law and the way from each to a cone, f32[2, B + F, K] each."""
+    # Nothing is checked. Hydrants come first, then the free cones' points; ways are along and
+    # across the line of sight.
     shape = (MAX_HYDRANTS + NUM_FREE, NUM_CANDIDATES)
     drawn = batching.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
     distance = law.range_mean + law.range_sd * batching.normal(drawn[0])
@@ -159,7 +153,7 @@ def _draw(key: Array, law: ScenarioLaw) -> _Draws:
     toward = -jnp.sqrt(gap**2 - lateral**2)
     along = jnp.where(is_nearest, gap * jnp.cos(direction), toward)
     across = jnp.where(is_nearest, gap * jnp.sin(direction), lateral)
-    return _Draws(point=point, offset=jnp.stack([along, across]))
+    return point, jnp.stack([along, across])
 
 
 def _beside(point: Array, offset: Array) -> Array:
