@@ -128,10 +128,8 @@ def accounts_of(readings: Readings, words: Words) -> list[Account]:
     return found
 
 
-def _goals(reading: Account, spoken: Spoken | None, num_clauses: int) -> list[int]:
+def _goals(reading: Account, told: Spoken, landmarks: set[int], num_clauses: int) -> list[int]:
     """Find the mention that each command of a sentence is about."""
-    told = spoken or Spoken()
-    landmarks = {one.landmark for one in reading.edges}
     goals: list[int] = []
     for index in range(num_clauses):
         kind = told.goals[index] if index < len(told.goals) else None
@@ -154,17 +152,16 @@ def new_accounts(
     ``spoken`` is what it speaks of, None: as its readings show; ``heard`` its number; ``is_asked``
     whether it asks for what it speaks of.
     """
-    number = int(instruction.num_clauses)
-    found = accounts_of(
-        instruction.readings, heard_alone(instruction, heard, is_asked=is_asked, xp=np)
-    )
+    number, told = int(instruction.num_clauses), spoken or Spoken()
+    words = heard_alone(instruction, heard, is_asked=is_asked, xp=np)
+    found = accounts_of(instruction.readings, words)
     for reading in found:
-        reading.new_goals = _goals(reading, spoken, number)
         reading.edges = [dataclasses.replace(one, source=NONE) for one in reading.edges]
         landmarks = {one.landmark for one in reading.edges}
+        reading.new_goals = _goals(reading, told, landmarks, number)
         for index, one in enumerate(reading.mentions):
             one.source = NONE
-            for kind, is_all in spoken.avoided if spoken is not None else ():
+            for kind, is_all in told.avoided:
                 if one.label == kind and index not in landmarks:
                     one.avoid = AVOID_ALL if is_all else AVOID_IT
     return found

@@ -108,12 +108,7 @@ def detected(
 ) -> dict[str, np.ndarray]:
     """Hold detections against their sensor, and pad them.
 
-    Args:
-        detections: (type, range, bearing) each: a type by name or index; metres; radians, robot
-            frame, counter-clockwise from the heading; perhaps a fourth entry, how it looks:
-            attributes by their groups.
-        sensor: as of ``sensor_numbers``.
-        types: names of object types; a type index is an index into them.
+    Args as of ``Observation.of``, but that ``sensor`` is as of ``sensor_numbers``.
 
     Returns:
         Arrays of 8, 16, 32 or 64 slots on the host, by the fields of ``Observation``; the type is
@@ -175,15 +170,7 @@ def sensor_numbers(
     false_detections: Any = 0.0,
     mislabelled: Any = 0.0,
 ) -> tuple[np.float32, ...]:
-    """Hold a detector's specification against what it can be.
-
-    Args:
-        range_max: metres.
-        field_of_view: radians, full opening angle.
-        detection_probability: above 0, at most 1.
-        noise: metres, standard deviation on each axis.
-        false_detections: expected in one look, of each type.
-        mislabelled: share of detections with a wrong type.
+    """Hold a detector's specification, as of ``SensorParams``, against what it can be.
 
     Returns:
         All of them, in this order, as f32.

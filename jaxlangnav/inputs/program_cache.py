@@ -3,12 +3,9 @@
 JAX's own cache keeps what has been compiled, but finds it by the program's text, which has to be
 traced and lowered first: seconds for a decision cycle. Here a program is found by what the text
 follows from: the source of this package, the versions below it, this machine, and the shapes and
-static values of a call.
-
-What is loaded runs as the user. So the folder must be the user's own and closed to others, the
-files too (``whole_files`` guards against people), and each file's digest must be right
-(``program_serialization`` guards against accidents; some damage would end the process).
-Whatever does not pass is said once and compiled as if nothing had been kept.
+static values of a call. What is loaded runs as the user: folder and files must be the user's own
+(``whole_files``) and each file's digest right (``program_serialization``). Whatever does not pass
+is said once and compiled as if nothing had been kept.
 
 Only functions of their arguments alone may be kept: what they read of modules must be constant.
 """
@@ -207,16 +204,11 @@ def _compile(path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Call:
     if content is not None:
         try:
             write_own_file(path, content)
-            _drop_the_oldest(path.parent)
+            # Those used longest ago go; another process may drop the same ones.
+            with contextlib.suppress(FileNotFoundError):
+                kept = path.parent.glob(f"*{_SUFFIX}")
+                for old in sorted(kept, key=lambda one: one.stat().st_mtime)[:-_MAX_PROGRAMS]:
+                    old.unlink()
         except OSError as error:
             _tell_once(f"compiled programs are not kept: {error}")
     return call
-
-
-def _drop_the_oldest(folder: Path) -> None:
-    """Drop the programs used longest ago if there are too many."""
-    # Another process may drop the same ones.
-    with contextlib.suppress(FileNotFoundError):
-        programs = sorted(folder.glob(f"*{_SUFFIX}"), key=lambda one: one.stat().st_mtime)
-        for old in programs[:-_MAX_PROGRAMS]:
-            old.unlink()

@@ -5,13 +5,11 @@ disk, takes the place in one move, and the move is forced to the disk too. Whoev
 the old file or the new one; a kill, a full disk or a power cut leaves at most a hidden temporary
 file, whose name begins with a dot.
 
-Own folders and files are the user's, and nobody else can have changed them. Whoever can write a
+Own folders and files are the user's, and nobody else can have changed them: whoever can write a
 file that is loaded as code runs programs as its reader. What guards against people is who owns a
-file and who may write it, on the whole way from the root; a checksum that stands in the file itself
-guards against accidents only. Links are refused below the folder's real path, which is walked from
-the root down: what nobody else may write in, nobody else can exchange behind our back, so no step
-of the walk can be undone by the next. Permissions are those of POSIX; an access list shows in them
-as its mask. Where a system has no owners of files (Windows), nothing passes.
+file and who may write it, on the whole way from the root. The folder's real path is walked from the
+root down, and links are refused below it: what nobody else may write in, nobody else can exchange.
+Permissions are those of POSIX; where a system has no owners of files (Windows), nothing passes.
 """
 
 import contextlib

@@ -53,10 +53,6 @@ def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
 def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
     """List the rules that can be filled with words, and are reached from the start, which is first.
 
-    Args:
-        grammar: of the parser.
-        nouns: names of things beside the lexicon's.
-
     Raises:
         ValueError: a noun is none; one line.
     """

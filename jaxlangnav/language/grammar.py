@@ -71,10 +71,7 @@ def _expand_options(right: list[str]) -> Iterator[tuple[tuple[str, ...], float]]
 
 
 def read_rules(text: str) -> list[tuple[str, tuple[str, ...], float]]:
-    """Read the rules of a grammar file, ``left -> right [weight]``; ``#`` begins a comment.
-
-    Returns:
-        Left side, right side and weight of each rule, options written out.
+    """Read the rules of a grammar file, ``left -> right [weight]``, options written out.
 
     Raises:
         ValueError: a line is not a rule; the line's number is named.
@@ -93,16 +90,6 @@ def read_rules(text: str) -> list[tuple[str, tuple[str, ...], float]]:
     return rules
 
 
-def _free_words(lexicon: Lexicon) -> list[str]:
-    """List words known only from fixed expressions ("plant yourself"): alone they are nouns."""
-    closed = set(lexicon.tags) | set(lexicon.refused)
-    for entry in itertools.chain(*(entries.values() for entries in lexicon.entries.values())):
-        senses = itertools.chain(*entry.senses)
-        if len(entry.words) == 1 or any(sense.startswith("relation") for sense in senses):
-            closed.update(entry.words)
-    return sorted(word for word in lexicon.vocabulary - closed if word.isalpha())
-
-
 def _lexical_rules(
     lexicon: Lexicon,
 ) -> list[tuple[str, tuple[str, ...], float, LexicalEntry | None]]:
@@ -113,7 +100,14 @@ def _lexical_rules(
     for name, marks in UNKNOWN_CLASSES.items():
         known = max(1, len(lexicon.entries.get(name, {})))
         rules += [(name, (f'"{mark}"',), known * share, None) for mark, share in marks.items()]
-    rules += [("unknown_noun", (f'"{word}"',), W_EXPRESSION, None) for word in _free_words(lexicon)]
+    # Words known only from fixed expressions ("plant yourself") are nouns alone.
+    closed = set(lexicon.tags) | set(lexicon.refused)
+    for entry in itertools.chain(*(entries.values() for entries in lexicon.entries.values())):
+        senses = itertools.chain(*entry.senses)
+        if len(entry.words) == 1 or any(sense.startswith("relation") for sense in senses):
+            closed.update(entry.words)
+    free = sorted(word for word in lexicon.vocabulary - closed if word.isalpha())
+    rules += [("unknown_noun", (f'"{word}"',), W_EXPRESSION, None) for word in free]
     marks = zip(PUNCTUATION, MARKS, strict=True)
     rules += [(name, (f'"{mark}"',), 1.0, None) for name, mark in marks]
     return rules
@@ -192,15 +186,12 @@ class Grammar:
             self._earley.predictions[self._rules[index].origin].append(self._rules[index])
 
     def parse(self, tokens: list[str], *, is_end_found: bool = True) -> tuple[Derivation, float]:
-        """Find the most probable derivation.
+        """Find the most probable derivation, and its share of the probability of all.
 
         Args:
             tokens: words in lower case, or the marks of unknown words and punctuation.
             is_end_found: find where no tree can go on, which takes another parse; otherwise the
                 error names the last token.
-
-        Returns:
-            The derivation and its share of the probability of all derivations.
 
         Raises:
             NoParseError: there is none.

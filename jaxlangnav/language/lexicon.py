@@ -5,7 +5,6 @@ variable ``JAXLANGNAV_LEXICON`` names. Everything derived (plurals, -ing forms, 
 grammar) is derived here.
 """
 
-import itertools
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -131,25 +130,19 @@ def _derived(entry: LexicalEntry, index: int, form: str, tag: str) -> LexicalEnt
     return replace(entry, words=tuple(words), tags=tuple(tags))
 
 
-def _type_entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
-    """List the names of object types and their plurals."""
+def _entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
+    """List names of types with plurals, and expressions of classes, with -ing forms if asked."""
     for type_name, names in document["types"].items():
         for name in dict.fromkeys([type_name, *names]):
             entry = _entry(name, "NN", (f"type:{type_name}",), {})
             yield TYPE_CLASS, entry
             last = len(entry.words) - 1
             yield TYPE_CLASS, _derived(entry, last, plural(entry.words[last]), "NNS")
-
-
-def _class_entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
-    """List the entries of the ``[class.X]`` tables, with -ing forms where they ask for them."""
     tags = document["tags"]
     for name, table in document["class"].items():
         for senses, texts in table.items():
-            if senses in ("tag", "ing"):
-                continue
-            for text in texts:
-                told = () if senses == "plain" else tuple(senses.split())
+            told = () if senses == "plain" else tuple(senses.split())
+            for text in texts if senses not in ("tag", "ing") else ():
                 entry = _entry(text, table["tag"], told, tags)
                 yield name, entry
                 # "I am looking" has no -ing form of its own: its first word is no verb.
@@ -192,9 +185,6 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
         text: contents of the file.
         own: contents of a file whose lines are joined to it.
 
-    Returns:
-        The lexicon.
-
     Raises:
         ValueError: a table is missing, a reason for refusal is unknown, or what is added is
             refused.
@@ -211,7 +201,7 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
     if unknown:
         raise ValueError(f"lexicon: [refused] has unknown reasons {sorted(unknown)}")
     entries: dict[str, dict[tuple[str, ...], LexicalEntry]] = {}
-    for name, entry in itertools.chain(_type_entries(document), _class_entries(document)):
+    for name, entry in _entries(document):
         entries.setdefault(name, {}).setdefault(entry.words, entry)
     refused: dict[str, str] = {}
     expressions: dict[tuple[str, ...], str] = {}

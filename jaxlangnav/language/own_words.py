@@ -34,11 +34,7 @@ _MARKS = frozenset({"comma", "fullstop", "robot"})
 
 
 def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
-    """Join somebody's own lines to a lexicon: types and synonyms, words of known classes.
-
-    Args:
-        document: the lexicon of the package; changed in place.
-        own: the tables of the other file.
+    """Join somebody's own lines to the package's lexicon, which is changed in place.
 
     Raises:
         ValueError: a table is none, a class or sense does not exist, a word could not be read or

@@ -162,11 +162,7 @@ def _check_symbols(spoken: list[SpokenToken]) -> None:
 
 
 def split_text(text: str, labels: Collection[str] = ()) -> list[SpokenToken]:
-    """Split a text into words and marks, typing errors repaired.
-
-    Args:
-        text: at most ``MAX_CHARACTERS``.
-        labels: names of things that the detector tells apart.
+    """Split a text into words and marks, typing errors repaired; ``labels`` as of ``parse``.
 
     Raises:
         LanguageError: it has more words or characters than are read.

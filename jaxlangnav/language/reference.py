@@ -176,14 +176,9 @@ def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
 
 
 def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Phrase]:
-    """Resolve what refers back, clause by clause.
+    """Resolve what refers back, clause by clause; ``earlier`` utterances have been about that.
 
-    Args:
-        clauses: roots of the trees, in order.
-        earlier: what earlier utterances have been about.
-
-    Returns:
-        The roots; words of a statement stand again in a command that they hold for.
+    Words of a statement stand again in a command that they hold for.
 
     Raises:
         LanguageError: a pronoun could stand for nothing, or for more than one thing.

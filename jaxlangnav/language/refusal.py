@@ -40,9 +40,11 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     before, else the one there. ``index`` is of the first token that continues no tree, the number
     of tokens at the end.
     """
-    expression = _refused_expression(tokens, index)
-    if expression is not None:
-        return expression
+    texts = tuple(token.text for token in tokens)
+    for place, token in enumerate(tokens[: index + 1]):
+        for words, reason in load_lexicon().refused_expressions.items():
+            if texts[place : place + len(words)] == words:
+                return LanguageError.at(" ".join(words), token.position, reason)
     refused = load_lexicon().refused
     read = [token for token in tokens[: index + 1] if token.text]
     reasons = {token.position: refused.get(token.text) for token in read}
@@ -77,16 +79,6 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
 def _refusal(words: Sequence[Token | Word], reason: str) -> LanguageError:
     text = " ".join(word.text[:30] for word in words)
     return LanguageError.at(text, words[0].position, reason)
-
-
-def _refused_expression(tokens: list[Token], last: int) -> LanguageError | None:
-    """Find the first expression of several words that is refused by name."""
-    texts = tuple(token.text for token in tokens)
-    for index, token in enumerate(tokens[: last + 1]):
-        for words, reason in load_lexicon().refused_expressions.items():
-            if texts[index : index + len(words)] == words:
-                return LanguageError.at(" ".join(words), token.position, reason)
-    return None
 
 
 def _is_unknown(token: Token) -> bool:
@@ -270,15 +262,7 @@ def _head(phrase: Phrase) -> list[Word]:
 
 
 def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
-    """Refuse what would be a guess.
-
-    Args:
-        clauses: roots of the trees, in order.
-        unknown: positions of words that the lexicon does not know.
-
-    Raises:
-        LanguageError: one line naming the words.
-    """
+    """Refuse what would be a guess with a LanguageError; ``unknown`` are positions of words."""
     for first in (clause.words[0] for clause in clauses[1:] if clause.words):
         # No connective stands before it.
         if first.tag == "VB" and first.position in unknown:

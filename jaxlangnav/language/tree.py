@@ -62,21 +62,18 @@ class ForestReader:
             node = stack[-1]
             parts = [c for p in node.children for c in p.children if isinstance(c, SymbolNode)]
             waiting = [child for child in parts if id(child) not in self.memo]
-            if id(node) in self.memo or not waiting:
-                stack.pop()
-                self.memo.setdefault(id(node), self._combine(node))
-            else:
+            if id(node) not in self.memo and waiting:
                 stack.extend(waiting)
+                continue
+            stack.pop()
+            ways = [self._way(node, packed) for packed in node.children]
+            best = max(ways, key=lambda way: way.log_best)
+            top = max(way.log_sum for way in ways)
+            log_sum = top + math.log(sum(math.exp(way.log_sum - top) for way in ways))
+            self.memo.setdefault(id(node), _Best(best.log_best, log_sum, best.children))
         best = self.memo[id(root)]
         derivation: Any = best.children[0]
         return derivation, math.exp(best.log_best - best.log_sum)
-
-    def _combine(self, node: SymbolNode) -> _Best:
-        ways = [self._way(node, packed) for packed in node.children]
-        best = max(ways, key=lambda way: way.log_best)
-        top = max(way.log_sum for way in ways)
-        log_sum = top + math.log(sum(math.exp(way.log_sum - top) for way in ways))
-        return _Best(best.log_best, log_sum, best.children)
 
     def _way(self, node: SymbolNode, packed: PackedNode) -> _Best:
         """Score one way to make a node: its rule and its parts."""

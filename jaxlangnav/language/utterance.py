@@ -74,14 +74,10 @@ class Utterance:
 
 
 def classify(text: str, *, is_asked: bool = False) -> Utterance:
-    """Tell what an utterance is, as far as its wording does.
+    """Tell what an utterance is, as far as its wording does, and what is left to be understood.
 
-    Args:
-        text: what the person said.
-        is_asked: whether the robot has asked a question, to which this may be the answer.
-
-    Returns:
-        Its kind, and what is left to be understood. What is no text is left to the parser.
+    ``is_asked``: the robot has asked a question, to which this may be the answer. What is no text
+    is left to the parser.
     """
     act = act_of(text)
     if not isinstance(text, str) or len(text) > MAX_HALTING_CHARACTERS:

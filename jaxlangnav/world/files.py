@@ -93,14 +93,11 @@ def shipped_worlds() -> tuple[str, ...]:
 
 
 def open_world(text: str, *, num_slots: int | None = None) -> Template | WorldFile:
-    """Find what a person means by a world: a template, a shipped world, or a file.
+    """Find what a person means by a world: a template to sample from, a shipped world, or a file.
 
     Args:
         text: "2H1C", the name of a shipped world, or the path of a .toml or .json file.
         num_slots: O, object slots of a scenario read from a file; as needed if None.
-
-    Returns:
-        A template to sample from, or a world.
 
     Raises:
         ValueError: none of the three, or the file is wrong.
@@ -123,13 +120,9 @@ def open_world(text: str, *, num_slots: int | None = None) -> Template | WorldFi
 
 
 def save_world(world: WorldFile, path: str | Path) -> None:
-    """Write a world file; a sampled scenario becomes a file that people can edit.
+    """Write a world to a .toml or .json file, which people can edit; one that is there is replaced.
 
     It is read back exactly, to the last bit of float32.
-
-    Args:
-        world: what to write.
-        path: a .toml or .json file; overwritten.
 
     Raises:
         WorldFileError: the name ends in neither, or the file cannot be written.

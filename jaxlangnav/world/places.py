@@ -75,20 +75,25 @@ def draw_place(key: Array, law: PlaceLaw, *, num_slots: int = NUM_THINGS) -> Sce
     """
     pair_key, kind_key, thing_key, haunt_key = jax.random.split(key, 4)
     goal, cone, is_met = _draw_pair(pair_key, law)
-    kind, is_object = _kinds(kind_key, law, num_slots)
+    # Types by slot, goal and cone first, and which slots are used.
+    slots, paired = jnp.arange(num_slots), 2 + 2 * law.num_pairs
+    pair = jnp.where(slots % 2 == 0, HYDRANT, CONE)
+    others = jax.random.randint(kind_key, (num_slots,), 2, NUM_TYPES)
+    kind = jnp.where(slots < paired, pair, others).astype(jnp.int32)
+    number = paired + law.num_bystanders
+    is_object = (slots < number) & ((slots != 0) | law.has_goal) & ((slots != 1) | law.has_cone)
     first = jnp.stack([goal, cone], axis=1)
     placed = jnp.pad(first, ((0, 0), (0, num_slots - 2)))
     tried = _anywhere(thing_key, law.area, (num_slots, _NUM_CANDIDATES))
 
     def put(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         placed, is_met = carry
-        before = is_object & (jnp.arange(num_slots) < index)
+        before = is_object & (slots < index)
         is_fit = _fits(tried[:, index], kind[index], placed, kind, before, law)
         chosen = tried[:, index, jnp.argmax(is_fit)]
         return placed.at[:, index].set(chosen), is_met & (jnp.any(is_fit) | ~is_object[index])
 
     placed, is_met = jax.lax.fori_loop(2, num_slots, put, (placed, is_met))
-    number = 2 + 2 * law.num_pairs + law.num_bystanders
     return Scenario(
         object_type=jnp.where(is_object, kind, NONE),
         object_x=jnp.where(is_object, placed[0], 0.0),
@@ -130,18 +135,6 @@ def _draw_pair(key: Array, law: PlaceLaw) -> tuple[Array, Array, Array]:
     is_fit &= jnp.all((goal >= low[:, None]) & (goal <= high[:, None]), axis=0)
     at = jnp.argmax(is_fit)
     return goal[:, at], cone[:, at], jnp.any(is_fit)
-
-
-def _kinds(key: Array, law: PlaceLaw, num_slots: int) -> tuple[Array, Array]:
-    """List types by slot, i32[O], goal and cone first, and which slots are used, bool[O]."""
-    slots = jnp.arange(num_slots)
-    paired = 2 + 2 * law.num_pairs
-    pair = jnp.where(slots % 2 == 0, HYDRANT, CONE)
-    others = jax.random.randint(key, (num_slots,), 2, NUM_TYPES)
-    is_object = slots < paired + law.num_bystanders
-    is_object &= (slots != 0) | law.has_goal
-    is_object &= (slots != 1) | law.has_cone
-    return jnp.where(slots < paired, pair, others).astype(jnp.int32), is_object
 
 
 def _fits(
@@ -191,12 +184,11 @@ def _anywhere(key: Array, area: Array, shape: tuple[int, ...]) -> Array:
 def place_law(*, area: tuple[float, float, float, float], **numbers: Any) -> PlaceLaw:
     """Build a law of places.
 
+    Hydrants and cones are what is invented, the worst for a sentence about them.
+
     Args:
         area: x_min, x_max, y_min, y_max, metres; the origin is in it.
         **numbers: other fields of ``PlaceLaw``.
-
-    Returns:
-        The law. Hydrants and cones are what is invented, the worst for a sentence about them.
 
     Raises:
         ValueError: more things than there are slots, or more haunted places.

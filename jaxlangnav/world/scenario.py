@@ -277,13 +277,7 @@ def draw_scenario(key: Array, law: ScenarioLaw, *, num_slots: int = NUM_SLOTS) -
     lots = (jax.random.uniform(key_lot, (2,)) * law.num_hydrants).astype(jnp.int32)
     anchor, other = jnp.minimum(lots, law.num_hydrants - 1)
     goal_index = jnp.where(law.relation == NULL, other, anchor)
-    return _to_scenario(chosen, law, anchor, goal_index, num_slots)
-
-
-def _to_scenario(
-    chosen: _Placement, law: ScenarioLaw, anchor: Array, goal_index: Array, num_slots: int
-) -> Scenario:
-    """Pack an attempt into slots: hydrants, then the anchor's cone, then the free cones."""
+    # Slots: hydrants, then the anchor's cone, then the free cones.
     cone = chosen.anchor_cone[:, anchor]
     place = jnp.concatenate([chosen.hydrant, cone[:, None], chosen.free_cone], axis=1)
     object_type = jnp.array([HYDRANT] * MAX_HYDRANTS + [CONE] * MAX_CONES, jnp.int32)

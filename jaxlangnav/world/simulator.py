@@ -63,11 +63,6 @@ def drive_known_map(
 
     Limits: without odometry noise the distance is ``known_distance`` to within ``ARRIVAL``.
 
-    Args:
-        key: random key.
-        scenario: the world.
-        motion: step length and odometry noise.
-
     Returns:
         The robot at the end, and bool[], whether the run is a success.
     """

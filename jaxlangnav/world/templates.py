@@ -57,13 +57,7 @@ TABLE_2 = (
 
 
 def parse_template(name: str) -> Template:
-    """Read a template's name: "2H1C" is two hydrants and one cone; "2h, 1c" is the same.
-
-    Args:
-        name: number of hydrants in [1, 4], "H", number of cones in [0, 4], "C".
-
-    Returns:
-        The template, its name in the form "2H1C".
+    """Read a template's name, "2H1C" or "2h, 1c": two hydrants (1 to 4) and one cone (0 to 4).
 
     Raises:
         ValueError: the name is not of this form, or a number is outside its limits.
@@ -104,10 +98,6 @@ def known_range(template: Template, relation: str) -> tuple[float, float]:
     A combination that the paper does not print takes the nearest row that it prints: the same
     relation or else null, at most two hydrants, at most two cones, and 2H1C for 2H2C. Worlds
     with three or four of a kind are scaled up so that each object keeps the room of 2H1C.
-
-    Args:
-        template: the world's template.
-        relation: one of ``RELATION_NAMES``.
 
     Returns:
         Mean and standard deviation, metres.

@@ -179,9 +179,7 @@ def _lead(sentence: ReaderSentence, clause: Sequence[int]) -> int | None:
 def featurize(words: Sequence[str], labels: Collection[str]) -> list[list[str]]:
     """List the names of the features of each word and mark of a sentence.
 
-    Args:
-        words: words and marks, small, typing errors repaired.
-        labels: names of things that the detector tells apart.
+    Words and marks are small, typing errors repaired; labels are of what the detector tells apart.
     """
     sentence = ReaderSentence(tuple(words), frozenset(labels))
     first = [classes[0] for classes in sentence.classes]
@@ -238,11 +236,10 @@ def _in_clause(
     before = [i for i in clause if i < index]
     is_name_end = [a and not b for a, b in pairwise((*sentence.is_name, False))]
     names = sum(is_name_end[i] for i in before)
-    verbs = sum(map(sentence.is_verb, before))
+    counts = f"{min(names, 2)}{min(sum(map(sentence.is_verb, before)), 2)}"
+    named += [f"counts={counts}{min(sum(is_name_end[index:]), 2)}"]
+    named += [f"counts class={counts} {kind}"]
     ahead = range(index, len(first))
-    later = sum(is_name_end[index:])
-    counts = f"{min(names, 2)}{min(verbs, 2)}"
-    named += [f"counts={counts}{min(later, 2)}", f"counts class={counts} {kind}"]
     distance = next((i - index for i in ahead if sentence.is_name[i]), 5)
     named += [f"to name={min(distance, 5)} {kind}"]
     if index + distance < len(first):

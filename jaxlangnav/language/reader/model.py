@@ -49,14 +49,9 @@ class ReaderModel:
         return {name: index for index, name in enumerate(self.features)}
 
     def scores(self, words: Sequence[str], names: Collection[str]) -> np.ndarray:
-        """Score the labels of each word by its features.
+        """Score the labels of each word by its features; ``names`` are of detected things.
 
-        Args:
-            words: words and marks, one at least.
-            names: of things that the detector tells apart.
-
-        Returns:
-            f64[T, L] log scores, first and last labels included, transitions not.
+        Log scores f64[T, L], what first and last labels add included, transitions not.
         """
         rows = [
             self.emission[[self._index[one] for one in named if one in self._index]].sum(axis=0)
