@@ -82,16 +82,9 @@ def begin_conversation(
 
 
 def seen_from(pose: _Numbers, frame: _Numbers) -> _Numbers:
-    """Put poses that are told relative to the robot into the map.
+    """Put poses f32[C, 3] that are told in the frame of a robot at ``pose`` f32[3] into the map.
 
-    Limits: none told gives the robot's own pose.
-
-    Args:
-        pose: f32[3], x, y, heading of the robot as it hears them, map frame.
-        frame: f32[C, 3], in the robot's frame, metres and radians.
-
-    Returns:
-        f32[C, 3], map frame.
+    Poses are x, y, heading, metres and radians. Limits: none told gives the robot's own.
     """
     xp: Any = np if isinstance(pose, np.ndarray) else jnp
     ahead, aside = xp.cos(pose[2]), xp.sin(pose[2])

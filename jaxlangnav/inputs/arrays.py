@@ -33,11 +33,7 @@ def faults_as_values() -> Iterator[None]:
 
 
 def open_arrays(content: bytes) -> zipfile.ZipFile:
-    """Open an archive of arrays (``.npz``), given whole; nothing is inflated.
-
-    Raises:
-        ValueError: it is no archive, or holds a name twice.
-    """
+    """Open an archive of arrays (``.npz``), given whole; ValueError if a name is in it twice."""
     with faults_as_values():
         archive = zipfile.ZipFile(io.BytesIO(content))
         if len(set(archive.namelist())) < len(archive.namelist()):
@@ -46,11 +42,7 @@ def open_arrays(content: bytes) -> zipfile.ZipFile:
 
 
 def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Read an array that must have a shape: f32, finite; it cannot be written to.
-
-    Raises:
-        ValueError: it is not there, or anything else.
-    """
+    """Read an array that must have a shape: f32, finite, read-only; ValueError of anything else."""
     with faults_as_values():
         array = parse_floats(_member(archive, name, 4 * math.prod(shape) + _HEADER))
         if array.shape != shape:
@@ -59,11 +51,7 @@ def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> 
 
 
 def read_text_entry(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str:
-    """Read a text of an archive, an array of no axes, of so many characters at most.
-
-    Raises:
-        ValueError: it is not there, or anything else.
-    """
+    """Read a text, an array of no axes, of so many characters; ValueError of anything else."""
     with faults_as_values():
         array = _parse(_member(archive, name, 4 * at_most + _HEADER))
         if array.dtype.kind != "U" or array.shape != ():
@@ -72,11 +60,7 @@ def read_text_entry(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str
 
 
 def parse_floats(content: bytes) -> np.ndarray:
-    """Read a file of one array (``.npy``), given whole: f32[...], finite; it cannot be written to.
-
-    Raises:
-        ValueError: it is no such file, or its numbers are of another type or not finite.
-    """
+    """Read a ``.npy`` file, given whole: f32[...], finite, read-only; ValueError of any other."""
     with faults_as_values():
         array = _parse(content)
         if array.dtype != np.float32:

@@ -32,22 +32,14 @@ class DocumentError(ValueError):
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Read TOML: tables at most ``DEEPEST`` deep.
-
-    Raises:
-        DocumentError: no valid TOML, too deep, or with a number beyond 64 bits.
-    """
+    """Read TOML; DocumentError if it is none, too deep, or has a number beyond 64 bits."""
     if _DOTTED.search(text):
         raise DocumentError(f"has a key of more than {DEEPEST} parts: use fewer dots")
     return _parse(tomllib.loads, text, "TOML")
 
 
 def parse_json(text: str) -> Any:
-    """Read JSON: a value at most ``DEEPEST`` deep.
-
-    Raises:
-        DocumentError: no valid JSON, too deep, or with a number beyond 64 bits.
-    """
+    """Read JSON; DocumentError if it is none, too deep, or has a number beyond 64 bits."""
     return _parse(json.loads, text, "JSON")
 
 

@@ -40,11 +40,7 @@ def is_complex(value: Any) -> bool:
 
 
 def number(value: Any, what: str) -> float:
-    """Read a finite number, or an array of one; ``what`` it is, for the refusal.
-
-    Raises:
-        ValueError: it is none, or not finite; one line.
-    """
+    """Read a finite number, or an array of one, or refuse what it is with a ValueError."""
     try:
         if isinstance(value, str | bytes) or is_complex(value):
             raise TypeError
@@ -57,13 +53,7 @@ def number(value: Any, what: str) -> float:
 
 
 def bounded(value: Any, low: float, high: float, what: str, remedy: str) -> float:
-    """Read a number, or an array of one, between two bounds.
-
-    ``what`` it is and the ``remedy`` are for the refusal.
-
-    Raises:
-        ValueError: it is none, or out of the bounds; one line.
-    """
+    """Read a number, or an array of one, between two bounds, or refuse it with a ValueError."""
     read = number(value, what)
     if not low <= read <= high:
         raise ValueError(f"{what} is {read:g}, but must lie between {low:g} and {high:g}: {remedy}")

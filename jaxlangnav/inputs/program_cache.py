@@ -83,9 +83,6 @@ def cached_jit(
     Args:
         static_argnames: keyword arguments that are part of the program; told apart by ``repr``.
             With a value that is neither plain nor of this package nothing is kept.
-
-    Returns:
-        A decorator.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
