@@ -109,7 +109,7 @@ def write_text(text: str, path: Path) -> Path:
 
 
 def write_once(content: bytes, path: Path) -> bool:
-    """Write a file, all or nothing, unless there is one; of several writers tell if this has won."""
+    """Write a file, all or nothing, unless there is one; tell whether this writer has won."""
     with _temporary(path) as temporary:
         temporary.write_bytes(content)
         _force(temporary)
