@@ -7,7 +7,7 @@ of several words, of which one would be read as something else ("the stop sign")
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, SINGULARS, TYPE_CLASS, load_lexicon, plural
@@ -40,13 +40,10 @@ class Nouns:
     broader: Mapping[str, str]  # narrower → broader
     attributes: Mapping[str, str]  # adjective → value
 
-    @cached_property
-    def _of(self) -> dict[str, frozenset[str]]:
-        return {name: names for names in self.synonyms for name in names}
-
     def alike(self, noun: str) -> frozenset[str]:
         """List the names of the same thing, the noun's own among them."""
-        return self._of.get(noun, frozenset({noun})) | {noun}
+        groups = (names for names in reversed(self.synonyms) if noun in names)
+        return next(groups, frozenset({noun}))
 
 
 @cache
