@@ -143,8 +143,8 @@ def _is_definite(leaf: Phrase) -> bool:
 
 def _said_of(statement: Phrase) -> tuple[Phrase, ...]:
     """List what a statement says of the thing it is about."""
-    figure = next((child for child in statement.children if child.label == "NP"), None)
-    own = figure.children[1:] if figure is not None else ()
+    figures = [child for child in statement.children if child.label == "NP"]
+    own = figures[0].children[1:] if figures else ()
     return (*own, *(child for child in statement.children if child.label != "NP"))
 
 
@@ -163,15 +163,13 @@ def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
     is_it = is_next and any(word.text == "it" for word in figure.words)
 
     def put(phrase: Phrase) -> Phrase:
-        if phrase.label == "NP" and not phrase.children:
-            is_alike = type_sense(phrase) == kind and (is_it or _is_definite(phrase))
-            return _restricted(phrase, said) if is_alike else phrase
-        if phrase.label == "NP":
-            return phrase
-        return replace(phrase, children=tuple(put(child) for child in phrase.children))
+        if phrase.label != "NP":
+            return replace(phrase, children=tuple(map(put, phrase.children)))
+        is_leaf = not phrase.children and type_sense(phrase) == kind
+        is_alike = is_leaf and (is_it or _is_definite(phrase))
+        return _restricted(phrase, said) if is_alike else phrase
 
-    children = list(command.children)
-    children[first] = put(children[first])
+    children = [put(c) if i == first else c for i, c in enumerate(command.children)]
     return replace(command, children=tuple(children))
 
 
@@ -218,8 +216,8 @@ def join_constraints(clauses: Sequence[Phrase]) -> list[Phrase]:
     commands = [i for i, one in enumerate(clauses) if one.label == "VP" and not is_constraint(one)]
     joined, done = list(clauses), set()
     for index, clause in enumerate(clauses):
-        senses = {sense for word in clause.all_words() for sense in word.senses}
-        if not commands or not is_constraint(clause) or SAME in senses:
+        is_same = any(SAME in word.senses for word in clause.all_words())
+        if not commands or not is_constraint(clause) or is_same:
             continue
         done.add(index)
         for command in [i for i in commands if i > index] or commands[-1:]:

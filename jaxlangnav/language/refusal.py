@@ -59,13 +59,13 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     near = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
     if first is None and stuck is not None and stuck.text not in _SMALL and _is_telling(stuck):
         first = stuck
-    for token in [first, *nearest[:1], *near[-1:]]:
-        if token is not None:
-            reason = reasons[token.position] or UNKNOWN_HERE
-            after = next((t.text for t in tokens if t.position == token.position + 1), "")
-            if refused.get(after) == REASONS["a distance"]:  # "two metres"
-                reason = refused[after]
-            return _refusal([token], reason)
+    blamed = [first] if first is not None else [*nearest[:1], *near[-1:]]
+    if blamed:
+        position = blamed[0].position
+        after = next((t.text for t in tokens if t.position == position + 1), "")
+        is_distance = refused.get(after) == REASONS["a distance"]  # "two metres"
+        reason = refused[after] if is_distance else reasons[position] or UNKNOWN_HERE
+        return _refusal(blamed[:1], reason)
     later = [t for t in tokens[index + 1 : index + 3] if _is_unknown(t)]
     if stuck is not None and later:
         return _refusal(later[:1], UNKNOWN_HERE)
