@@ -17,13 +17,7 @@ import pytest
 
 from jaxlangnav.inputs import whole_files
 from jaxlangnav.inputs.arrays import faults_as_values, parse_floats
-from jaxlangnav.inputs.whole_files import (
-    check_own_files,
-    own_folder,
-    read_file,
-    read_own_file,
-    write_own_file,
-)
+from jaxlangnav.inputs.whole_files import own_folder, read_file, read_own_file, write_own_file
 from jaxlangnav.planner import prior
 
 WRITER = """
@@ -230,12 +224,12 @@ def test_what_is_another_users_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
     write_own_file(folder / "file", b"content")
     # Whom its owner lets write is no matter there: nobody else can enter.
     (folder / "file").chmod(0o664)
-    check_own_files(folder)
+    whole_files.check_own_files(folder)
     stranger = os.geteuid() + 1
     monkeypatch.setattr(whole_files.os, "geteuid", lambda: stranger)
     with pytest.raises(PermissionError, match="belongs to another user"):
         own_folder(folder)
-    for read in (check_own_files, lambda of: read_own_file(of / "file", at_most=9)):
+    for read in (whole_files.check_own_files, lambda of: read_own_file(of / "file", at_most=9)):
         with pytest.raises(PermissionError, match="file: belongs to another user"):
             read(folder)
 
