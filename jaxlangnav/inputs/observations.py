@@ -127,7 +127,14 @@ def detected(
     table = np.tile([-1.0, 0.0, 0.0, 0.0], (slots, 1))
     for slot, row in enumerate(rows):
         what = f"detection {slot + 1}"
-        kind, metres, bearing, looks = _entries(row, what)
+        is_array = isinstance(row, np.ndarray) and row.ndim == 1
+        is_row = is_array or (isinstance(row, Sequence) and not isinstance(row, str | bytes))
+        if not is_row or len(row) not in (3, 4):
+            raise ValueError(
+                f"{what} is {quoted(row, 60)}, but must be (type, range, bearing), or with how it "
+                'looks (type, range, bearing, {"colour": "red"})'
+            )
+        kind, metres, bearing, looks = [*row, None][:4]
         index = _type_index(kind, types, what)
         polar = _polar(metres, bearing, range_max, field_of_view, noise, what)
         table[slot] = index, *polar, _attribute_code(looks, what)
@@ -138,18 +145,6 @@ def detected(
         "is_detection": np.arange(slots) < len(rows),
         "detection_attribute": table[:, 3].astype(np.int32),
     }
-
-
-def _entries(row: Any, what: str) -> list[Any]:
-    """Take a detection apart: type, range, bearing, and how it looks or None."""
-    is_array = isinstance(row, np.ndarray) and row.ndim == 1
-    is_row = is_array or (isinstance(row, Sequence) and not isinstance(row, str | bytes))
-    if not is_row or len(row) not in (3, 4):
-        raise ValueError(
-            f"{what} is {quoted(row, 60)}, but must be (type, range, bearing), or with how it "
-            'looks (type, range, bearing, {"colour": "red"})'
-        )
-    return [*row, None][:4]
 
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")

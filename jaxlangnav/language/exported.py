@@ -110,9 +110,8 @@ def _reached(ways: Rules) -> Rules:
 def _name(left: str, form: Notation) -> str:
     """Name a symbol as the form wants it: lark's are small, GBNF has no underscore."""
     small = left.lower() + ("_phrase" if left[:1].isupper() else "")
-    if form == "lark":
-        return small
-    return "root" if left == START else small.replace("_", "-")
+    gbnf = "root" if left == START else small.replace("_", "-")
+    return small if form == "lark" else gbnf
 
 
 def _literal(part: str) -> str:

@@ -196,11 +196,10 @@ class Grammar:
         Raises:
             NoParseError: there is none.
         """
-        terminals = []
-        for index, token in enumerate(tokens):
-            if f'"{token}"' not in self._symbols:
-                raise NoParseError(index)
-            terminals.append(self._symbols[f'"{token}"'])
+        known = [f'"{token}"' in self._symbols for token in tokens]
+        if not all(known):
+            raise NoParseError(known.index(False))
+        terminals = [self._symbols[f'"{token}"'] for token in tokens]
         with self._lock:  # the predictions belong to one sentence
             try:
                 self._predict_only(frozenset(terminals), is_whole=True)

@@ -91,8 +91,7 @@ def alarm_in(text: str, is_object: Callable[[str], bool]) -> str | None:
     parts = [[_repaired(word) for word in part] for part in _parts(text, _MAX_ALARM_CHARACTERS)]
     line = " . ".join(" ".join(_marked(part, is_object)) for part in parts)
     free = _BOUND.sub("", line)
-    is_command = -1 < _FORBIDDEN.sub("", line).find("go:") < line.rfind(" object:")
-    if is_command:
+    if -1 < _FORBIDDEN.sub("", line).find("go:") < line.rfind(" object:"):  # a command
         free = re.sub(r"manner:\S+", "", free)
     if found := re.search(r"(?:verb|warning|manner):(\S+)", free):
         return f"'{found[1].replace('_', ' ')}' may ask to halt"

@@ -133,10 +133,9 @@ def _size_of_name(
 
 def _is_after_determiner(tokens: list[Token], index: int) -> bool:
     """Tell whether only a determiner, or one and adjectives, stands before a token."""
-    before, qualifying = index - 1, words_in_classes("adj", "sup_adj", "ordinal") - {""}
-    while before >= 0 and tokens[before].text in qualifying:
-        before -= 1
-    return before >= 0 and tokens[before].text in words_in_classes("det")
+    qualifying = words_in_classes("adj", "sup_adj", "ordinal")
+    before = (one.text for one in reversed(tokens[:index]) if one.text not in qualifying)
+    return next(before, None) in words_in_classes("det")
 
 
 def _is_head(tokens: list[Token], index: int) -> bool:

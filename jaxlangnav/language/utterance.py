@@ -83,13 +83,11 @@ def classify(text: str, *, is_asked: bool = False) -> Utterance:
     if not isinstance(text, str) or len(text) > MAX_HALTING_CHARACTERS:
         return Utterance(kind=None, rest=text)
     wording = _whole(text, is_asked=is_asked)
-    if is_asked and wording is not None:
-        # "No" and "right" answer a question, whatever they mean elsewhere.
-        return Utterance(kind=_KINDS.get(wording, Kind.ANSWER), wording=wording)
-    if act is not None:
+    # "No" and "right" answer a question, whatever they mean elsewhere.
+    if act is not None and not (is_asked and wording is not None):
         return Utterance(kind=Kind(act.value))
     if wording is not None:
-        return Utterance(kind=_KINDS[wording], wording=wording)
+        return Utterance(kind=_KINDS.get(wording, Kind.ANSWER), wording=wording)
     return _opened(text)
 
 
