@@ -5,8 +5,8 @@
     what XLA makes of the program: machine code
 
 Nothing is parsed, let alone handed to XLA, before the digest is right: XLA ends the process on some
-bytes and runs others. The digest guards against accidents and is no signature: the file must come
-from nobody but the user (``whole_files``). JAX's ``serialize_executable`` would make a pickle.
+bytes and runs others. The digest guards against accidents and is no signature: nobody but the user
+may have made the file (``whole_files``). JAX's own ``serialize_executable`` makes a pickle.
 """
 
 import contextlib
