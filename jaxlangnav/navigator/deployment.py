@@ -48,14 +48,14 @@ _KINDS = (
 )
 """What numbers there are of every kind, whose unit and limits they share."""
 _KNOWN = {name: kind for kind, names in _KINDS for name in names.split()}
-_TABLES = ("sensor", SensorParams), ("motion", MotionParams), ("map", MapParams)
+_RECORDS = dict(sensor=SensorParams, motion=MotionParams, map=MapParams, planner=PlannerParams)
 FIELDS = {
     table: {
         field.name: _KNOWN.get(field.name, Quantity(low=-math.inf))
         for field in dataclasses.fields(record)
         if field.type in (Array, "Array") and field.name != "range_max"
     }
-    for table, record in (*_TABLES, ("planner", PlannerParams))
+    for table, record in _RECORDS.items()
 }
 """Keys of the four tables of Params in a sweep's configuration: the records' own single numbers.
 One whose unit is not known here is a plain number."""

@@ -10,8 +10,8 @@ sensing range of it (of a free pair: of either), T the whole length, q_K the las
 area that the tour has missed, so that B / 4R is about half of a sweep of it (R sin h of a view of
 half-angle h below a right angle, which shows less abreast).
 
-What is looked for may be nowhere, with probability q (``endings``): then all of the area is looked
-at before that is known, in whatever order, and the way until then is what counts:
+What is looked for may be nowhere, with probability q (``termination``): then all of the area is
+looked at before that is known, in whatever order, and the way until then is what counts:
 
     L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R + G),   M = Σ_c m_c
 

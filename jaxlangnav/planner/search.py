@@ -42,7 +42,7 @@ class SearchMap:
     unseen: Array  # f32[] probability that what is there as said would still be unseen
     terrain: Terrain = OPEN  # how far one sees and walks there
     forbidden: Forbidden | None = None  # what is to be kept away from
-    nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, that it is nowhere (``endings``)
+    nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, that it is nowhere (``termination``)
     missed: Array | np.float32 = np.float32(0.0)  # f32[] that a thing anywhere would be unseen
     elsewhere: Array | np.float32 = np.float32(0.0)  # f32[C] where it then is; sums to one
 

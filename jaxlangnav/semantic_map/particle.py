@@ -27,7 +27,7 @@ START_VARIANCE = 1e-4
 class SemanticMap:
     """One particle. Positions in metres, map frame."""
 
-    object_type: Array  # i32[O] kind (``kinds``); NONE in empty slots
+    object_type: Array  # i32[O] kind (``object_types``); NONE in empty slots
     covariance: Array  # f32[O + 1, O + 1] Σ, m², both axes; robot last; zero in empty slots
     mean_x: Array  # f32[O + 1] metres; robot last; zero in empty slots
     mean_y: Array  # f32[O + 1] metres
