@@ -171,8 +171,8 @@ def test_what_is_to_be_avoided_costs_and_is_gone_round() -> None:
     np.testing.assert_array_equal(freely.cost, 0.0)
     assert 0.0 == float(surely.cost[0]) < float(doubted.cost[2]) <= float(surely.cost[2])
     assert int(freely.kind) == int(surely.kind) == OBJECT_NODE
-    assert float(freely.next_y) == 0.0
-    assert float(surely.next_y) > 0.5
+    assert float(doubted.value[2]) < float(freely.value[2])
+    assert float(freely.next_y) == 0.0 < 0.5 < float(surely.next_y)
 
 
 @pytest.mark.parametrize(
