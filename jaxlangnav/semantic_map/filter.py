@@ -71,10 +71,9 @@ def start(
     """
     pose, area, is_placed = sound_place(pose, area)
     coverage, number = unexplored(area, config.num_cells), config.num_particles
-    x, y, has_doubts, has_drift = pose[0], pose[1], config.has_doubts, config.has_drift
-    one = particle.empty(
-        config.num_objects, num_mentions, x, y, has_doubts=has_doubts, has_drift=has_drift
-    )
+    has_drift = config.has_drift
+    kinds = {"has_doubts": config.has_doubts, "has_drift": has_drift}
+    one = particle.empty(config.num_objects, num_mentions, pose[0], pose[1], **kinds)
     held = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)), one)
     if has_drift:
         sign = jnp.where(jnp.arange(number) % 2 == 0, 1.0, -1.0)
