@@ -202,7 +202,7 @@ def narrate(recording: Recording) -> list[str]:
         else:
             lines += _drawn_together(quiet, recording)
             quiet = []
-            lines.append(_line(moment))
+            lines.append(f"{_head(moment)} {' '.join(tell_step(moment))}")
     lines += _drawn_together(quiet, recording)
     return lines + closing(recording.last_scene, recording.at(-1), recording.result)
 
@@ -216,7 +216,7 @@ def tell_on(
     """Tell an episode while it runs, and pass its steps on; ``said`` grows meanwhile."""
     for moment in moments(scene, steps, said):
         if moment.said or not _is_quiet(moment):
-            tell([_line(moment)])
+            tell([f"{_head(moment)} {' '.join(tell_step(moment))}"])
         yield moment.frame, moment.result
 
 
@@ -231,15 +231,9 @@ def _is_quiet(moment: Moment) -> bool:
         return False
     if bool(frame.is_done):
         return bool(before.is_done) and int(frame.status) == int(before.status)
-    is_same = int(frame.clause) == int(before.clause)
-    if not is_same or int(frame.waypoint_kind) != int(before.waypoint_kind):
+    if any(getattr(frame, one) != getattr(before, one) for one in ("clause", "waypoint_kind")):
         return False
-    shift = abs(frame.goal_mass - before.goal_mass).max()
-    return float(shift) < _SHIFT
-
-
-def _line(moment: Moment) -> str:
-    return f"{_head(moment)} {' '.join(tell_step(moment))}"
+    return float(abs(frame.goal_mass - before.goal_mass).max()) < _SHIFT
 
 
 def _head(moment: Moment, steps: str = "") -> str:
@@ -248,7 +242,7 @@ def _head(moment: Moment, steps: str = "") -> str:
 
 
 def _drawn_together(quiet: list[Moment], recording: Recording) -> list[str]:
-    """Say several steps without event in one line."""
+    """Say several steps without event in one line; of a search at most ten."""
     if not quiet:
         return []
     first, moment = quiet[0].step, quiet[-1]
@@ -261,10 +255,15 @@ def _drawn_together(quiet: list[Moment], recording: Recording) -> list[str]:
         if len(quiet) > 2 and gone < 0.5:
             return [f"{head} Stands still. {sentences.believed(scene, last)}"]
         return [f"{head} Goes on to {sentences.target(scene, last)}."]
+    if len(quiet) > 10:
+        return [*_drawn_together(quiet[:10], recording), *_drawn_together(quiet[10:], recording)]
     refuted = sum(int(one.frame.num_regrounded) for one in quiet)
+    lost = f"{refuted} hypothes{'i' if refuted == 1 else 'e'}s refuted"
+    # What is drawn anew may be refuted again.
+    lost = lost if refuted <= last.weight.shape[0] else f"hypotheses refuted {refuted} times"
     share = percent(summary.explored_share(last))
     seen = "Looks on" if last.is_detection.any() else "Searches, finds nothing"
     return [
-        f"{head} {seen}: {refuted} hypotheses refuted by what was not there, {share} of the area "
-        f"looked at. {sentences.believed(scene, last)}"
+        f"{head} {seen}: {lost} by what was not there, {share} of the area looked at. "
+        f"{sentences.believed(scene, last)}"
     ]
