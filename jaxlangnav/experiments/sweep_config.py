@@ -146,14 +146,13 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
         own_worlds=own,
         world_hashes=hashes,
     )
-    # Rows of a value that is listed twice could not be told apart.
-    names = ("seeds", "worlds", "commands", "ranges", "particles")
-    lists: dict[str, tuple[Any, ...]] = {name: getattr(config, name) for name in names}
+    lists: dict[str, Any] = {"commands": [(one.text, one.relation) for one in config.commands]}
+    lists |= {name: getattr(config, name) for name in ("seeds", "worlds", "ranges", "particles")}
     for name, keys in config.params.items():
         lists |= {f"{name}.{key}": values for key, values in keys.items()}
     for name, values in lists.items():
-        if len(set(map(repr, values))) < len(values):
-            raise ValueError(f"{name} lists a value twice")
+        if len(set(values)) < len(values):
+            raise ValueError(f"{name} lists a value twice")  # rows could not be told apart
     # Noise is held against the range: where the largest fits the shortest, all do.
     for reach in (min(config.ranges), max(config.ranges)):
         default_sensor(reach, noise=max(config.params["sensor"].get("noise", (0.1,))))
