@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from jaxlangnav.cli import checks
+from jaxlangnav.cli import checks, speech
 from jaxlangnav.cli.ground import is_template, parse_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
 from jaxlangnav.cli.settings import SettingPath, apply, equip, read_settings
 
 if TYPE_CHECKING:
-    from jaxlangnav.cli.speech import Speech
     from jaxlangnav.episode.recording import Recording
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
@@ -84,12 +83,12 @@ class Follow:
 
     def run(self, output: Output) -> Document:
         """Run the episode, tell it, and draw it where a folder is given."""
-        self._check()
+        script = self._check()
         # The words of a template are known; a world of somebody's own brings its own.
         parsed = parse_text(self.text, output) if is_template(self.world) else None
         keep_compiled_programs()
         values = read_settings(self.settings, self.SETTINGS)
-        self._check_settings(values)
+        sizes = self._sizes(values)
         understood, grounder = self._understand(parsed, output)
         from jaxlangnav.task.opening import refuse_what_it_lacks, slots_of
 
@@ -98,28 +97,31 @@ class Follow:
         from jaxlangnav.task.follow import alone, rehearse
         from jaxlangnav.task.talk import roomy
 
-        speech = self._speech
-        if not speech.is_silent:
-            speech.check_words(grounder, understood)
+        heard = None
+        if script or self.ask or self.talk or self.person:
+            speech.check_script(script, grounder, understood)
             understood = roomy(understood)
-        sizes = self._sizes(values)
+            heard = {"script": script, "grounder": grounder, "first": understood}
         rehearse(alone(understood), slots_of(self.world), **sizes)
         prepared = self._open(understood, output)
         prepared, sizes["params"] = equip(prepared, values, params=sizes["params"])
         sizes["config"] = without_compass(sizes["config"], prepared.task.motion)
-        recording = self._record(understood, grounder, prepared, sizes, output)
+        recording = self._record(understood, heard, prepared, sizes, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
         return document
 
-    def _check(self) -> None:
+    def _check(self) -> dict[int, list[str]]:
+        """Refuse options that cannot be; what is said, by step."""
         checks.check_range(self.range)
         checks.check_seed(self.seed)
         checks.check_at_least("--particles", self.particles, 2)
         checks.check_at_least("--max-steps", self.max_steps, 1)
         checks.check_folder("--out", self.out)
-        if self._speech.talks and self.live:
+        script = speech.read_script(self.hear, self.max_steps)
+        speech.check_speakers(ask=self.ask, talk=self.talk, person=self.person)
+        if self.talk and self.live:
             raise UsageError("--talk tells the story as it goes: leave out --live")
         if self.out is not None:
             checks.check_extra("--out draws pictures and needs", "matplotlib", "viz")
@@ -127,27 +129,24 @@ class Follow:
             raise UsageError("--rrd writes episode.rrd into the folder of --out: add --out DIR")
         if self.rrd:
             checks.check_extra("--rrd needs the rerun viewer", "rerun", "rerun")
+        return script
 
-    @property
-    def _speech(self) -> "Speech":
-        """What may be said under way."""
-        from jaxlangnav.cli.speech import Speech
-
-        options = {name: getattr(self, name) for name in ("ask", "talk", "person", "max_steps")}
-        return Speech.of(self.hear, **options)
-
-    def _check_settings(self, values: "dict[SettingPath, Any]") -> None:
-        """Refuse numbers and sizes that do not go together, or that no memory holds."""
+    def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
+        """Build numbers and sizes; refuse what does not go together, or what no memory holds."""
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
+        from jaxlangnav.task.follow import usual_engine
         from jaxlangnav.task.opening import sensor_of
 
-        sizes = self._sizes(values)
+        params, config = usual_engine(self.world, self.policy, self.particles)
+        params, config = apply(params, values, "params"), apply(config, values, "config")
+        params = speech.allow_questions(params) if self.ask else params
         check_sensor(apply(sensor_of(self.world, self.range), values, "sensor"))
         if values:
-            check(sizes["params"], policy=sizes["config"].planner.chosen)
-        check_recording(sizes["config"], self.max_steps)
+            check(params, policy=config.planner.chosen)
+        check_recording(config, self.max_steps)
+        return {"params": params, "config": config}
 
     def _understand(
         self, parsed: "Parse | None", output: Output
@@ -184,17 +183,10 @@ class Follow:
             output.note(f"note: {prepared.unjudged}, so success cannot be judged")
         return prepared
 
-    def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
-        from jaxlangnav.task.follow import usual_engine
-
-        params, config = usual_engine(self.world, self.policy, self.particles)
-        params = self._speech.allow_questions(apply(params, values, "params"))
-        return {"params": params, "config": apply(config, values, "config")}
-
     def _record(
         self,
         understood: "Understanding",
-        grounder: "Grounder",
+        heard: dict[str, Any] | None,
         prepared: "Prepared",
         sizes: dict[str, Any],
         output: Output,
@@ -206,11 +198,14 @@ class Follow:
         from jaxlangnav.task.talk import with_talk
         from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
 
-        instructions, task, speech = alone(understood), prepared.task, self._speech
+        instructions, task = alone(understood), prepared.task
         named = {"text": self.text, "type_names": understood.type_names}
         given = task.scenario, task.sensor, understood.instruction
         scene = recorder.scene_of(*given, **named, **sizes)
-        ear = None if speech.is_silent else speech.ear(grounder, understood, scene, output)
+        ear = None
+        if heard is not None:
+            who = {name: getattr(self, name) for name in ("person", "ask", "talk")}
+            ear = speech.ear_of(output, **who, **heard, scene=scene)
         steps = recorder.play(task, instructions, max_steps=self.max_steps, ear=ear, **sizes)
         note = "compiling the robot's mind; what is compiled is kept for the next run"
         with waiting(note, output):
@@ -241,7 +236,6 @@ class Follow:
     def _document(
         self, name: str, annotations: list[dict[str, Any]], recording: "Recording"
     ) -> dict[str, Any]:
-        from jaxlangnav.cli.speech import describe_talk
         from jaxlangnav.messages import Status
 
         scene, result = recording.scene, recording.result
@@ -256,7 +250,7 @@ class Follow:
             "stopped": result.is_stopped,
             "ending": Status(int(result.ending)).word,
             "missing": recording.missing,
-            **describe_talk(recording),
+            **speech.describe_talk(recording),
             "distance": result.distance,
             "known_distance": scene.known_distance,
             "straight_distance": scene.straight_distance,

@@ -1,12 +1,11 @@
 """What is said to the robot of ``follow`` under way: options, and who sits at the terminal."""
 
-import dataclasses
 import math
 import queue
 import re
 import sys
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.cli.output import Output, UsageError, did_you_mean
@@ -14,7 +13,7 @@ from jaxlangnav.inputs.sanitize import cut, printable
 
 if TYPE_CHECKING:
     from jaxlangnav.episode import EpisodeState
-    from jaxlangnav.episode.recording import Recording, Remark, StaticScene
+    from jaxlangnav.episode.recording import Recording, Remark
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.navigator import NavigatorParams
@@ -26,103 +25,84 @@ QUESTION_COST = 0.1
 _PACE = 0.4  # seconds that a step takes at least while somebody may type
 
 
-def _parse_hear(text: str, max_steps: int) -> tuple[int, str]:
-    """Read an utterance and its step: "5: go to the other hydrant"."""
-    found = re.fullmatch(r"\s*([0-9]+)\s*:\s*(\S.*?)\s*", text, re.DOTALL)
-    if found is None:
-        raise UsageError(
-            f'--hear is "{cut(text)}", but must name a step and what is said: '
-            '--hear "5: go to the other hydrant"'
-        )
-    digits = found[1].lstrip("0") or "0"
-    step = int(digits[:18])
-    if step >= max_steps:
-        raise UsageError(
-            f"--hear is for step {cut(digits)}, but the last one is {max_steps - 1}: name an "
-            "earlier step, or raise --max-steps"
-        )
-    return step, found[2]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Speech:
-    """What may be said in an episode."""
-
-    script: Mapping[int, Sequence[str]]
-    asks: bool
-    talks: bool
-    person: str | None = None  # a simulated one's name
-
-    @classmethod
-    def of(
-        cls, hear: Iterable[str], *, ask: bool, talk: bool, person: str | None, max_steps: int
-    ) -> "Speech":
-        """Read the options; ``UsageError``: an utterance without a step, or nobody to type."""
-        script: dict[int, list[str]] = {}
-        for one in hear:
-            step, text = _parse_hear(one, max_steps)
-            script.setdefault(step, []).append(text)
-        from jaxlangnav.world.person import PERSONS
-
-        if person is not None and person not in PERSONS:
-            hint = did_you_mean(person, PERSONS)
+def read_script(hear: Iterable[str], max_steps: int) -> dict[int, list[str]]:
+    """Read utterances such as "5: go to the other hydrant", by their steps."""
+    script: dict[int, list[str]] = {}
+    for text in hear:
+        found = re.fullmatch(r"\s*([0-9]+)\s*:\s*(\S.*?)\s*", text, re.DOTALL)
+        if found is None:
             raise UsageError(
-                f'--person is "{cut(person)}", but must be one of {", ".join(PERSONS)}{hint}'
+                f'--hear is "{cut(text)}", but must name a step and what is said: '
+                '--hear "5: go to the other hydrant"'
             )
-        if person is not None and talk:
-            raise UsageError("--person speaks for you: leave out --talk")
-        for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):
-            if is_given and not sys.stdin.isatty():
-                raise UsageError(
-                    f"{option} needs a terminal at which somebody answers: run it in one, or say "
-                    'by step what is heard, as in --hear "5: the left one"'
-                )
-        return cls(script=script, asks=ask, talks=talk, person=person)
+        digits = found[1].lstrip("0") or "0"
+        step = int(digits[:18])
+        if step >= max_steps:
+            raise UsageError(
+                f"--hear is for step {cut(digits)}, but the last one is {max_steps - 1}: name an "
+                "earlier step, or raise --max-steps"
+            )
+        script.setdefault(step, []).append(found[2])
+    return script
 
-    @property
-    def is_silent(self) -> bool:
-        """Whether nothing can be said under way."""
-        return not (self.script or self.asks or self.talks or self.person)
 
-    def check_words(self, grounder: "Grounder", first: "Understanding") -> None:
-        """Refuse words that the robot could not understand in any state."""
-        from jaxlangnav.task.talk import check_words
+def check_speakers(*, ask: bool, talk: bool, person: str | None) -> None:
+    """Refuse a person that nobody is, and a question or a talk with nobody to type."""
+    from jaxlangnav.world.person import PERSONS
 
-        for step, texts in self.script.items():
-            for text in texts:
-                try:
-                    check_words(grounder, first, text)
-                except ValueError as refusal:
-                    raise UsageError(f'--hear "{step}: {cut(text)}": {refusal}') from refusal
+    if person is not None and person not in PERSONS:
+        hint = did_you_mean(person, PERSONS)
+        raise UsageError(
+            f'--person is "{cut(person)}", but must be one of {", ".join(PERSONS)}{hint}'
+        )
+    if person is not None and talk:
+        raise UsageError("--person speaks for you: leave out --talk")
+    for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):
+        if is_given and not sys.stdin.isatty():
+            raise UsageError(
+                f"{option} needs a terminal at which somebody answers: run it in one, or say "
+                'by step what is heard, as in --hear "5: the left one"'
+            )
 
-    def allow_questions(self, params: "NavigatorParams") -> "NavigatorParams":
-        """Give questions a finite cost where they are to be answered and have none yet."""
-        import jax.numpy as jnp
 
-        from jaxlangnav.pytree import replace
+def check_script(
+    script: dict[int, list[str]], grounder: "Grounder", first: "Understanding"
+) -> None:
+    """Refuse words that the robot could not understand in any state."""
+    from jaxlangnav.task.talk import check_words
 
-        if not self.asks or math.isfinite(float(params.planner.question_cost)):
-            return params
-        cost = jnp.float32(QUESTION_COST)
-        return replace(params, planner=replace(params.planner, question_cost=cost))
+    for step, texts in script.items():
+        for text in texts:
+            try:
+                check_words(grounder, first, text)
+            except ValueError as refusal:
+                raise UsageError(f'--hear "{step}: {cut(text)}": {refusal}') from refusal
 
-    def ear(
-        self, grounder: "Grounder", first: "Understanding", scene: "StaticScene", output: Output
-    ) -> "Earshot":
-        """Build the ear of ``recorder.play``; ``first`` has room for more sentences."""
-        from jaxlangnav.task.talk import YOU, Earshot, Watcher
 
-        shared: dict[str, Any] = {"grounder": grounder, "first": first, "scene": scene}
-        shared["script"] = self.script
-        if self.person is not None:
-            watcher = Watcher.named(self.person)
-            voices = {self.person: watcher.speak}
-            return Earshot(**shared, voices=voices, is_awaited=watcher.is_there)
-        if not (self.asks or self.talks):
-            return Earshot(**shared)
-        typist = Typist(output, is_talking=self.talks)
-        voices = {YOU: typist.say}
-        return Earshot(**shared, voices=voices, is_awaited=typist.is_there, on_said=typist.reply)
+def allow_questions(params: "NavigatorParams") -> "NavigatorParams":
+    """Give questions a finite cost where they have none yet."""
+    import jax.numpy as jnp
+
+    from jaxlangnav.pytree import replace
+
+    if math.isfinite(float(params.planner.question_cost)):
+        return params
+    cost = jnp.float32(QUESTION_COST)
+    return replace(params, planner=replace(params.planner, question_cost=cost))
+
+
+def ear_of(output: Output, *, person: str | None, ask: bool, talk: bool, **given: Any) -> "Earshot":
+    """Build the ear of ``recorder.play``, of further fields of ``Earshot``."""
+    from jaxlangnav.task.talk import YOU, Earshot, Watcher
+
+    if person is not None:
+        watcher = Watcher.named(person)
+        return Earshot(**given, voices={person: watcher.speak}, is_awaited=watcher.is_there)
+    if not (ask or talk):
+        return Earshot(**given)
+    typist = Typist(output, is_talking=talk)
+    voices = {YOU: typist.say}
+    return Earshot(**given, voices=voices, is_awaited=typist.is_there, on_said=typist.reply)
 
 
 class Typist:
