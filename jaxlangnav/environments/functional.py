@@ -24,13 +24,12 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS
-from jaxlangnav.experiments.baselines import plain_action
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import carry_out
+from jaxlangnav.world.motion import carry_out, plain_action
 from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
 from jaxlangnav.world.sensor import NUM_DETECTIONS, sense
 from jaxlangnav.world.state import CONE, HYDRANT, Scenario, WorldState

@@ -22,7 +22,7 @@ from jax import Array
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import Action, Observation, SensorParams, Status
+from jaxlangnav.messages import Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.graph import frontiers
 from jaxlangnav.planner.params import default_planner_params
@@ -31,6 +31,7 @@ from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look, unexpl
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world import simulator
+from jaxlangnav.world.motion import plain_action as plain_action
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.simulator import drive_known_map
 from jaxlangnav.world.state import WorldState
@@ -161,18 +162,6 @@ def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) ->
     )
 
 
-def plain_action(waypoint: Array, step: Array, is_stop: Array) -> Action:
-    """Build the action of an agent without a pace of its own: it has arrived, or searches."""
-    return Action(
-        waypoint=waypoint,
-        step=step,
-        is_stop=is_stop,
-        status=jnp.where(is_stop, int(Status.ARRIVED), int(Status.SEARCHING)),
-        speed=jnp.float32(1.0),
-        clearance=jnp.float32(0.0),
-    )
-
-
 def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> _Run:
     """Put an episode at its start; of a sentence only the type of its first figure is read."""
     del config
@@ -228,6 +217,7 @@ def _drive_known(run: _Run, *, params: object, config: NavigatorConfig) -> tuple
 def _finish(run: _Run) -> EpisodeResult:
     """Judge an episode; a baseline has no particles to lose."""
     world, scenario = run.world, run.task.scenario
+    counts = ("overflow", "degenerate", "contradictions", "faults")
     return EpisodeResult(
         is_success=simulator.is_success(world, scenario, run.is_stopped),
         is_stopped=run.is_stopped,
@@ -236,10 +226,7 @@ def _finish(run: _Run) -> EpisodeResult:
         steps=run.steps,
         final=world.position,
         goal_distance=simulator.goal_distance(world, scenario),
-        overflow=jnp.int32(0),
-        degenerate=jnp.int32(0),
-        contradictions=jnp.int32(0),
-        faults=jnp.int32(0),
+        **dict.fromkeys(counts, jnp.int32(0)),
         mean_effective_sample_size=jnp.float32(0.0),
         is_valid=scenario.is_valid,
     )

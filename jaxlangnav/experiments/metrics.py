@@ -65,30 +65,33 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
     left out.
     """
     valid = np.asarray(results.is_valid)
-    success = np.asarray(results.is_success)[valid]
-    distance = np.asarray(results.distance, np.float64)[valid]
+    found = {name: np.asarray(leaf)[valid] for name, leaf in vars(results).items()}
+    success, distance = found["is_success"], found["distance"].astype(np.float64)
     known = np.asarray(known_distance, np.float64)[valid]
     straight = np.maximum(known - SUCCESS_RADIUS, 1e-9)  # the least way that may end in a success
     number = int(valid.sum())
     low, high = wilson_interval(int(success.sum()), number)
-    spread = float(distance.std(ddof=1)) if number > 1 else 0.0
-    known_spread = float(known.std(ddof=1)) if number > 1 else 0.0
+
+    def mean(values: np.ndarray) -> float:
+        return float(values.mean()) if number else 0.0
+
+    def spread(values: np.ndarray) -> float:
+        return float(values.std(ddof=1)) if number > 1 else 0.0
+
     return RowMetrics(
         episodes=number,
-        success_rate=100.0 * float(success.mean()) if number else 0.0,
+        success_rate=100.0 * mean(success),
         success_ci=(100.0 * low, 100.0 * high),
-        distance_mean=float(distance.mean()) if number else 0.0,
-        distance_sd=spread,
-        known_distance_mean=float(known.mean()) if number else 0.0,
-        known_distance_sd=known_spread,
-        spl=float((success * straight / np.maximum(straight, distance)).mean()) if number else 0.0,
-        steps_mean=float(np.asarray(results.steps)[valid].mean()) if number else 0.0,
-        overflows=int(np.asarray(results.overflow)[valid].sum()),
-        degenerate=int(np.asarray(results.degenerate)[valid].sum()),
-        contradictions=int(np.asarray(results.contradictions)[valid].sum()),
-        faults=int(np.asarray(results.faults)[valid].sum()),
-        timeouts=int((~np.asarray(results.is_stopped)[valid]).sum()),
-        not_found=int((np.asarray(results.ending)[valid] == Status.NOT_FOUND).sum()),
+        distance_mean=mean(distance),
+        distance_sd=spread(distance),
+        known_distance_mean=mean(known),
+        known_distance_sd=spread(known),
+        spl=mean(success * straight / np.maximum(straight, distance)),
+        steps_mean=mean(found["steps"]),
+        overflows=int(found["overflow"].sum()),
+        **{name: int(found[name].sum()) for name in ("degenerate", "contradictions", "faults")},
+        timeouts=int((~found["is_stopped"]).sum()),
+        not_found=int((found["ending"] == Status.NOT_FOUND).sum()),
         invalid_worlds=int((~valid).sum()),
     )
 

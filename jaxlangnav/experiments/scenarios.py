@@ -132,13 +132,12 @@ def _said(name: str, value: float) -> str:
     return f"{words[name]} {100.0 * value:g} %"
 
 
+def _case(name: str, what: str, **more: Any) -> PlaceSpec:
+    return PlaceSpec(name=name, what=what, **more)
+
+
 def _square(half: float) -> _Numbers:
     return {"area": (-half, half, -half, half)}
-
-
-_GHOSTS_2, _GHOSTS_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
-"""Of each of two types, hydrants and cones: one false detection in 50 looks, and in 10."""
-_FALSE: dict[str, Any] = {"side": -1.0}
 
 
 def _further(expected: float) -> _Numbers:
@@ -146,122 +145,76 @@ def _further(expected: float) -> _Numbers:
     return {"concentration": expected, "clumping": 0.0, "misleading": 0.01}
 
 
+_GHOSTS_2, _GHOSTS_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
+"""Of each of two types, hydrants and cones: one false detection in 50 looks, and in 10."""
+_WRONG, _MISSES = {"mislabelled": 0.1}, {"detection_probability": 0.6}
+_FRONT, _PAIRS_2, _PAIRS_4 = {"side": -1.0, "said": -1.0}, {"num_pairs": 2}, {"num_pairs": 4}
+_FALSE: dict[str, Any] = {
+    "what": "the hydrant is in front of the cone", "place": {"side": -1.0}, "target": 99.0,
+    "longest": 45.0,
+}  # fmt: skip
 _ONLY = {**_further(0.02), "misleading": 0.001, "absent": 0.0}
 """There is no other one, and it is there."""
+_HAUNTED = {"num_haunted": 4, "haunt_probability": 0.2}
 _CROWD = {"num_bystanders": 56, "num_pairs": 1}
 _ALL: dict[str, Any] = {
     "what": "14 bystanders and one more pair",
     "place": {"num_bystanders": 14, "num_pairs": 1},
     "truth": {"detection_probability": 0.8, "mislabelled": 0.05, **_GHOSTS_2},
 }
+_MORE_2, _MORE_4 = "two more hydrants and cones", "four more hydrants and cones"
+_MIDDLE, _SIX, _THINGS = "the start in the middle", "six bystanders", "things of other types"
+_INVENTED = "false detections, anew each look"
 
 SCENARIOS = (
-    PlaceSpec(name="plain", what="one pair, ahead and beside, 14 × 18 m"),
-    PlaceSpec(
-        name="all round", what="the start in the middle of 20 × 20 m", place=_square(10.0)
-    ),
-    PlaceSpec(
-        name="in front", what="the goal is before its cone", relation="front",
-        place={"side": -1.0, "said": -1.0},
-    ),
-    PlaceSpec(
-        name="in front, told", what="that there is no other is told", relation="front",
-        place={"side": -1.0, "said": -1.0}, numbers=_further(0.02),
-    ),
-    PlaceSpec(name="far sight", what="a detector of 7 m", range=7.0),
-    PlaceSpec(
-        name="2 more pairs", what="two more hydrants and cones", place={"num_pairs": 2}, target=98.0
-    ),
-    PlaceSpec(
-        name="2 more pairs, 5 m", what="two more hydrants and cones", range=5.0,
-        place={"num_pairs": 2}, target=98.0,
-    ),
-    PlaceSpec(name="4 more pairs", what="four more hydrants and cones", place={"num_pairs": 4}),
-    PlaceSpec(
-        name="2 more pairs, told", what="how many is told", place={"num_pairs": 2},
-        numbers=_further(2.0),
-    ),
-    PlaceSpec(
-        name="2 more pairs, 5 m, told", what="how many is told", range=5.0,
-        place={"num_pairs": 2}, numbers=_further(2.0),
-    ),
-    PlaceSpec(
-        name="4 more pairs, told", what="how many is told", place={"num_pairs": 4},
-        numbers=_further(4.0),
-    ),
-    PlaceSpec(
-        name="false sentence", what="the hydrant is in front of the cone", place=_FALSE,
-        target=99.0, longest=45.0,
-    ),
-    PlaceSpec(
-        name="false sentence, 5 m", what="the hydrant is in front of the cone", range=5.0,
-        place=_FALSE, target=99.0, longest=45.0,
-    ),
-    PlaceSpec(name="empty sentence", what="nothing is said of where", relation="null"),
-    PlaceSpec(
-        name="empty sentence, told", what="that there is one, and no other, is told",
-        relation="null", numbers=_ONLY,
-    ),
-    PlaceSpec(name="no cone", what="the landmark is not there", place={"has_cone": False}),
-    PlaceSpec(
-        name="no hydrant", what="there is no goal: to be told so is right", ending="not_found",
-        place={"has_goal": False},
-    ),
-    PlaceSpec(
-        name="14 bystanders", what="things of other types", place={"num_bystanders": 14},
-        target=99.5,
-    ),
-    PlaceSpec(name="30 bystanders", what="things of other types", place={"num_bystanders": 30}),
-    PlaceSpec(
-        name="crowd of 60", what="56 bystanders and one more pair", place=_CROWD,
-    ),
-    PlaceSpec(
-        name="crowd of 60, told", what="how many is told", place=_CROWD, numbers=_further(1.0)
-    ),
-    PlaceSpec(name="ghosts 2 %", what="false detections, anew each look", truth=_GHOSTS_2,
-              target=99.0),
-    PlaceSpec(name="ghosts 10 %", what="false detections, anew each look", truth=_GHOSTS_10,
-              target=97.0),
-    PlaceSpec(name="ghosts 10 %, not told", what="false detections, anew each look",
-              truth=_GHOSTS_10, told={"false_detections": 0.0}),
-    PlaceSpec(
-        name="ghosts at 4 places", what="seen there in 20 % of looks",
-        truth=_GHOSTS_2, place={"num_haunted": 4, "haunt_probability": 0.2},
-    ),
-    PlaceSpec(
-        name="labels 10 % wrong", what="six bystanders", truth={"mislabelled": 0.1},
-        place={"num_bystanders": 6}, target=96.0,
-    ),
-    PlaceSpec(
-        name="labels 10 %, not told", what="six bystanders", truth={"mislabelled": 0.1},
-        told={"mislabelled": 0.0}, place={"num_bystanders": 6},
-    ),
-    PlaceSpec(name="misses 20 %", what="", truth={"detection_probability": 0.8}),
-    PlaceSpec(name="misses 40 %", what="", truth={"detection_probability": 0.6}),
-    PlaceSpec(
-        name="misses 40 %, not told", what="", truth={"detection_probability": 0.6},
-        told={"detection_probability": 0.95},
-    ),
-    PlaceSpec(
-        name="misses 40 %, ghosts 10 %", what="false detections, anew each look",
-        truth={"detection_probability": 0.6, **_GHOSTS_10}, target=95.0,
-    ),
-    PlaceSpec(name="noise 0.3 m", what="", truth={"noise": 0.3}),
-    PlaceSpec(name="noise 0.3 m, not told", what="", truth={"noise": 0.3}, told={"noise": 0.1}),
-    PlaceSpec(name="odometry 5 %", what="", motion={"odometry_noise": 0.05}),
-    PlaceSpec(name="odometry 10 %", what="", motion={"odometry_noise": 0.1}),
-    PlaceSpec(name="view 120°", what="", truth={"field_of_view": math.radians(120.0)}),
-    PlaceSpec(name="view 90°", what="", truth={"field_of_view": math.radians(90.0)}),
-    PlaceSpec(name="8 × 8 m", what="the start in the middle", place=_square(4.0)),
-    PlaceSpec(name="25 × 25 m", what="the start in the middle", place=_square(12.5)),
-    PlaceSpec(name="40 × 40 m, 5 m", what="the start in the middle", range=5.0,
-              place=_square(20.0)),
-    PlaceSpec(
-        name="40 × 40 m, 5 m, empty", what="nothing is said of where", range=5.0,
-        relation="null", place=_square(20.0),
-    ),
-    PlaceSpec(name="60 × 60 m, 5 m", what="the start in the middle", range=5.0,
-              place=_square(30.0)),
+    _case("plain", "one pair, ahead and beside, 14 × 18 m"),
+    _case("all round", "the start in the middle of 20 × 20 m", place=_square(10.0)),
+    _case("in front", "the goal is before its cone", relation="front", place=_FRONT),
+    _case("in front, told", "that there is no other is told", relation="front", place=_FRONT,
+          numbers=_further(0.02)),
+    _case("far sight", "a detector of 7 m", range=7.0),
+    _case("2 more pairs", _MORE_2, place=_PAIRS_2, target=98.0),
+    _case("2 more pairs, 5 m", _MORE_2, range=5.0, place=_PAIRS_2, target=98.0),
+    _case("4 more pairs", _MORE_4, place=_PAIRS_4),
+    _case("2 more pairs, told", "how many is told", place=_PAIRS_2, numbers=_further(2.0)),
+    _case("2 more pairs, 5 m, told", "how many is told", range=5.0, place=_PAIRS_2,
+          numbers=_further(2.0)),
+    _case("4 more pairs, told", "how many is told", place=_PAIRS_4, numbers=_further(4.0)),
+    PlaceSpec(name="false sentence", **_FALSE),
+    PlaceSpec(name="false sentence, 5 m", range=5.0, **_FALSE),
+    _case("empty sentence", "nothing is said of where", relation="null"),
+    _case("empty sentence, told", "that there is one, and no other, is told", relation="null",
+          numbers=_ONLY),
+    _case("no cone", "the landmark is not there", place={"has_cone": False}),
+    _case("no hydrant", "there is no goal: to be told so is right", place={"has_goal": False},
+          ending="not_found"),
+    _case("14 bystanders", _THINGS, place={"num_bystanders": 14}, target=99.5),
+    _case("30 bystanders", _THINGS, place={"num_bystanders": 30}),
+    _case("crowd of 60", "56 bystanders and one more pair", place=_CROWD),
+    _case("crowd of 60, told", "how many is told", place=_CROWD, numbers=_further(1.0)),
+    _case("ghosts 2 %", _INVENTED, truth=_GHOSTS_2, target=99.0),
+    _case("ghosts 10 %", _INVENTED, truth=_GHOSTS_10, target=97.0),
+    _case("ghosts 10 %, not told", _INVENTED, truth=_GHOSTS_10, told={"false_detections": 0.0}),
+    _case("ghosts at 4 places", "seen there in 20 % of looks", truth=_GHOSTS_2, place=_HAUNTED),
+    _case("labels 10 % wrong", _SIX, truth=_WRONG, place={"num_bystanders": 6}, target=96.0),
+    _case("labels 10 %, not told", _SIX, truth=_WRONG, told={"mislabelled": 0.0},
+          place={"num_bystanders": 6}),
+    _case("misses 20 %", "", truth={"detection_probability": 0.8}),
+    _case("misses 40 %", "", truth=_MISSES),
+    _case("misses 40 %, not told", "", truth=_MISSES, told={"detection_probability": 0.95}),
+    _case("misses 40 %, ghosts 10 %", _INVENTED, truth={**_MISSES, **_GHOSTS_10}, target=95.0),
+    _case("noise 0.3 m", "", truth={"noise": 0.3}),
+    _case("noise 0.3 m, not told", "", truth={"noise": 0.3}, told={"noise": 0.1}),
+    _case("odometry 5 %", "", motion={"odometry_noise": 0.05}),
+    _case("odometry 10 %", "", motion={"odometry_noise": 0.1}),
+    _case("view 120°", "", truth={"field_of_view": math.radians(120.0)}),
+    _case("view 90°", "", truth={"field_of_view": math.radians(90.0)}),
+    _case("8 × 8 m", _MIDDLE, place=_square(4.0)),
+    _case("25 × 25 m", _MIDDLE, place=_square(12.5)),
+    _case("40 × 40 m, 5 m", _MIDDLE, range=5.0, place=_square(20.0)),
+    _case("40 × 40 m, 5 m, empty", "nothing is said of where", range=5.0, relation="null",
+          place=_square(20.0)),
+    _case("60 × 60 m, 5 m", _MIDDLE, range=5.0, place=_square(30.0)),
     PlaceSpec(name="all at once", **_ALL),
     PlaceSpec(name="all at once, told", numbers=_further(1.0), **_ALL),
 )  # fmt: skip

@@ -11,9 +11,21 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import Action, MotionParams
+from jaxlangnav.messages import Action, MotionParams, Status
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world.state import WorldState
+
+
+def plain_action(waypoint: Array, step: Array, is_stop: Array) -> Action:
+    """Build the action of an agent without a pace of its own: it has arrived, or searches."""
+    return Action(
+        waypoint=waypoint,
+        step=step,
+        is_stop=is_stop,
+        status=jnp.where(is_stop, int(Status.ARRIVED), int(Status.SEARCHING)),
+        speed=jnp.float32(1.0),
+        clearance=jnp.float32(0.0),
+    )
 
 
 class Body(Protocol):

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import Action, MotionParams, Status
-from jaxlangnav.world.motion import carry_out
+from jaxlangnav.messages import MotionParams
+from jaxlangnav.world.motion import carry_out, plain_action
 from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
@@ -74,14 +74,7 @@ def drive_known_map(
     def advance(drive: _Drive) -> _Drive:
         # It is localised in its map, so it steers by the true offset.
         offset = scenario.goal - drive.state.position
-        action = Action(
-            waypoint=scenario.goal,
-            step=offset,
-            is_stop=jnp.array(False),
-            status=jnp.int32(Status.APPROACHING),
-            speed=jnp.float32(1.0),
-            clearance=jnp.float32(0.0),
-        )
+        action = plain_action(scenario.goal, offset, jnp.array(False))
         key_step = jax.random.fold_in(key, drive.num_steps)
         state = carry_out(key_step, drive.state, action, motion)
         return _Drive(state=state, num_steps=drive.num_steps + 1)
