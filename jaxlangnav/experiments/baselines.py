@@ -14,6 +14,7 @@ None of the last three reads the relation; of two hydrants they are right half o
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -217,7 +218,9 @@ def _drive_known(run: _Run, *, params: object, config: NavigatorConfig) -> tuple
 def _finish(run: _Run) -> EpisodeResult:
     """Judge an episode; a baseline has no particles to lose."""
     world, scenario = run.world, run.task.scenario
-    counts = ("overflow", "degenerate", "contradictions", "faults")
+    counts: dict[str, Any] = dict.fromkeys(
+        ("overflow", "degenerate", "contradictions", "faults"), jnp.int32(0)
+    )
     return EpisodeResult(
         is_success=simulator.is_success(world, scenario, run.is_stopped),
         is_stopped=run.is_stopped,
@@ -226,7 +229,7 @@ def _finish(run: _Run) -> EpisodeResult:
         steps=run.steps,
         final=world.position,
         goal_distance=simulator.goal_distance(world, scenario),
-        **dict.fromkeys(counts, jnp.int32(0)),
+        **counts,
         mean_effective_sample_size=jnp.float32(0.0),
         is_valid=scenario.is_valid,
     )

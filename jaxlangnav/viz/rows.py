@@ -76,7 +76,7 @@ def _rows_figure(
             names,
             ("success (%)", "distance travelled (m)"),
             size=(9.2, 0.92 + foot + (0.3 + 0.055 * len(arms)) * len(names)),
-            margins=(min(0.4, (0.3 + 0.06 * max(map(len, names))) / 9.2), 0.72, foot),
+            margins=(min(0.4 * 9.2, 0.3 + 0.06 * max(map(len, names))), 0.72, foot),
             widths=(1, 1),
         )
         for name, arm, row in lines:
@@ -131,20 +131,12 @@ def reliability_figure(
         raise ValueError("no predictions given, so there is nothing to draw")
     names = list(dict.fromkeys(name for curves in panels.values() for name in curves))
     with style.house_style():
-        from matplotlib.figure import Figure
-
-        wide, number = 1.0 + 4.1 * len(panels), len(panels)
-        columns = 1 if number == 1 else 2
+        columns = 1 if len(panels) == 1 else 2
         foot = 0.58 + 0.19 * -(-len(names) // columns)
-        tall = 5.6 + foot
-        figure = Figure(figsize=(wide, tall))
-        grid = figure.subplots(
-            2, number, sharex=True, sharey="row", height_ratios=(3.4, 1), squeeze=False
-        )
-        figure.subplots_adjust(
-            left=0.66 / wide, right=1 - 0.14 / wide, top=1 - 1.0 / tall, bottom=foot / tall,
-            hspace=0.08, wspace=0.07,
-        )  # fmt: skip
+        size, margins = (1.0 + 4.1 * len(panels), 5.6 + foot), (0.66, 0.14, 1.0, foot)
+        how: dict[str, Any] = {"sharex": True, "sharey": "row", "height_ratios": (3.4, 1)}
+        how |= {"hspace": 0.08, "wspace": 0.07}
+        figure, grid = style.panels(size, 2, len(panels), margins, **how)
         for above, below, (heading, curves) in zip(*grid, panels.items(), strict=True):
             _draw_reliability(above, below, curves, names)
             above.set_title(heading)
@@ -188,12 +180,8 @@ def time_figure(parts: Mapping[str, float], *, what: str = "one decision cycle")
         raise ValueError("no time was measured, so there is nothing to draw")
     ranked = sorted(parts.items(), key=lambda one: -one[1])
     with style.house_style():
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(6.6, 1.35 + 0.3 * len(ranked)))
-        tall = figure.get_figheight()
-        axes = figure.subplots()
-        figure.subplots_adjust(left=0.3, right=0.9, top=1 - 0.62 / tall, bottom=0.5 / tall)
+        size = 6.6, 1.35 + 0.3 * len(ranked)
+        figure, ((axes,),) = style.panels(size, 1, 1, (1.98, 0.66, 0.62, 0.5))
         values = [value for _, value in ranked]
         axes.barh(range(len(ranked)), values, height=0.7, color=style.SERIES[0])
         for place, value in enumerate(values):

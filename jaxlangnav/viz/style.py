@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.inputs.sanitize import printable
 from jaxlangnav.inputs.whole_files import replacing
@@ -102,6 +104,29 @@ def add_legend(figure: "Figure", panels: "Iterable[Axes]", *, columns: int = 3) 
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             found.setdefault(label, handle)
     figure.legend(list(found.values()), list(found), loc="lower center", ncols=columns)
+
+
+def panels(
+    size: tuple[float, float],
+    rows: int,
+    columns: int,
+    margins: tuple[float, float, float, float],
+    **how: Any,
+) -> "tuple[Figure, np.ndarray]":
+    """Set up a figure, inches, with axes [rows, columns]; ``how``: of ``Figure.subplots``.
+
+    ``margins``: at the left, at the right, above and below, inches; ``wspace`` and ``hspace`` may
+    be among ``how``.
+    """
+    from matplotlib.figure import Figure
+
+    (wide, tall), (left, right, head, foot) = size, margins
+    places = {"left": left / wide, "right": 1 - right / wide, "top": 1 - head / tall}
+    spaces = {name: how.pop(name) for name in ("wspace", "hspace") if name in how}
+    figure = Figure(figsize=size)
+    grid = figure.subplots(rows, columns, squeeze=False, **how)
+    figure.subplots_adjust(**places, bottom=foot / tall, **spaces)
+    return figure, grid
 
 
 def value_colormap() -> "LinearSegmentedColormap":

@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 
 PAPER_NAME = "paper, as printed"
 PAPER_BARS = f"paper: ± 1 σ of the distance, 95 % of a rate of {PAPER_RUNS} runs"
+_PAPER_LOOK: dict[str, Any] = {
+    "color": style.INK, "marker": "D", "markersize": 6, "markerfacecolor": "none",
+    "linestyle": "none", "capsize": 3, "linewidth": 1.0, "zorder": 5, "label": PAPER_NAME,
+}  # fmt: skip
+"""Of a printed point: an empty diamond."""
 _Z95 = 1.96
 _APART = 1.025  # factor on the range between the points of two policies
 _WIDE, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
@@ -44,14 +49,9 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
     if not columns:
         raise ValueError("the document has no rows, so there is nothing to draw")
     with style.house_style():
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(max(0.9 + 3.7 * len(columns), 6.2), 6.4))
-        grid = figure.subplots(2, len(columns), squeeze=False, sharex="col", sharey="row")
-        figure.subplots_adjust(
-            left=0.62 / figure.get_figwidth(), right=0.98, top=0.845, bottom=0.185,
-            hspace=0.12, wspace=0.08,
-        )  # fmt: skip
+        size, margins = (max(0.9 + 3.7 * len(columns), 6.2), 6.4), (0.62, 0.16, 0.99, 1.18)
+        how: dict[str, Any] = {"sharex": "col", "sharey": "row", "hspace": 0.12, "wspace": 0.08}
+        figure, grid = style.panels(size, 2, len(columns), margins, **how)
         for (world, relation), above, below in zip(columns, grid[0], grid[1], strict=True):
             mine, paper = (
                 [row for row in of if (row["world"], row["relation"]) == (world, relation)]
@@ -80,11 +80,11 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
     for index, policy in enumerate(policies):
         mine = [row for row in rows if row["policy"] == policy]
         mine.sort(key=lambda row: row["range"])
+        way, rate = ([row[key] for row in mine] for key in ("distance_mean", "success_rate"))
         # A little apart, so that error bars can be told from each other.
         apart = _APART ** (index - (len(policies) - 1) / 2)
         color, marker, name = POLICY_LOOKS.get(policy, (style.INK, "D", policy))
         reach = [row["range"] * (1.0 if policy == "known" else apart) for row in mine]
-        way, rate = ([row[key] for row in mine] for key in ("distance_mean", "success_rate"))
         look: dict[str, Any] = {"color": color, "label": name}
         if policy == "known":
             look |= {"linestyle": "--", "linewidth": 1.2}
@@ -93,11 +93,11 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
             continue
         look |= {"marker": marker, "markersize": 5, "capsize": 2}
         above.errorbar(reach, way, yerr=[half_interval(row) for row in mine], **look)
-        below.errorbar(reach, rate, yerr=success_bars(mine), **look)
+        below.errorbar(reach, rate, yerr=np.hstack([_success_bars(row) for row in mine]), **look)
     for row in paper:
-        at, way, rate = [row["range"]], [row["distance_mean"]], [row["success_rate"]]
-        above.errorbar(at, way, yerr=[row["distance_sd"]], **paper_look())
-        below.errorbar(at, rate, yerr=paper_success_bars(row), **paper_look())
+        at, bars = [row["range"]], _success_bars(row)
+        above.errorbar(at, [row["distance_mean"]], yerr=[half_interval(row)], **_PAPER_LOOK)
+        below.errorbar(at, [row["success_rate"]], yerr=bars, **_PAPER_LOOK)
     for axes in (above, below):
         axes.grid()
         axes.set_xscale("log")
@@ -107,30 +107,20 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
 
 
 def half_interval(row: Row) -> float:
-    """Compute half of the 95 % interval of a row's mean distance, metres."""
+    """Compute half of the 95 % interval of a row's mean distance, metres; of the paper's its σ."""
+    if row["policy"] == "paper":
+        return row["distance_sd"]
     return _Z95 * float(row["distance_sd"]) / math.sqrt(max(1, int(row["episodes"])))
 
 
-def success_bars(rows: list[Row]) -> np.ndarray:
-    """Compute error bars of success rates from their intervals, f64[2, n], percent."""
-    rate = np.array([row["success_rate"] for row in rows], float)
-    ends = np.array([row["success_ci"] for row in rows], float).T
-    return np.maximum(np.stack([rate - ends[0], ends[1] - rate]), 0.0)
-
-
-def paper_success_bars(row: Row) -> np.ndarray:
-    """Compute the 95 % interval of a printed success rate, f64[2, 1], percent."""
+def _success_bars(row: Row) -> np.ndarray:
+    """Compute error bars of a success rate, f64[2, 1], percent: of a printed one by its runs."""
     rate = float(row["success_rate"])
-    low, high = wilson_interval(round(rate * PAPER_RUNS / 100), PAPER_RUNS)
-    return np.maximum([[rate - 100 * low], [100 * high - rate]], 0.0)
-
-
-def paper_look() -> dict[str, Any]:
-    """Build the look of a printed point: an empty diamond."""
-    return {
-        "color": style.INK, "marker": "D", "markersize": 6, "markerfacecolor": "none",
-        "linestyle": "none", "capsize": 3, "linewidth": 1.0, "zorder": 5, "label": PAPER_NAME,
-    }  # fmt: skip
+    if row["policy"] == "paper":
+        ends = np.multiply(100, wilson_interval(round(rate * PAPER_RUNS / 100), PAPER_RUNS))
+    else:
+        ends = row["success_ci"]
+    return np.maximum([[rate - ends[0]], [ends[1] - rate]], 0.0)
 
 
 def line_panels(
@@ -143,16 +133,12 @@ def line_panels(
 ) -> "tuple[Figure, list[Axes]]":
     """Set up panels side by side that share their lines, every second one shaded.
 
-    ``margins``: at the left as a share of the width, above and below in inches. The first panel
-    shows success in percent.
+    ``margins``: at the left, above and below, inches. The first panel shows success in percent.
     """
-    from matplotlib.figure import Figure
-
-    figure, tall, (left, head, foot) = Figure(figsize=size), size[1], margins
-    panels = list(figure.subplots(1, len(labels), sharey=True, width_ratios=widths))
-    figure.subplots_adjust(
-        left=left, right=0.983, top=1 - head / tall, bottom=foot / tall, wspace=0.055
-    )
+    left, head, foot = margins
+    how: dict[str, Any] = {"sharey": True, "width_ratios": widths, "wspace": 0.055}
+    figure, grid = style.panels(size, 1, len(labels), (left, 0.017 * size[0], head, foot), **how)
+    panels = list(grid[0])
     for axes, label in zip(panels, labels, strict=True):
         for place in range(0, len(names), 2):
             axes.axhspan(place - 0.5, place + 0.5, color="#f4f5f7", zorder=0)
@@ -169,14 +155,11 @@ def draw_line(
     panels: "Sequence[Axes]", row: Row, looks: Mark, at: float, **look: Any
 ) -> dict[str, Any]:
     """Draw success and distance of a row with their 95 % intervals at a height; its look."""
-    if row["policy"] == "paper":
-        look, bars, half = paper_look(), paper_success_bars(row), row["distance_sd"]
-    else:
-        color, marker, name = looks
-        look |= {"color": color, "marker": marker or "|", "linestyle": "none", "label": name}
-        bars, half = success_bars([row]), half_interval(row)
-    panels[0].errorbar([row["success_rate"]], [at], xerr=bars, **look)
-    panels[1].errorbar([row["distance_mean"]], [at], xerr=[half], **look)
+    color, marker, name = looks
+    look |= {"color": color, "marker": marker or "|", "linestyle": "none", "label": name}
+    look = _PAPER_LOOK if row["policy"] == "paper" else look
+    panels[0].errorbar([row["success_rate"]], [at], xerr=_success_bars(row), **look)
+    panels[1].errorbar([row["distance_mean"]], [at], xerr=[half_interval(row)], **look)
     return look
 
 
@@ -197,7 +180,7 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
             names,
             ("success (%)", "distance travelled (m)", "ECE"),
             size=(_WIDE, _HEAD + _FOOT + _LINE * len(names)),
-            margins=(0.185, _HEAD, _FOOT),
+            margins=(0.185 * _WIDE, _HEAD, _FOOT),
             widths=(5, 4, 3),
         )
         mark: dict[str, Any] = {"color": style.INK, "linewidth": 1.4, "zorder": 4}
@@ -243,16 +226,10 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     if not document["rows"]:
         raise ValueError("the document has no rows, so there is nothing to draw")
     with style.house_style():
-        from matplotlib.figure import Figure
-
         tall = _STRIP * len(fits)
-        width, height = _LEFT + _COLUMN * len(paper) + 0.1, 2 * tall + 1.95
-        figure = Figure(figsize=(width, height))
-        grid = figure.subplots(2, len(paper), squeeze=False, sharey=True)
-        figure.subplots_adjust(
-            left=_LEFT / width, right=1 - 0.1 / width, top=1 - 0.85 / height,
-            bottom=0.42 / height, wspace=0.1, hspace=0.62 / tall,
-        )  # fmt: skip
+        size = _LEFT + _COLUMN * len(paper) + 0.1, 2 * tall + 1.95
+        how: dict[str, Any] = {"sharey": True, "wspace": 0.1, "hspace": 0.62 / tall}
+        figure, grid = style.panels(size, 2, len(paper), (_LEFT, 0.1, 0.85, 0.42), **how)
         for index, printed in enumerate(paper):
             mine = document["rows"][index :: len(paper)]
             above, below = grid[:, index]
