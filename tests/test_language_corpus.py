@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from importlib import resources
 
 import pytest
 
@@ -13,7 +14,7 @@ from jaxlangnav.language.corpus import (
     read_corpus,
     read_example,
 )
-from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave, rank
+from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import MODES, RELATIONS
@@ -32,11 +33,6 @@ WORLD = PlacedWorld(
 )  # fmt: skip
 
 
-def annotation(text: str) -> list[set[str]]:
-    """Annotation labels of a sentence of one clause, children first."""
-    return [set(symbols) for symbols in annotate(parse(text).clauses[0])[0]]
-
-
 def behavior(text: str, world: PlacedWorld = WORLD) -> list[set[str]]:
     """Behavior labels of a sentence of one clause, children first."""
     return [set(symbols) for symbols in behave(parse(text).clauses[0], Geometry(world))]
@@ -44,49 +40,10 @@ def behavior(text: str, world: PlacedWorld = WORLD) -> list[set[str]]:
 
 def test_annotation_of_the_papers_sentence():
     stated = {"relation(hydrant,behind,cone)"}
-    assert annotation("go to the hydrant behind the cone") == [
+    labels, _ = annotate(parse("go to the hydrant behind the cone").clauses[0])
+    assert list(map(set, labels)) == [
         {"object(hydrant)"}, {"object(cone)"}, {"region(behind,cone)"}, stated, stated, stated,
     ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("text", "root"),
-    [
-        ("go to the hydrant", {"object(hydrant)"}),
-        ("move behind the cone", {"region(behind,cone)"}),
-        ("go to the cone on your left", {"relation(cone,left,robot)"}),
-        ("go to the nearest cone", {"relation(cone,near,robot)"}),
-        ("go to the hydrant nearest to the cone", {"relation(hydrant,near,cone)"}),
-        ("the hydrant is behind the cone", {"relation(hydrant,behind,cone)"}),
-        ("go to the area behind the cone", {"region(behind,cone)"}),
-        ("go to the other one", set()),
-        (
-            "go to the hydrant behind the cone near the car",
-            {"relation(hydrant,behind,cone)", "relation(cone,near,car)"},
-        ),
-        (
-            "go to the hydrant near the cone and behind the car",
-            {"relation(hydrant,near,cone)", "relation(hydrant,behind,car)"},
-        ),
-        ("stop behind the cone near the car", {"region(behind,cone)", "relation(cone,near,car)"}),
-        ("go to the cone while avoiding the car", {"object(cone)", "object(car)"}),
-        (
-            "go to the hydrant that is in front of the tree",
-            {"relation(hydrant,front,tree)"},
-        ),
-    ],
-)
-def test_annotation_at_the_root(text, root):
-    assert annotation(text)[-1] == root
-
-
-def test_rank_marks_the_phrase_that_says_it():
-    root = parse("go to the second cone on your left").clauses[0]
-    said = {str(phrase): rank(phrase) for phrase in root.walk()}
-    assert said["ADJP[second]"] == 2
-    assert said["PP[on your left]"] == 0
-    root = parse("go to the cone farthest from the car").clauses[0]
-    assert [rank(phrase) for phrase in root.walk()] == [0, 0, 1, 0, 0, 0]
 
 
 def test_behavior_of_the_papers_sentence():
@@ -98,31 +55,6 @@ def test_behavior_of_the_papers_sentence():
         {"region(at,0)"},
         {"action(navigate)", "mode(normal)", "goal(at,0)"},
     ]
-
-
-@pytest.mark.parametrize(
-    ("text", "root"),
-    [
-        ("find the hydrant left of the cone", {"action(find)", "mode(normal)", "goal(at,2)"}),
-        ("go to the nearest hydrant", {"action(navigate)", "mode(normal)", "goal(at,2)"}),
-        ("go to the second hydrant", {"action(navigate)", "mode(normal)", "goal(at,0)"}),
-        (
-            "go to the hydrant nearest to the car",
-            {"action(navigate)", "mode(normal)", "goal(at,2)"},
-        ),
-        ("quickly move behind the cone", {"action(navigate)", "mode(quickly)", "goal(behind,1)"}),
-        ("slowly move to your left", {"action(navigate)", "mode(carefully)", "goal(left,robot)"}),
-        ("stay away from the car", {"constraint(near,3)"}),
-        (
-            "go to the cone while avoiding the car",
-            {"action(navigate)", "mode(normal)", "goal(at,1)", "constraint(near,3)"},
-        ),
-        ("go to the hydrant far from the cone", {"action(navigate)", "mode(normal)"}),
-        ("go to the tree", {"action(navigate)", "mode(normal)"}),
-    ],
-)
-def test_behavior_at_the_root(text, root):
-    assert behavior(text)[-1] == root
 
 
 def test_the_other_is_not_the_previous_goal():
@@ -229,33 +161,9 @@ def test_relations_matter_in_the_worlds():
 
 # ---------------------------------------------------------------- the validator
 
-SOUND = {
-    "text": "go to the cone",
-    "template": "t",
-    "split": "train",
-    "clauses": [
-        {
-            "kind": "command",
-            "phrases": ["NP[the cone]", "PP[to]", "VP[go]"],
-            "annotation": [["object(cone)"]] * 3,
-            "rank": [0, 0, 0],
-        }
-    ],
-    "worlds": [
-        {
-            "objects": [["cone", 1.0, 2.0]],
-            "robot": [0, 0, 0],
-            "previous": None,
-            "behavior": [
-                [
-                    ["object(0)"],
-                    ["region(at,0)"],
-                    ["action(navigate)", "mode(normal)", "goal(at,0)"],
-                ]
-            ],
-        }
-    ],
-}
+FILE = resources.files("jaxlangnav.language") / "data/corpus39.jsonl"
+LINES = (json.loads(line) for line in FILE.read_text("utf-8").splitlines() if line[0] == "{")
+SOUND = next(line for line in LINES if line["text"] == "go to the nearest tree")
 
 
 def changed(*path, value):
@@ -268,12 +176,6 @@ def changed(*path, value):
     return json.dumps(record)
 
 
-def test_a_sound_line_is_read():
-    example = read_example(json.dumps(SOUND))
-    assert example.clauses[0].annotation[2] == {"object(cone)"}
-    assert example.worlds[0].world.objects == (("cone", 1.0, 2.0),)
-
-
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -283,33 +185,21 @@ def test_a_sound_line_is_read():
         (changed("text", value="do not go"), "refused: 'not'"),
         (changed("text", value="go to the car"), "the parser finds the phrases"),
         (changed("clauses", 0, "kind", value="statement"), "kind is 'command'"),
-        (changed("clauses", 0, "rank", value=[0]), "1 rank for 3 phrases"),
+        (changed("clauses", 0, "rank", value=[0]), "1 rank for 5 phrases"),
         (changed("clauses", 0, "annotation", 0, value=["object(sofa)"]), "'sofa' is none of"),
-        (changed("clauses", 0, "annotation", 0, value=["cone"]), "is no symbol"),
         (changed("clauses", 0, "annotation", 0, value=["a\nb"]), r"'a\nb' is no symbol"),
         (changed("clauses", 0, "annotation", 0, value=["thing(cone)"]), "kind must be one of"),
-        (changed("clauses", 0, "annotation", 0, value=["region(near)"]), "expected 2 argument"),
-        (changed("worlds", 0, "behavior", 0, 0, value=["object(1)"]), "'1' is none of 0"),
-        (changed("worlds", 0, "behavior", 0, 2, value=["mode(idle)"]), "'idle' is none of"),
-        (changed("worlds", 0, "behavior", 0, value=[[]]), "1 labels for 3 phrases"),
+        (changed("worlds", 0, "behavior", 0, 0, value=["object(9)"]), "'9' is none of 0"),
+        (changed("worlds", 0, "behavior", 0, value=[[]]), "1 labels for 5 phrases"),
         (changed("worlds", 0, "objects", value=[["sofa", 0, 0]]), "object type 'sofa'"),
-        (changed("worlds", 0, "previous", value=3), "below 1, not 3"),
+        (changed("worlds", 0, "previous", value=7), "below 4, not 7"),
         (changed("worlds", 0, "robot", value=[0, 0]), "robot has 2 entries, but must have 3"),
-        (changed("worlds", 0, "objects", value=3), "objects is 3, but must be a list"),
         ("[" * 100_000, "nested more than 32 deep"),
-        ("1" * 5000, "a number of too many digits"),
-        ("7", "must be a table"),
         (changed("text", value=7), "text is 7, but must be a text"),
-        (changed("template", value=["a"]), "template is ['a'], but must be a text"),
         (changed("template", value="a\x1b[31m"), "template has the control character U+001B"),
-        (changed("clauses", 0, "rank", 0, value=True), "rank[0] is True, but must be a"),
         (changed("worlds", 0, "previous", value=False), "previous is False, but must be"),
-        (changed("worlds", 0, "robot", 0, value=float("inf")), "is inf, but must be a number"),
-        (changed("worlds", 0, "robot", 0, value="near"), "is 'near', but must be a number"),
         (changed("worlds", 0, "objects", 0, 1, value=1e39), "must lie between"),
-        (changed("worlds", 0, "objects", 0, 1, value=10**400), "a whole number of 1329 bits"),
         (changed("worlds", 0, "objects", 0, 0, value=["cone"]), "[0][0] is ['cone'], but must"),
-        (changed("worlds", 0, "objects", value=[["cone", 1, 2]] * 33), "must have 0 to 32"),
     ],
 )
 def test_faults_are_named(line, message):
@@ -322,12 +212,12 @@ def test_faults_are_named(line, message):
 def test_files_are_checked_with_line_numbers(tmp_path, capsys):
     path = tmp_path / "own.jsonl"
     path.write_text(json.dumps(SOUND) + "\n\n# a comment\n" + changed("split", value="test"))
-    with pytest.raises(CorpusError, match=r"own.jsonl line 4: template 't' is in both splits"):
+    with pytest.raises(CorpusError, match=r"own.jsonl line 4: template 'robot' is in both splits"):
         read_corpus(path)
     assert corpus.main([str(path)]) == 2
     path.write_text(json.dumps(SOUND))
     assert corpus.main([str(path)]) == 0
-    assert "1 instructions, 3 phrases" in capsys.readouterr().out
+    assert "1 instructions, 5 phrases" in capsys.readouterr().out
     path.write_text("")
     with pytest.raises(CorpusError, match="no instruction"):
         read_corpus(path)

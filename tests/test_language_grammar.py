@@ -15,7 +15,7 @@ from jaxlangnav.language.grammar import Grammar, NoParseError, load_grammar, rea
 from jaxlangnav.language.lexicon import ing_form, load_lexicon, plural, read_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
-from jaxlangnav.language.spelling import edits, repair
+from jaxlangnav.language.spelling import edits
 from jaxlangnav.messages import ACTIONS, MODES, RELATIONS
 
 LEXICON = read_lexicon(
@@ -167,13 +167,6 @@ def test_edits_are_at_distance_one():
     found = edits("cat")
     assert {"at", "act", "cut", "cart", "cats"} <= found
     assert not {"dog", "c", "tac", "carts"} & found
-
-
-def test_repair_needs_one_meaning():
-    assert repair("hydrnat") == "hydrant"
-    assert repair("wihtout") == "without"  # a refused word too: negation must not slip through
-    assert repair("cnoe") is None
-    assert repair("zorbel") is None
 
 
 # ---------------------------------------------------------------- the exported grammar

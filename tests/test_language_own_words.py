@@ -20,19 +20,16 @@ plain = ["teal"]
 """
 
 
-def run(path: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run the command line as a user does, in a process of its own."""
-    environment = {**os.environ, OWN_LEXICON: str(path), "JAX_PLATFORMS": "cpu"}
-    return subprocess.run(
-        [sys.executable, "-m", "jaxlangnav", *words],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-
-
 def test_a_new_type_and_a_synonym_are_grounded_without_training(tmp_path: Path) -> None:
     path = tmp_path / "words.toml"
     path.write_text(OWN, "utf-8")
-    done = run(path, "ground", "find the teal lorry behind the nearest lamp posts", "--json")
+    assert not {"lorry", "teal", "lamp"} & load_lexicon().vocabulary
+    said = "find the teal lorry behind the nearest lamp posts"
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxlangnav", "ground", said, "--json"],
+        env={**os.environ, OWN_LEXICON: str(path), "JAX_PLATFORMS": "cpu"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert document["unknown_words"] == []
@@ -42,51 +39,30 @@ def test_a_new_type_and_a_synonym_are_grounded_without_training(tmp_path: Path) 
     assert min(said.values()) > 0.95
 
 
-def test_without_the_file_the_words_are_unknown(tmp_path: Path) -> None:
-    path = tmp_path / "words.toml"
-    path.write_text("", "utf-8")
-    done = run(path, "ground", "find the lorry", "--json")
-    assert done.returncode == 2
-    assert "'lorry'" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("[types]\nlamp = 'lamp'", r"\[types\] lamp must be a list"),
         ("[types]\nlamp = ['']", r"\[types\] lamp must be a list"),
         ("types = 3", "must be tables"),
-        ("[class]\nadj = 3", "must be tables"),
         ("[types]\nlamp = ['pylon']", "'pylon' is a name of cone already"),
         ("[class.zork]\nplain = ['x']", r"\[class.zork\]: no such class"),
         ("[refused]\npath = ['x']", r"only \[types\] and \[class.X\]"),
         ("[types", "is no valid TOML"),
         ("[types]\nlamp = ['the']", "'the' has a meaning of its own"),
-        ("[types]\nthe = ['lamp']", "'the' has a meaning of its own"),
         ("[types]\nlamp = ['behind']", "'behind' has a meaning of its own"),
-        ("[types]\nlamp = ['and']", "'and' has a meaning of its own"),
-        ("[types]\nlamp = ['not']", "'not' has a meaning of its own"),
-        ("[types]\nlamp = ['nearest']", "'nearest' has a meaning of its own"),
-        ("[types]\nlamp = ['it']", "'it' has a meaning of its own"),
         ("[types]\nlamp = ['the cone']", "'the' has a meaning .* an end of a name"),
         ("[types]\nrobot = ['droid']", "'robot' has a meaning of its own"),
         ("[types]\nlamp = ['comma']", "'comma' has a meaning of its own"),
         ("[types]\nlamp = ['cones']", "'cones' is a name of cone already"),
         ("[types]\nlamp = ['a=b']", "'a=b' could not be read as a word"),
-        ("[types]\nlamp = ['lamp,']", "'lamp,' could not be read as a word"),
         ('[types]\nlamp = ["cone\'s"]', "could not be read as a word"),
-        ("[types]\nlamp = ['*']", "could not be read as a word"),
-        ("[types]\nlamp = ['\\']", "could not be read as a word"),
         ('[types]\nlamp = ["a\\u001b[31m"]', r"control character U\+001B"),
-        ('[types]\nlamp = ["lam\\u202ep"]', r"control character U\+202E"),
-        ('[types]\nlamp = ["lam\\u0000p"]', r"control character U\+0000"),
         (f"[types]\nlamp = ['{'x' * 31}']", "has more than 30 letters"),
         (f"[types]\nlamp = ['{'x' * 5000}']", "has 5000 characters"),
         (f"[types]\nlamp = ['{'x ' * 9}']", "has more than 8 words"),
         ("[class.adj]\nplain = ['the']", "'the' has another meaning already"),
-        ("[class.adj]\nplain = ['not']", "'not' has another meaning already"),
         ('[class.rel]\n"relation:left" = ["behind"]', "'behind' has another meaning"),
-        ('[class.rel]\n"relation:left" = ["in front of"]', "'in front of' has another meaning"),
         ('[class.rel]\n"relation:sideways" = ["athwart"]', "no such sense"),
         ("[class.adj]\ntag = ['x']", "no such sense"),
         ('[class.rel]\n"a\\nb" = ["athwart"]', r"a\\nb: no such sense"),
@@ -120,13 +96,11 @@ def test_own_lines_come_after_those_of_the_package() -> None:
     "text",
     [
         "[types]\nsign = ['stop sign', 'road sign']",
-        "[types]\nbag = ['bag of sand', 'sandbag']",
         "[types]\npark = []",
         "[types]\nlamp = ['light', 'ﬂoor lamp', 'Straßenlaterne', 'лампа']",
         "[types]\ncone = ['cone', 'bollard']",
         "[types]\ndoor = ['front door', 'fire exit']",
         '[class.rel]\n"relation:behind" = ["in the *lee of", "overlooking"]',
-        '[class.v_to]\n"action:navigate" = ["mosey", "b"]',
         "[class.adj]\nplain = ['red', 'teal']",
     ],
 )

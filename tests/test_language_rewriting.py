@@ -16,25 +16,17 @@ def tree(text: str) -> list[str]:
     ("said", "plain"),
     [
         ("keep going until you reach the cone", "go to the cone"),
-        ("drive slowly till you get to the cone", "slowly go to the cone"),
-        ("move forward and stop next to the car", "stop next to the car"),
         ("drop us off behind the car", "stop behind the car"),
         ("go to the bench, no, the tree", "go to the tree"),
         ("go to the cone and the tree", "go to the cone then the tree"),
-        ("go to the tree because it's shady", "go to the tree"),
         ("i am tired. go to the bench", "go to the bench"),
         ("go to the tree but don't go near the car", "go to the tree but avoid the car"),
-        ("move away form the cone", "move away from the cone"),
         ("let 's go to teh cone", "let's go to the cone"),
-        ("go to the house with the tree in front", "go to the house behind the tree"),
         ("go to the car beside which a cone stands", "go to the car near a cone"),
-        ("my friend is waiting so take me to the car", "take me to the car"),
         # What is refused as it stands is read in plainer words.
         ("in front of the cone is where you should be", "stop in front of the cone"),
         ("steer for the hydrant over by the tree", "go to the hydrant near the tree"),
-        ("the inspection is at noon. go to the cone", "go to the cone"),
         ("unit four, go to the cone", "go to the cone"),
-        ("i must buy medicine, so go to the bench", "go to the bench"),
     ],
 )
 def test_one_meaning_has_one_tree(said, plain):
@@ -100,12 +92,9 @@ def test_a_word_of_another_class_is_a_noun_where_only_one_can_stand(name):
         ("go to the box on the bench", "'on' (word 5)", "go to the box"),
         ("go past the hydrant to the tree", "'past' (word 2)", "go to the tree"),
         ("park opposite the house", "'opposite' (word 2)", "park near the house"),
-        ("go to the cone or the tree", "'or' (word 5)", "go to the cone"),
         ("go forward a bit", "'a bit' (word 3): distances", None),
-        ("dont go to the tree, go to the bench", "'dont' (word 1)", "go to the bench"),
         ("turn left at the cone", "'turn left' (word 1): turns", None),
         ("go anywhere but the car", "'but' (word 3)", None),
-        ("do not go to the tree", "'not' (word 2)", None),
     ],
 )
 def test_a_refusal_names_the_cause_and_offers_what_can_be_read(text, begins, offered):

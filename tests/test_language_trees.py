@@ -1,5 +1,7 @@
 """Trees written by hand, one table per construction, and what spoken sentences are read as."""
 
+import re
+
 import pytest
 from hand_geometry import SPOKEN
 
@@ -9,33 +11,14 @@ from jaxlangnav.language.phrase import LanguageError, Phrase
 
 CONE, HYDRANT, CAR = "NP[the cone]", "NP[the hydrant]", "NP[the car]"
 GOALS = {
-    "go to the hydrant": "VP[go]{PP[to]{NP[the hydrant]}}",
     "Go to the hydrant!": "VP[go]{PP[to]{NP[the hydrant]}}",
-    "go to plant": "VP[go]{PP[to]{NP[plant]}}",
-    "walk to the fire hydrant": "VP[walk]{PP[to]{NP[the fire hydrant]}}",
     "drive to the fire-hydrant": "VP[drive]{PP[to]{NP[the fire hydrant]}}",
-    "head over to the traffic cone": "VP[head over]{PP[to]{NP[the traffic cone]}}",
     "move to the big red barrel": "VP[move]{PP[to]{NP[the big red barrel]}}",
-    "proceed to the building": "VP[proceed]{PP[to]{NP[the building]}}",
-    "navigate to the trees": "VP[navigate]{PP[to]{NP[the trees]}}",
     "approach the barrel": "VP[approach]{NP[the barrel]}",
-    "follow the car": "VP[follow]{NP[the car]}",
-    "stop at the bench": "VP[stop]{PP[at]{NP[the bench]}}",
-    "find the tree": "VP[find]{NP[the tree]}",
     "look for the bench": "VP[look]{PP[for]{NP[the bench]}}",
-    "face the cone": "VP[face]{NP[the cone]}",
-    "turn to the cone": "VP[turn]{PP[to]{NP[the cone]}}",
     "make your way to the box": "VP[make your way]{PP[to]{NP[the box]}}",
     "hydrant": "VP[]{NP[hydrant]}",
-}
-POLITE = {
-    "please go to the cone": "VP[please go]{PP[to]{NP[the cone]}}",
-    "go to the cone, please": "VP[go please]{PP[to]{NP[the cone]}}",
     "can you go to the cone?": "VP[can you go]{PP[to]{NP[the cone]}}",
-    "robot, could you please go to the cone": (
-        "VP[robot could you please go]{PP[to]{NP[the cone]}}"
-    ),
-    "would you mind going to the cone": "VP[would you mind going]{PP[to]{NP[the cone]}}",
     "I want you to find the cone": "VP[i want you to find]{NP[the cone]}",
 }
 RELATIONS = {
@@ -50,36 +33,22 @@ RELATIONS = {
     )
 }  # fmt: skip
 REGIONS = {
-    "move behind the cone": "VP[move]{PP[behind]{NP[the cone]}}",
     "park to the right of the cone": "VP[park]{PP[to the right of]{NP[the cone]}}",
-    "get closer to the cone": "VP[get]{PP[closer to]{NP[the cone]}}",
     "head toward the cone": "VP[head]{PP[to]{NP[the cone]}}",
-    "move away from the cone": "VP[move]{PP[away from]{NP[the cone]}}",
-    "stop near the cone": "VP[stop]{PP[near]{NP[the cone]}}",
-    "wait by the cone": "VP[wait]{PP[by]{NP[the cone]}}",
     "go to the cone's left": "VP[go]{PP[to 's left]{NP[the cone]}}",
     "go to behind the cone": "VP[go]{PP[to]{PP[behind]{NP[the cone]}}}",
     "move to your left": "VP[move]{PP[to your left]}",
-    "go to the area behind the cone": (
-        "VP[go]{PP[to]{NP[]{NP[the area], PP[behind]{NP[the cone]}}}}"
-    ),
 }
 ROBOT = {
     "go to the cone on your left": "VP[go]{PP[to]{NP[]{NP[the cone], PP[on your left]}}}",
-    "go to the cone in front of you": "VP[go]{PP[to]{NP[]{NP[the cone], PP[in front of you]}}}",
     "go to the cone ahead": "VP[go]{PP[to]{NP[]{NP[the cone], PP[ahead]}}}",
     "go to the nearest cone": "VP[go]{PP[to]{NP[]{NP[the cone], ADJP[nearest]}}}",
-    "go to the cone nearest to you": "VP[go]{PP[to]{NP[]{NP[the cone], PP[nearest to you]}}}",
-    "go to the left cone": "VP[go]{PP[to]{NP[]{NP[the cone], ADJP[left]}}}",
-    "go to the leftmost cone": "VP[go]{PP[to]{NP[]{NP[the cone], ADJP[leftmost]}}}",
-    "find the second cone": "VP[find]{NP[]{NP[the cone], ADJP[second]}}",
     "find the first cone on your left": (
         "VP[find]{NP[]{NP[the cone], ADJP[first], PP[on your left]}}"
     ),
     "go to the closest cone to the car": (
         "VP[go]{PP[to]{NP[]{NP[the cone], PP[closest to]{NP[the car]}}}}"
     ),
-    "go to the other cone": "VP[go]{PP[to]{NP[the other cone]}}",
     "go to the other one": "VP[go]{PP[to]{NP[the other one]}}",
 }
 NESTED = {
@@ -88,9 +57,6 @@ NESTED = {
     ),
     "find the hydrant, which is on your right": (
         "VP[find]{NP[]{NP[the hydrant], SBAR[which is]{PP[on your right]}}}"
-    ),
-    "find the hydrant parked behind the cone": (
-        "VP[find]{NP[]{NP[the hydrant], SBAR[parked]{PP[behind]{NP[the cone]}}}}"
     ),
     "go to the hydrant behind the cone near the car": (
         "VP[go]{PP[to]{NP[]{NP[the hydrant], "
@@ -102,64 +68,26 @@ NESTED = {
     "find the barrel, the one near the car": (
         "VP[find]{NP[]{NP[the barrel], SBAR[the one]{PP[near]{NP[the car]}}}}"
     ),
-}
-MODES = {
-    "quickly go to the cone": "VP[quickly go]{PP[to]{NP[the cone]}}",
     "go slowly to the cone": "VP[go slowly]{PP[to]{NP[the cone]}}",
-    "go to the cone carefully": "VP[go carefully]{PP[to]{NP[the cone]}}",
     "go to the cone as fast as you can": "VP[go as fast as you can]{PP[to]{NP[the cone]}}",
 }
 CONSTRAINTS = {
-    "stay away from the car": "VP[stay away from]{NP[the car]}",
     "go to the cone while avoiding the car": (
         "VP[go]{PP[to]{NP[the cone]}, VP[while avoiding]{NP[the car]}}"
-    ),
-    "go to the cone and stay away from the car": (
-        "VP[go]{PP[to]{NP[the cone]}, VP[and stay away from]{NP[the car]}}"
-    ),
-    "go to the cone but keep away from the car": (
-        "VP[go]{PP[to]{NP[the cone]}, VP[but keep away from]{NP[the car]}}"
     ),
     "go to the cone. avoid the car": "VP[go]{PP[to]{NP[the cone]}, VP[avoid]{NP[the car]}}",
     "avoid the car and go to the cone": (
         "VP[and go]{VP[avoid]{NP[the car]}, PP[to]{NP[the cone]}}"
     ),
 }
-ALL = {**GOALS, **POLITE, **RELATIONS, **REGIONS, **ROBOT, **NESTED, **MODES, **CONSTRAINTS}
-
-
-@pytest.mark.parametrize("text", ALL)
-def test_tree_of_one_command(text):
-    found = parse(text)
-    assert [str(clause) for clause in found.clauses] == [ALL[text]]
-    assert found.kinds == ("command",)
-
-
-def test_the_papers_sentence_has_exactly_six_phrases():
-    root = parse("go to the hydrant behind the cone").clauses[0]
-    assert [phrase.label for phrase in root.walk()] == ["NP", "NP", "PP", "NP", "PP", "VP"]
-    assert [[w.tag for w in p.words] for p in root.walk()] == [
-        ["DT", "NN"], ["DT", "NN"], ["IN"], [], ["TO"], ["VB"],
-    ]  # fmt: skip
-
-
 STATEMENTS = {
     "the hydrant is behind the cone": "S[is]{NP[the hydrant], PP[behind]{NP[the cone]}}",
     "there is a hydrant near the cone": (
         "S[there is]{NP[]{NP[a hydrant], PP[near]{NP[the cone]}}}"
     ),
-    "there's a cone on your left": "S[there's]{NP[]{NP[a cone], PP[on your left]}}",
     "on your left is a cone": "S[is]{PP[on your left], NP[a cone]}",
     "behind the cone there is a hydrant": "S[there is]{PP[behind]{NP[the cone]}, NP[a hydrant]}",
-    "I think the cone is near the car": "S[i think is]{NP[the cone], PP[near]{NP[the car]}}",
 }
-
-
-@pytest.mark.parametrize("text", STATEMENTS)
-def test_tree_of_a_statement(text):
-    found = parse(text)
-    assert [str(clause) for clause in found.clauses] == [STATEMENTS[text]]
-    assert found.kinds == ("statement",)
 
 
 STEPS = {
@@ -168,12 +96,6 @@ STEPS = {
     ),
     "go to the cone, then the hydrant": (
         "VP[go]{PP[to]{NP[the cone]}}", "VP[then]{NP[the hydrant]}",
-    ),
-    "first go to the cone and then to the hydrant": (
-        "VP[first go]{PP[to]{NP[the cone]}}", "VP[and then]{PP[to]{NP[the hydrant]}}",
-    ),
-    "go to the cone and find the hydrant": (
-        "VP[go]{PP[to]{NP[the cone]}}", "VP[and find]{NP[the hydrant]}",
     ),
     "go to the cone. After that, park near the car.": (
         "VP[go]{PP[to]{NP[the cone]}}", "VP[after that park]{PP[near]{NP[the car]}}",
@@ -189,50 +111,37 @@ STEPS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("text", STEPS)
-def test_trees_of_several_steps(text):
-    assert tuple(str(clause) for clause in parse(text).clauses) == STEPS[text]
+ONE = {**GOALS, **RELATIONS, **REGIONS, **ROBOT, **NESTED, **CONSTRAINTS, **STATEMENTS}
+TREES = {text: (tree,) for text, tree in ONE.items()} | STEPS
 
 
-# What is refused, with the word (and its position) that the line must name.
+@pytest.mark.parametrize("text", TREES)
+def test_trees(text):
+    """The heads of all phrases of a thousand sentences more stand in the corpora."""
+    found = parse(text)
+    assert tuple(map(str, found.clauses)) == TREES[text]
+    kinds = ["statement" if tree.startswith("S") else "command" for tree in TREES[text]]
+    assert list(found.kinds) == kinds
+
+
+# What is refused, with the word (and its position) that the line must name. That the word stands
+# there is asked of every refusal of ``spoken.txt``.
 REFUSED = {
-    "don't go to the cone": ("don't", 1),
     "do not go to the cone": ("not", 2),
-    "never go to the cone": ("never", 1),
-    "go to the cone without a lid": ("without", 5),
-    "go to the cone that is not behind the car": ("not", 7),
-    "go to the tree except the oak": ("except", 5),
     "go to the cone in the box": ("in", 5),
     "drive past the tree": ("past", 2),
-    "go through the trees": ("through", 2),
-    "go around the cone": ("around", 2),
-    "walk along the building": ("along", 2),
     "go between the cone and the car": ("between", 2),
     "go to the hydrant between the cone": ("between", 5),
-    "the bench is between the car": ("between", 4),
     "go to the hydrant between you and the car": ("between", 5),
-    "go by the cone": ("by", 2),
     "turn right at the building and go to the bench": ("turn right", 1),
     "go to it": ("it", 3),
     "come to me": ("me", 3),
-    "go to my left": ("my", 3),
     "go to the two cones": ("two", 4),
-    "go to all cones": ("all", 3),
-    "go to the cone or the car": ("or", 5),
     "go to the cone near the car and the hydrant": ("and", 8),
-    "if you see a cone, go to the car": ("if", 1),
-    "where is the cone": ("where", 1),
     "pick up the box": ("pick", 1),
-    "go to the hydrant opposite the cone": ("opposite", 5),
-    "go to the cone with a flag": ("with", 5),
     "go to the cone of the car": ("of", 5),
-    "asdf": ("asdf", 1),
-    "smash the box": ("smash", 1),
-    "gehe zu dem baum hinter dem auto": ("gehe", 1),
-    "go to the nearest one": ("one", 5),
     "go to the hydrant qwertz the cone": ("qwertz", 5),
     "find the hydrant nzxt to the tree": ("nzxt", 4),
-    "go to the cone @ home": ("home", 6),
     "quickly go slowly to the cone": ("slowly", 3),
     "go to the cone wihtout the car": ("without", 5),
 }
@@ -246,12 +155,6 @@ def test_refusal_names_the_word_and_its_position(text):
     message = str(error.value)
     assert "\n" not in message
     assert message.startswith(f"'{word}' (word {position}):")
-
-
-@pytest.mark.parametrize("text", ["", "   ", "...", "!?"])
-def test_empty_text_is_refused(text):
-    with pytest.raises(LanguageError, match="empty"):
-        parse(text)
 
 
 # ---------------------------------------------------------------- sentences as people say them
@@ -317,8 +220,18 @@ def clause(root: Phrase) -> str:
 def reading(text: str) -> str:
     try:
         return " ; ".join(clause(root) for root in parse(text).clauses)
-    except LanguageError:
+    except LanguageError as error:
+        check_blame(text, str(error))
         return NO_READING
+
+
+def check_blame(text: str, why: str) -> None:
+    """A refusal is one line that names a word where it stands; "what's" counts as two."""
+    assert "\n" not in why
+    if "the instruction is empty" not in why:
+        blamed, position = re.search(r"'([^' ]+).*?' \(word (\d+)\)", why).groups()
+        words = re.findall(r"[<>#=]|[^\s,.!?()<>#=]+", text.lower().replace(" til ", " until "))
+        assert blamed in " ".join(words[max(int(position) - 2, 0) : int(position)]), (text, why)
 
 
 def test_the_sets_are_there():
