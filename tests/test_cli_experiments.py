@@ -5,7 +5,7 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
-from test_cli_hostile import document, refused
+from test_cli_hostile import document
 
 from jaxlangnav.cli import main as cli, reproduction
 from jaxlangnav.grounding.weights import load, load_shipped
@@ -188,48 +188,3 @@ def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFi
     assert [row["range"] for row in found["rows"]] == [3.0, 5.0]
     assert cli.main(["summarize", out]) == 0
     assert "1H1C" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["train", "grammar"], "grammar"),
-        (["train", "behavior", "--corpus", "nowhere.jsonl"], "nowhere.jsonl"),
-        (["train", "behavior", "--base", "nowhere.npz"], "nowhere.npz"),
-        (["train", "behavior", "--out", "weights.txt"], "must end in .npz"),
-        (["evaluate", "--splits", "1"], "--splits is 1"),
-        (["evaluate", "--seed", "-1"], "--seed is -1"),
-        (["reproduce", "table9"], "table9"),
-        (["reproduce", "table2", "--episodes", "0"], "--episodes is 0"),
-        (["reproduce", "table2", "--particles", "1"], "--particles is 1"),
-        (["reproduce", "table2", "--policy", "infromed"], "informed"),
-        (["reproduce", "table2", "--out", __file__], "is a file"),
-        (["reproduce", "table2", "--params.planner.discont", "1"], "params.planner.discount"),
-        (["reproduce", "table2", "--params.planner.discount", "1"], "must be above 0 and below 1"),
-        (["reproduce", "table2", "--sensor.nose", "1"], 'did you mean "--sensor.noise"'),
-        (
-            ["reproduce", "table1", "--sensor.noise", "1"],
-            "--sensor.noise changes nothing in table1",
-        ),
-        (["reproduce", "time", "--motion.step-length", "1"], "changes nothing in time"),
-        (["reproduce", "table2", "--sensor.range-max", "3"], 'did you mean "--ranges"'),
-        (["reproduce", "table2", "--sensor.noise", "1 s"], "unknown unit"),
-        (["reproduce", "robustness", "--sensor.noise", "1"], "changes nothing in robustness"),
-        (["reproduce", "robustness", "--policy", "arc"], 'policy is "arc"'),
-        (["reproduce", "fig5", "--extra"], "--extra adds rows to table2, but fig5 is run"),
-        (["reproduce", "fig4", "--ranges", "3"], "--ranges is for table2 and fig5"),
-        (["reproduce", "table2", "--ranges", "3,"], "--ranges is ''"),
-        (["reproduce", "table2", "--ranges", "0"], "--ranges is 0"),
-        (["sweep", "nowhere.toml", "--out", "results"], "nowhere.toml: no such file"),
-        (["sweep", "nowhere.toml"], "missing --out DIR: Folder for the shards"),
-        (["sweep"], "missing CONFIG: What to run, TOML; --out DIR: Folder for the shards"),
-        (["reproduce", "tabel2"], 'did you mean "table2"'),
-        (["reproduce", "conversation", "--policy", "faithful"], "in conversation it is informed"),
-        (["sweep", "x.toml", "--out", "x", "--params.planner.reach", "1 s"], "unknown unit"),
-        (["sweep", "nowhere.toml", "--out", __file__], "is a file"),
-        (["summarize", "nowhere"], "nowhere holds no sweep"),
-        (["ground", "go to the cone", "--weights", "nowhere.npz"], "nowhere.npz"),
-    ],
-)
-def test_bad_input_is_one_line(words, expected, capsys):
-    assert expected in refused(words, capsys, lines=1 + ("--corpus" in words))

@@ -12,7 +12,6 @@ import pytest
 from recording_fixture import make_recording
 from test_cli_hostile import document, refused
 from test_docs import frozen
-from test_world_files import PARK
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments.tasks import cell, make_tasks
@@ -152,12 +151,8 @@ def test_numbers_on_the_command_line_reach_the_engine(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("text", "world"),
     [
-        ("go to the cone", "1H1C"),
         ("move behind the cone", "1H1C"),
-        ("park to the right of the cone", "1H1C"),
         ("go to the cone then go to the hydrant", "1H1C"),
-        ("go to the hydrant left of the cone", "1H1C"),
-        ("go to the hydrant nearest to the cone", "2H1C"),
         ("find the car", "street"),
     ],
 )
@@ -202,12 +197,11 @@ def test_a_region_is_judged_at_its_typical_place() -> None:
     np.testing.assert_allclose(prepared.task.scenario.goal, cone + 2.4 * right, atol=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_worlds_of_the_tables_keep_their_goal(seed: int) -> None:
+def test_the_worlds_of_the_tables_keep_their_goal() -> None:
     """With two hydrants and no relation, the lot decides which is meant, not the robot's model."""
     for text, relation in (("go to the hydrant", "null"), (COMMAND, "behind")):
-        prepared = prepare(text, "2H1C", seed)
-        drawn = make_tasks(cell("2H1C", relation, 0, 3.0, 1, seed)).scenario
+        prepared = prepare(text, "2H1C", seed=1)
+        drawn = make_tasks(cell("2H1C", relation, 0, 3.0, 1, 1)).scenario
         np.testing.assert_array_equal(prepared.task.scenario.goal, drawn.goal[0])
         np.testing.assert_array_equal(prepared.task.scenario.object_x, drawn.object_x[0])
 
@@ -226,41 +220,6 @@ def test_a_model_that_knows_nothing_means_nothing() -> None:
     assert len(goals) != 1
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ([COMMAND, "--range", "0"], "--range is 0"),
-        ([COMMAND, "--range", "-3"], "--range is -3"),
-        ([COMMAND, "--range", "nan"], "--range is nan"),
-        ([COMMAND, "--particles", "1"], "--particles is 1"),
-        ([COMMAND, "--max-steps", "0"], "--max-steps is 0"),
-        ([COMMAND, "--seed", "-1"], "--seed is -1"),
-        ([COMMAND, "--policy", "clever"], "clever"),
-        ([COMMAND, "--world", "yrad"], "did you mean 'yard'"),
-        ([COMMAND, "--world", "nowhere.toml"], "no such file"),
-        ([COMMAND, "--out", __file__], "is a file"),
-        (["go to the car"], "world 1H1C has no car, only 1 hydrant and 1 cone"),
-        (["the hydrant is behind the cone"], "asks for nothing to be done"),
-        (["go past the cone"], "past"),
-    ],
-)
-def test_bad_input_is_one_line(words, expected, capsys):
-    assert expected.lower() in refused(["follow", *words, "--json"], capsys).lower()
-
-
-def test_a_world_of_own_nouns_needs_no_lexicon(tmp_path, capsys):
-    path = tmp_path / "park.toml"
-    path.write_text(PARK, encoding="utf-8")
-    words = ["go to the gazebo behind the easel", "--world", str(path), "--range", "4"]
-    document = follow(words, capsys)
-    assert document["success"]
-    said = document["annotations"][0]
-    assert (said["figure"], said["relation"], said["landmark"]) == ("gazebo", "behind", "easel")
-    assert cli.main(["follow", "go to the kiosk", "--world", str(path)]) == 2
-    line = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "'kiosk' (word 4): my detector has no label for it" in line
-
-
 def bare(path: Path, number: int) -> str:
     """Write a world without a goal: a car, statues behind it, one of them on the left."""
     area = "[area]\nx_min = 0.0\nx_max = 20.0\ny_min = -10.0\ny_max = 10.0\n"
@@ -269,6 +228,17 @@ def bare(path: Path, number: int) -> str:
     objects = [f'[[objects]]\ntype = "{kind}"\nx = {x}\ny = {y}\n' for kind, x, y in things]
     path.write_text("\n".join([area, *objects]))
     return str(path)
+
+
+def test_a_world_of_own_nouns_needs_no_lexicon(tmp_path, capsys):
+    world = bare(tmp_path / "park.toml", 4)
+    document = follow(["go to the statue behind the car", "--world", world, "--range", "4"], capsys)
+    assert document["success"]
+    said = document["annotations"][0]
+    assert (said["figure"], said["relation"], said["landmark"]) == ("statue", "behind", "car")
+    assert "'kiosk' (word 4): my detector has no label for it" in refused(
+        ["follow", "go to the kiosk", "--world", world, "--json"], capsys, lines=2
+    )
 
 
 def prepare_own(text: str, world: str) -> Prepared:

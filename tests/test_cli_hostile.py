@@ -57,9 +57,92 @@ def test_a_value_of_any_length_is_cut(capsys: pytest.CaptureFixture[str]) -> Non
     assert "shipped worlds are" in line or "too long" in line.lower()
 
 
-@pytest.mark.parametrize("far", ["1e39", "1e400", "nan", "-1", "0", "1e-46"])
-def test_a_range_beyond_single_precision_is_refused(far, capsys):
-    assert "--range is" in refused(["follow", "go to the cone", "--range", far], capsys)
+GO, TABLE_2 = ["follow", "go to the hydrant"], ["reproduce", "table2"]
+REFUSED: list[tuple[list[str], str]] = [
+    # Sentences.
+    *(([command, text], "") for command in ("parse", "ground", "follow")
+      for text in ("", "   ", "behind behind behind", "?!", "the of to")),
+    (["follow", "go to the car"], "world 1H1C has no car, only 1 hydrant and 1 cone"),
+    (["follow", "the hydrant is behind the cone"], "asks for nothing to be done"),
+    (["follow", "go past the cone"], "past"),
+    # Options of their own.
+    *(([*GO, "--range", far], "--range is") for far in ("1e39", "1e400", "nan", "-1", "1e-46")),
+    ([*GO, "--range", "0.005"], "--range is 0.005, but must be between 0.01 m"),
+    ([*GO, "--particles", "1"], "--particles is 1"),
+    ([*GO, "--max-steps", "0"], "--max-steps is 0"),
+    ([*GO, "--seed", "-1"], "--seed is -1"),
+    ([*GO, "--policy", "clever"], "clever"),
+    ([*GO, "--world", "yrad"], "Did you mean 'yard'"),
+    ([*GO, "--world", "nowhere.toml"], "no such file"),
+    ([*GO, "--out", __file__], "is a file"),
+    (["ground", "go to the cone", "--world", "9H9C"], "hydrants"),
+    (["ground", "go to the cone", "--out", __file__], "is a file"),
+    (["ground", "go to the cone", "--weights", "nowhere.npz"], "nowhere.npz"),
+    (["train", "grammar"], "grammar"),
+    (["train", "behavior", "--corpus", "nowhere.jsonl"], "nowhere.jsonl"),
+    (["train", "behavior", "--base", "nowhere.npz"], "nowhere.npz"),
+    (["train", "behavior", "--out", "weights.txt"], "must end in .npz"),
+    (["evaluate", "--splits", "1"], "--splits is 1"),
+    (["evaluate", "--seed", "-1"], "--seed is -1"),
+    (["reproduce", "tabel2"], 'did you mean "table2"'),
+    ([*TABLE_2, "--episodes", "0"], "--episodes is 0"),
+    ([*TABLE_2, "--policy", "infromed"], "informed"),
+    ([*TABLE_2, "--out", __file__], "is a file"),
+    ([*TABLE_2, "--ranges", "3,"], "--ranges is ''"),
+    ([*TABLE_2, "--ranges", "0"], "--ranges is 0"),
+    (["reproduce", "table1", "--sensor.noise", "1"], "--sensor.noise changes nothing in table1"),
+    (["reproduce", "time", "--motion.step-length", "1"], "changes nothing in time"),
+    (["reproduce", "robustness", "--sensor.noise", "1"], "changes nothing in robustness"),
+    (["reproduce", "robustness", "--policy", "arc"], 'policy is "arc"'),
+    (["reproduce", "fig5", "--extra"], "--extra adds rows to table2, but fig5 is run"),
+    (["reproduce", "fig4", "--ranges", "3"], "--ranges is for table2 and fig5"),
+    (["reproduce", "conversation", "--policy", "faithful"], "in conversation it is informed"),
+    (["sweep", "nowhere.toml", "--out", "results"], "nowhere.toml: no such file"),
+    (["sweep", "nowhere.toml"], "missing --out DIR: Folder for the shards"),
+    (["sweep"], "missing CONFIG: What to run, TOML; --out DIR: Folder for the shards"),
+    (["sweep", "nowhere.toml", "--out", __file__], "is a file"),
+    (["summarize", "nowhere"], "nowhere holds no sweep"),
+    # Numbers of the engine.
+    ([*GO, "--params.planner.discunt", "1"], 'did you mean "--params.planner.discount"'),
+    ([*GO, "--params.planner.gamma", "1"], 'did you mean "--params.planner.discount"'),
+    ([*GO, "--params.filter.concentration", "1"], 'did you mean "--params.map.concentration"'),
+    ([*GO, "--parms.planner.reach=1"], 'did you mean "--params.planner.reach"'),
+    ([*GO, "--config.map.num-particles", "9"], 'did you mean "--particles"'),
+    ([*GO, "--sensor.range-max", "9"], 'did you mean "--range"'),
+    ([*TABLE_2, "--sensor.range-max", "3"], 'did you mean "--ranges"'),
+    ([*GO, "--params.planner.reach"], "--params.planner.reach needs a value"),
+    ([*GO, "--params.planner.reach="], "--params.planner.reach is '', but must be a length"),
+    ([*GO, "--help-parms"], 'did you mean "--help-params"'),
+    ([*GO, "--params.planner.reach", "-1"], "--params.planner.reach is -1"),
+    ([*GO, "--params.planner.reach", "90 deg"], "is an angle, but a length is needed"),
+    (["sweep", "x.toml", "--out", "x", "--params.planner.reach", "1 s"], "unknown unit"),
+    ([*GO, "--params.planner.discount", "80"], 'write "80 %" if percent is meant'),
+    ([*TABLE_2, "--params.planner.discount", "1"], "must be above 0 and below 1"),
+    ([*GO, "--policy", "faithful", "--params.planner.stop-probability", "0.99"],
+     "lower stop_probability"),
+    ([*GO, "--params.mode-speed", "1,2"], "needs 3 numbers"),
+    ([*GO, "--config.map.num-objects", "many"], "must be a whole number"),
+    ([*GO, "--config.map.num-objects", "0"], "num_objects is 0, but must be at least 1"),
+    (["parse", "go", "--params.planner.discount", "1"], 'unknown option "--params.planner.disc'),
+    # A detector with which the robot would stand still.
+    ([*GO, "--sensor.noise", "5"], "noise is 5, but must lie between 0 and 3"),
+    ([*TABLE_2, "--sensor.noise", "5"], "noise is 5, but must lie between 0 and 3"),
+    ([*GO, "--sensor.noise", "1", "--range", "0.5"], "between 0 and 0.5"),
+    ([*GO, "--sensor.false-detections", "101"], "at most 100"),
+    ([*GO, "--sensor.field-of-view", "0.0001"], "at least 0.001 and at most 6.28319 rad"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "why"), REFUSED)
+def test_what_is_wrong_is_one_line_and_nothing_is_begun(words, why, monkeypatch, capsys):
+    monkeypatch.setattr("jaxlangnav.task.follow.rehearse", lambda *_, **__: pytest.fail("begun"))
+    assert cli.main([*words, "--json"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    *notes, line = captured.err.splitlines()
+    assert all(note.startswith("note: ") for note in notes), notes
+    assert line.startswith("jaxlangnav: ")
+    assert why in line
 
 
 def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path, capsys):

@@ -188,7 +188,7 @@ def test_a_reader_learns_what_is_left_out_and_is_written_and_read(tmp_path: Path
     ]
     file = tmp_path / "own.jsonl"
     file.write_text("\n".join(map(json.dumps, rows)))
-    config = ReaderConfig(epochs=20, batch=48, least_features=1)
+    config = ReaderConfig(epochs=10, batch=48, least_features=1)
     model, report = train_reader(read_reader_corpus(file), config=config)
     assert report["sentences"] >= len(rows)
     again, _ = train_reader(read_reader_corpus(file), config=config)
