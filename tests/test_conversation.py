@@ -5,13 +5,12 @@ import functools
 import jax
 import numpy as np
 import pytest
-import readings as by_hand
-from test_navigator_step import AREA, CONE, HYDRANT, STEP, assert_arrived, distance, go, see
+from test_navigator_step import AREA, CONE, HYDRANT, assert_arrived, distance, go, see
 
 from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.messages import Status
-from jaxlangnav.navigator import api, speech_acts
+from jaxlangnav.navigator import api
 from jaxlangnav.navigator.candidates import Candidate, chosen_by
 from jaxlangnav.pytree import replace
 
@@ -299,48 +298,3 @@ def test_sizes_that_do_not_fit_are_refused(robot) -> None:
             config=robot.config,
             capacity=Capacity(num_mentions=32),
         )
-
-
-@pytest.mark.slow
-def test_a_correction_leads_to_the_other_one() -> None:
-    """In 100 random worlds of two hydrants, told as soon as one of them is approached."""
-    number, draw = 100, np.random.default_rng(5)
-    one = api.Navigator.pretrained()
-    step = jax.jit(
-        jax.vmap(lambda key, state, look: STEP.__wrapped__(
-            key, state, look, params=one.params, config=one.config)),
-    )  # fmt: skip
-    correct = jax.jit(jax.vmap(speech_acts.correct))
-    choose = jax.jit(
-        lambda which, new, old: jax.tree.map(
-            lambda a, b: jax.vmap(jax.numpy.where)(which, a, b), new, old
-        )
-    )
-    left = np.stack([draw.uniform(3.0, 9.0, number), draw.uniform(1.5, 4.5, number)], axis=1)
-    right = np.stack([draw.uniform(3.0, 9.0, number), -draw.uniform(1.5, 4.5, number)], axis=1)
-    states = by_hand.repeat(one.start(NULL, area=AREA), number)
-    position, first = np.zeros((number, 2)), np.full(number, -1)
-    for index in range(90):
-        looks = by_hand.stack(
-            [
-                see(here, 0.0, [(HYDRANT, *a), (HYDRANT, *b)])
-                for here, a, b in zip(position, left, right, strict=True)
-            ]
-        )
-        keys = jax.random.split(jax.random.fold_in(jax.random.key(2), index), number)
-        states, action, _ = step(keys, states, looks)
-        position = position + np.asarray(action.step)
-        is_first = (first < 0) & (np.asarray(states.talk.approached) >= 0)
-        if is_first.any():
-            slot = np.asarray(states.talk.approached)
-            lanes = np.arange(number)
-            mean_y = np.asarray(states.belief.particles.mean_y)[lanes, slot, 0]
-            first = np.where(is_first, (mean_y < 0).astype(int), first)
-            states = choose(is_first, correct(states), states)
-        if np.asarray(states.is_done).all():
-            break
-    other = np.where((first == 0)[:, None], right, left)
-    is_right = np.hypot(*(position - other).T) < 1.5
-    is_right &= np.asarray(states.status) == Status.ARRIVED
-    assert (first >= 0).all()
-    assert is_right.mean() >= 0.99

@@ -113,21 +113,6 @@ def run_alone(task: Task, instructions) -> EpisodeResult:
     return run(task, instructions, **given)
 
 
-@pytest.mark.slow  # another program; one by one against the batch is also test_recording
-def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instructions) -> None:
-    """``run`` in a Python loop against refilled lanes; one compilation for all of it."""
-    before = run._cache_size()
-    each = (
-        jax.tree.map(lambda leaf, index=index: leaf[index] if leaf.ndim else leaf, tasks)
-        for index in range(EPISODES)
-    )
-    results = [run_alone(task, instructions) for task in each]
-    # Sentences, worlds, ranges and noises are data.
-    assert run._cache_size() == before + 1
-    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *results)
-    assert_same(stacked, in_lanes)
-
-
 def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """Sentences, worlds, ranges, noises and parameters do not compile again."""
     before = lanes._run_batch._cache_size()

@@ -19,7 +19,6 @@ from jaxlangnav.experiments.tasks import (
     BLOCK,
     SENTENCES,
     cell,
-    concatenate,
     draw_tasks,
     ground_sentences,
     known_distances,
@@ -132,24 +131,6 @@ def test_pieces_come_back_in_order_and_without_padding() -> None:
     assert len(found.distance) == sum(seen) == number
     alone = run_policy("known", take(tasks, slice(5)), INSTRUCTIONS)
     np.testing.assert_array_equal(found.distance[:5], alone.distance)
-
-
-@pytest.mark.slow
-def test_the_navigator_does_not_care_how_episodes_are_split() -> None:
-    parts = [
-        make_tasks(cell("2H1C", "behind", 1, 3.0, 40, 3)),
-        make_tasks(cell("1H2C", "null", 0, 5.0, 40, 3)),
-    ]
-    tasks = concatenate(parts)
-    whole = run_policy("informed", tasks, INSTRUCTIONS, num_threads=1)
-    order = np.random.default_rng(0).permutation(80)
-    mixed = run_policy("informed", take(tasks, order), INSTRUCTIONS, num_threads=1)
-    few = run_policy("informed", take(tasks, slice(37, 44)), INSTRUCTIONS)
-    for a, b, c in zip(
-        jax.tree.leaves(whole), jax.tree.leaves(mixed), jax.tree.leaves(few), strict=True
-    ):
-        np.testing.assert_array_equal(a[order], b)
-        np.testing.assert_array_equal(a[37:44], c)
 
 
 # The one engine of tables, studies and sweeps: the presets are grids of the same episodes.

@@ -19,8 +19,6 @@ import pytest
 from jaxlangnav.cli import main as cli
 from jaxlangnav.episode import begin
 from jaxlangnav.experiments import sizes, summary, sweep
-from jaxlangnav.experiments.experiment import Options
-from jaxlangnav.experiments.paper import table_2
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.shards import held
@@ -31,14 +29,6 @@ from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.semantic_map.params import MapConfig
 
 SMALL: dict[str, Any] = {"worlds": ["1H1C"], "commands": ["behind"]}
-
-
-def test_defaults() -> None:
-    config = config_from_dict(SMALL)
-    assert config.ranges == (3.0,)
-    assert config.policies == ("informed",)
-    assert (config.episodes, config.seeds) == (100, (0,))
-    assert config.commands[0].text == "go to the hydrant behind the cone"
 
 
 def test_units() -> None:
@@ -60,24 +50,15 @@ def test_units() -> None:
     [
         ({"wrolds": ["1H1C"]}, r"wrolds is unknown: known keys are .*Did you mean 'worlds'\?"),
         ({"sensor": {"fov": 1.0}}, "sensor.fov is unknown: known keys are"),
-        ({"planner": {"discont": 0.5}}, r"planner.discont is unknown: .*Did you mean 'discount'\?"),
-        ({"worlds": []}, "worlds has 0 entries, but must have at least 1"),
-        ({"ranges": []}, "ranges has 0 entries, but must have at least 1"),
         ({"map": {"kernel": []}}, "kernel is empty: the grid would be empty"),
         ({"ranges": ["3 deg"]}, r'ranges = "3 deg" is an angle, but a length is needed \(m, cm'),
         ({"ranges": ["3 kg"]}, r'ranges = "3 kg" has the unknown unit "kg", but a length'),
         ({"ranges": [0]}, "ranges is 0, but must be above 0 m"),
-        ({"ranges": ["three"]}, "ranges is 'three', but must be a length"),
-        ({"ranges": [True]}, r"ranges\[0\] is True, but must be a number"),
         ({"ranges": [3, "300 cm"]}, "ranges lists a value twice"),
         ({"sensor": {"field_of_view": 360}}, 'at most 6.28319 rad; write "360 deg"'),
         ({"motion": {"odometry_noise": 2}}, 'at most 1; write "2 %"'),
         ({"sensor": {"noise": -0.1}}, "sensor.noise is -0.1, but must be at least 0 m"),
-        ({"sensor": 3}, "sensor is 3, but must be a table"),
         ({"episodes": 0}, "episodes is 0, but must be a whole number, at least 1"),
-        ({"episodes": [1, 2]}, r"episodes is \[1, 2\], but must be a whole number"),
-        ({"episodes": 1.5}, "episodes is 1.5, but must be a whole number"),
-        ({"seeds": [-1]}, r"seeds\[0\] is -1, but must be a whole number, at least 0"),
         ({"seeds": [2**32]}, r"seeds\[0\] is 4294967296, but .* below 4294967296"),
         ({"policies": ["infromed"]}, r'unknown policy "infromed".*did you mean "informed"'),
         ({"worlds": ["1X"]}, "unknown world template '1X'"),
@@ -85,8 +66,6 @@ def test_units() -> None:
         ({"worlds": ["1H0C"]}, "has no cone for the relation 'behind'"),
         ({"commands": ["find the car"]}, r'command "find the car": say by which relation'),
         ({"commands": [{"text": "find it", "relation": "behnd"}]}, "unknown relation 'behnd'"),
-        ({"commands": [{"txt": "find it"}]}, r"commands\[0\].txt is unknown: .*'text'"),
-        ({"commands": [""]}, r"commands\[0\] is '', but must be a text that is not empty"),
     ],
 )
 def test_mistakes(changes: dict[str, Any], message: str) -> None:
@@ -156,13 +135,6 @@ def test_the_plan_holds_every_episode_once() -> None:
     assert len(rows) == plan.episodes()
 
 
-def test_shards_split_the_plan() -> None:
-    plan = make_plan(config_from_dict(SMALL | {"episodes": 3000}))
-    parts = [plan.files(f"{i}/5") for i in range(1, 6)]
-    assert sorted([index for part in parts for index in part]) == list(range(plan.num_files))
-    assert max(map(len, parts)) - min(map(len, parts)) <= 1
-
-
 def test_a_part_of_a_billion_episodes_is_a_part() -> None:
     config = config_from_dict(SMALL | {"episodes": 10**8, "seeds": list(range(10))})
     plan = make_plan(config)
@@ -226,18 +198,9 @@ commands = ["null", "behind"]
 ranges = [3]
 policies = ["known", "lawnmower"]
 [motion]
-odometry_noise = [0, "1 %", "2 %", "4 %", "8 %", "16 %"]
+odometry_noise = [0, "1 %", "4 %", "16 %"]
 """
-ROWS = 2 * 2 * 2 * 70 * 2 * 6
-NAVIGATOR = """
-episodes = 300
-worlds = ["1H1C"]
-commands = ["null", "behind"]
-ranges = [3, 5]
-policies = ["informed"]
-[planner]
-discount = [0.7, 0.8, 0.9]
-"""
+ROWS = 2 * 2 * 2 * 70 * 2 * 4
 SCRIPT = """
 import sys, jax
 jax.config.update("jax_compilation_cache_dir", sys.argv[3])
@@ -283,7 +246,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[SweepConfig, 
     config = write(BASELINES, folder)
     done: list[int] = []
     document = sweep.run_sweep(config, folder / "out", on_progress=done.append)
-    # 2 worlds, 2 commands, 2 seeds, 70 episodes; 2 policies under 6 noises.
+    # 2 worlds, 2 commands, 2 seeds, 70 episodes; 2 policies under 4 noises.
     assert sum(done) == sweep.total_episodes(config) == document["episodes"] == ROWS
     assert document["is_complete"]
     return config, folder / "out"
@@ -304,7 +267,7 @@ def test_kill_and_resume(undisturbed, tmp_path, pytestconfig):
     assert "took over from process" in line
     document = sweep.run_sweep(config, out, resume=True, on_note=told.append)
     assert document["is_complete"]
-    assert document["kept"] >= 1024 + 96
+    assert document["kept"] >= 1024 + 192
     # What the dead process had finished is sound.
     assert len(told) == 1
     assert contents(out) == contents(whole)
@@ -330,25 +293,6 @@ def test_another_sweep_is_not_mixed_in(undisturbed, tmp_path):
         sweep.run_sweep(other, stray)
 
 
-def test_a_full_disk_keeps_what_is_written(undisturbed, tmp_path, monkeypatch):
-    config, whole = undisturbed
-    write_bytes, written = Path.write_bytes, []
-
-    def disk(where: Path, content: bytes) -> int:
-        written.append(where)
-        if len(written) > 4:
-            write_bytes(where, b"torn")
-            raise OSError(28, "No space left on device")
-        return write_bytes(where, content)
-
-    monkeypatch.setattr(Path, "write_bytes", disk)
-    with pytest.raises(OSError, match="No space left"):
-        sweep.run_sweep(config, tmp_path, num_threads=1)
-    left = contents(tmp_path)
-    assert len(left) == 4
-    assert left.items() <= contents(whole).items()
-
-
 def test_rows_are_tidy(undisturbed: tuple[SweepConfig, Path]) -> None:
     _, whole = undisturbed
     files = sorted(whole.glob("episodes-*.parquet"))
@@ -369,9 +313,9 @@ def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
     assert document["episodes"] == ROWS
     varied = {"world", "command", "relation", "policy", "motion.odometry_noise"}
     assert set(document["varied"]) == varied
-    # 2 worlds, 2 commands, 6 noises; both policies in each.
-    assert len(document["rows"]) == 48
-    assert len(document["comparisons"]) == 24
+    # 2 worlds, 2 commands, 4 noises; both policies in each.
+    assert len(document["rows"]) == 32
+    assert len(document["comparisons"]) == 16
     for row in document["rows"]:
         assert row["episodes"] == 140
         if row["policy"] == "known":
@@ -381,7 +325,7 @@ def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
         assert one["pairs"] == 140
     text = summary.summary_markdown(document)
     assert "two robots" in text
-    assert text.count("\n| 1H1C |") == 36
+    assert text.count("\n| 1H1C |") == 24
     assert summary.render(document) is not None
     with pytest.raises(ValueError, match="holds no sweep"):
         summary.summarize_directory(tmp_path)
@@ -455,21 +399,6 @@ def test_files_that_somebody_is_at_work_on_are_left_to_them(undisturbed, tmp_pat
     assert not list(tmp_path.glob("*"))
 
 
-@pytest.mark.slow
-def test_kill_and_resume_the_navigator(tmp_path: Path, pytestconfig: pytest.Config) -> None:
-    folder = tmp_path / "whole"
-    folder.mkdir()
-    config = write(NAVIGATOR, folder)
-    sweep.run_sweep(config, folder / "out")
-    out = tmp_path / "out"
-    assert run_and_kill(NAVIGATOR, tmp_path, out, pytestconfig) < 6
-    sweep.run_sweep(config, out, resume=True, shard="2/2", num_threads=1)
-    sweep.run_sweep(config, out, resume=True, shard="1/2")
-    assert contents(out) == contents(folder / "out")
-    document = summary.summarize_directory(out)
-    assert len(document["comparisons"]) == 4 * 3
-
-
 # Work is sized before it is begun: one line with size, limit and what would fit; nothing left.
 
 
@@ -507,25 +436,16 @@ def test_what_fits_fits_and_one_more_does_not(monkeypatch: pytest.MonkeyPatch) -
     "config",
     [
         navigator_config("informed", 10**12),
-        navigator_config("faithful", 10**30),
         NavigatorConfig(map=MapConfig(num_cells=36 * 10**6)),
-        NavigatorConfig(map=MapConfig(num_objects=10**6)),
         NavigatorConfig(map=MapConfig(num_objects=10**30)),
     ],
-    ids=["particles", "endless particles", "cells", "objects", "endless objects"],
+    ids=["particles", "cells", "endless objects"],
 )
 def test_an_engine_that_no_memory_holds_is_refused(config: NavigatorConfig) -> None:
     for check in (sizes.check_engine, lambda one: sizes.check_recording(one, 120)):
         with pytest.raises(ValueError, match="memory") as caught:
             check(config)
         assert "\n" not in str(caught.value)
-
-
-def test_an_engine_of_the_usual_size_is_not() -> None:
-    for particles in (2, 64, 1000):
-        sizes.check_engine(navigator_config("informed", particles))
-        sizes.check_recording(navigator_config("faithful", particles), 120)
-    assert len(table_2().check(Options(episodes=1000))) == 6
 
 
 def test_the_memory_is_that_of_the_container_where_it_is_less(tmp_path, monkeypatch):

@@ -51,7 +51,8 @@ def test_typing_errors_are_repaired_and_reported(text, repairs):
 
 @pytest.mark.parametrize("word", ["beach", "table", "house", "cafe", "easel", "weasel", "frond"])
 def test_english_words_are_no_typing_errors(word):
-    assert parse(f"go to the {word}").repairs == ()
+    assert parse(f"go to the {word} behind the cone").repairs == ()
+    assert parse("go to the benhc", ("benhc",)).repairs == ()
 
 
 @pytest.mark.parametrize("word", ["cnoe", "tere", "hydrnnat", "xydrnat"])
