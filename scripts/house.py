@@ -31,7 +31,7 @@ from jaxlangnav.navigator import NavigatorConfig
 PACKAGE = Path(jaxlangnav.__file__).parent
 ROOT = Path(__file__).resolve().parent.parent
 OTHER_PYTHON = ("scripts", "benchmarks", "notebooks", "examples")
-WORD_LISTS = ("lexicon.toml", "nouns.toml", "not_errors.txt")
+WORD_LISTS = ("lexicon.toml", "nouns.toml", "words.toml", "not_errors.txt")
 """Data of the language that list words and give no rules."""
 ENGINE = [
     "messages",

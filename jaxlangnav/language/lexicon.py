@@ -18,36 +18,15 @@ OWN_LEXICON = "JAXLANGNAV_LEXICON"
 _LARGEST_FILE = 256 * 1024
 """Bytes of such a file."""
 TYPE_CLASS = "type"
-REASONS = {
-    "negation": "negation is not supported; say what to do, or what to stay away from",
-    "containment": "containment is not supported; say 'near', 'behind' or 'in front of'",
-    "path": "paths are not supported; say where to end, as in 'go to the tree'",
-    "condition": "conditions and alternatives are not supported; "
-    "give one command after the other, joined by 'then'",
-    "coordination": "joining is not supported here; "
-    "give one command after the other, joined by 'then'",
-    "pronoun": "this pronoun is not supported here; name the object",
-    "quantity": "numbers and quantities are not supported; "
-    "name one object, as in 'the nearest cone'",
-    "a question": "questions are not supported; give a command, as in 'find the cone'",
-    "such an action": "this action is not supported here; "
-    "say to go to, stop at, find or stay away from something",
-    "such a relation": "this relation is not supported here; "
-    "say near, behind, in front of, left of, right of or far from",
-    "a turn": "turns are made from where the robot stands; "
-    "say them first, as in 'turn left', or say where to go",
-    "a distance": "distances are measured from the robot or in front of, behind or beside a thing, "
-    "as in 'go forward two metres', 'stop 3 metres behind the cone'",
-    "an open end": "how far? say it, as in 'go forward 2 metres', or say where to end",
-    "the compass": "where north is, is not known to the robot; say left, right, ahead or behind",
-    "two sides": "in front of it or behind it? say which",
-    "between": "what lies between is told by two things, and is no place by itself; "
-    "say for example 'the bench between the cone and the car'",
-    "a part": "parts of things are not told apart; say near, behind or in front of it",
-    "amends": "what is taken back is not clear; give the command anew",
-    "the speaker's own place": "where you are is not known to the robot; "
-    "name an object, or say 'your left' for its own left",
-}
+_WORDS = parse_toml(read_shipped("language", "words.toml"))
+WORDS = {name: frozenset(one) for name, one in _WORDS.items() if isinstance(one, list)}
+"""Sets of words that rules ask for by name."""
+LITERAL_TAGS: dict[str, str] = _WORDS["literals"]
+REASONS: dict[str, str] = _WORDS["reasons"]
+"""Why words are refused, by the name of the reason."""
+_PLURALS: dict[str, str] = _WORDS["plurals"]
+SINGULARS = {many: one for one, many in _PLURALS.items()}
+"""Nouns by their irregular plurals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,17 +55,6 @@ class Lexicon:
         """Every word that some class, or the list of refused words, knows."""
         known = {word for entries in self.entries.values() for key in entries for word in key}
         return frozenset(known | set(self.refused) | {"'s"})
-
-
-_PLURALS = {
-    "shelf": "shelves", "leaf": "leaves", "wolf": "wolves", "half": "halves", "calf": "calves",
-    "loaf": "loaves", "scarf": "scarves", "knife": "knives", "wife": "wives", "thief": "thieves",
-    "man": "men", "woman": "women", "fireman": "firemen", "policeman": "policemen",
-    "workman": "workmen", "child": "children", "person": "people", "goose": "geese",
-    "mouse": "mice", "foot": "feet", "tooth": "teeth",
-}  # fmt: skip
-SINGULARS = {many: one for one, many in _PLURALS.items()}
-"""Nouns by their irregular plurals."""
 
 
 def plural(noun: str) -> str:

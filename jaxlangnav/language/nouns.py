@@ -10,7 +10,14 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
-from jaxlangnav.language.lexicon import REASONS, SINGULARS, TYPE_CLASS, load_lexicon, plural
+from jaxlangnav.language.lexicon import (
+    REASONS,
+    SINGULARS,
+    TYPE_CLASS,
+    WORDS,
+    load_lexicon,
+    plural,
+)
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import NOUN, Token
 
@@ -20,13 +27,6 @@ _BEFORE_NOUNS = frozenset(
     {"adj", "nmod", TYPE_CLASS, "place_noun", "one", "foreign", "sup_adj", "ordinal", "side_adj"}
 )
 """Classes that go on with a noun phrase."""
-_OTHERS = frozenset(
-    {"old", "new", "young", "heavy", "long", "bright", "dark", "light", "deep"}
-    | {"narrow", "thin", "wide", "broad", "thick", "round"}
-)
-"""Adjectives that things are compared by and that are no attributes."""
-_QUALIFIERS = frozenset({"dark", "light", "bright", "pale", "very", "and", "deep"})
-"""Words that shade an attribute and are none beside one: "dark red"."""
 
 
 @dataclass(frozen=True)
@@ -207,12 +207,12 @@ def attributes_of(phrase: Phrase) -> tuple[list[tuple[Word, str]], list[Word]]:
     words = [w for w in phrase.words if w.tag in ("JJ", "NN") and not w.senses]
     told = [(word, known[word.text]) for word in words if word.text in known]
     idle = [w for w in words if w.tag == "JJ" and w.text not in known]
-    return told, [w for w in idle if w.text not in _QUALIFIERS or not told]
+    return told, [w for w in idle if w.text not in WORDS["shading"] or not told]
 
 
 def compared(word: str) -> str | None:
     """Find the adjective that a superlative or comparative is of: "tall" of "tallest"."""
-    known = load_nouns().attributes.keys() | _OTHERS
+    known = load_nouns().attributes.keys() | WORDS["compared"]
     stems = [word.removesuffix(ending) for ending in ("est", "er") if word.endswith(ending)]
     forms = (form for one in stems for form in (one, one[:-1], one + "e", one[:-1] + "y"))
     return next((form for form in forms if form in known), None)

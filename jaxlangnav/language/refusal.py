@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, WORDS, load_lexicon
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 from jaxlangnav.language.reference import is_thing
 from jaxlangnav.language.tokens import MARKS, SpokenToken
@@ -14,13 +14,7 @@ NOUN = "?noun"
 UNKNOWN_HERE = "unknown word, and no reading fits it; say it in other words"
 _NO_PLACE = "cannot be read here; say it in plainer words, or in commands joined by 'then'"
 _STRONG = (REASONS["negation"], REASONS["condition"])
-# Refused words that also begin supported expressions: blamed only just before the place.
-_SMALL = frozenset({"in", "of", "on", "by", "with", "from", "me", "my", "and", "off", "like"})
-_SMALL |= frozenset({"up", "down", "over", "back", "side", "straight", "forward", "away", "about"})
-_ARTICLES = frozenset({"the", "a", "an", "that", "this", "your"})
-_SILENT = frozenset({"to", "for", "at", "is", "are", "i", "get", "move", "keep", "make", "take"})
-_SILENT |= frozenset({"there", "use", "let", "while", "as", "rather", "instead", "place", "see"})
-_SILENT |= frozenset({"only", "exactly", "close", "as"})
+_SMALL, _ARTICLES = WORDS["small"], WORDS["pointing_articles"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +91,7 @@ def _is_read(token: Token, tokens: list[Token], index: int) -> bool:
 
 def _is_telling(token: Token) -> bool:
     """Tell whether a refused word is reason enough wherever it stands."""
-    return token.text in load_lexicon().refused and token.text not in _SMALL | _SILENT
+    return token.text in load_lexicon().refused and token.text not in _SMALL | WORDS["silent"]
 
 
 # -------------------------------------------------- the nearest sentence that can be read, offered
@@ -112,10 +106,6 @@ _SHORTEST = 2
 """Words that are too few for a sentence that is left of another one's clauses."""
 _OTHERWISE = {"my": "the", "our": "the"}
 _JOINTS = frozenset({*MARKS, "and", "then", "but", "so", "or"})
-_LOOSE = frozenset({"to", "the", "a", "an", "at", "on", "in", "is", "that", "which", "of", "from"})
-_LOOSE |= frozenset({"for", "by", "with", "just", "only", "very", "right", "up", "down", "over"})
-_LOOSE |= frozenset({"back", "near", "next", "closest", "nearest", "farthest", "furthest"})
-"""Words that end no sentence."""
 
 
 def offer(
@@ -169,7 +159,7 @@ def _trimmed(tokens: list[SpokenToken]) -> list[SpokenToken]:
     first, last = 0, len(tokens)
     while first < last and tokens[first].text in _JOINTS:
         first += 1
-    while last > first and tokens[last - 1].text in _JOINTS | _LOOSE:
+    while last > first and tokens[last - 1].text in _JOINTS | WORDS["loose"]:
         last -= 1
     return tokens[first:last]
 

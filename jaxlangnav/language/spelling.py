@@ -8,7 +8,7 @@ from functools import cache
 from string import ascii_lowercase
 
 from jaxlangnav.inputs.documents import read_shipped
-from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import TYPE_CLASS, WORDS, load_lexicon
 
 MIN_LETTERS, _MAX_LETTERS = 5, 20
 # Small talk holds many words that say nothing of the task ("plan", "time"): no repairs to them,
@@ -17,7 +17,6 @@ _SMALL_TALK = frozenset({"opener", "opener_ing", "fragment_opener", "closer", "n
 _SMALL_TALK |= frozenset({"conn", "conn_then"})
 _NOUNS = (TYPE_CLASS, "place_noun", "robot", "one")
 """Classes whose words are the noun of a phrase."""
-COURTESIES = {"please", "could", "would", "robot", "there", "after", "thanks", "then", "finally"}
 
 
 def edits(word: str) -> set[str]:
@@ -36,7 +35,7 @@ def repairable() -> frozenset[str]:
     lexicon = load_lexicon()
     classes = [entries for name, entries in lexicon.entries.items() if name not in _SMALL_TALK]
     words = {word for entries in classes for key in entries for word in key}
-    return frozenset(words | set(lexicon.refused) | COURTESIES)
+    return frozenset(words | set(lexicon.refused) | WORDS["courtesies"])
 
 
 @cache

@@ -15,7 +15,7 @@ from typing import Any
 
 from lark.parsers.earley_forest import PackedNode, SymbolNode
 
-from jaxlangnav.language.lexicon import LexicalEntry, plural
+from jaxlangnav.language.lexicon import LITERAL_TAGS, LexicalEntry, plural
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import NOUN
 
@@ -103,10 +103,6 @@ UNKNOWN_TAGS = {
     "g_to": "VBG", "g_obj": "VBG", "adv": "RB",
 }  # fmt: skip
 """What an unknown word is tagged as, by its class."""
-_LITERAL_TAGS = {
-    "to": "TO", "and": "CC", "but": "CC", "'s": "POS", "face": "VB", "out": "RP", "is": "VBZ",
-    "then": "RB", "you": "PRP", "both": "DT", "where": "WRB", "whichever": "WDT", "whatever": "WDT",
-}  # fmt: skip
 PUNCTUATION = ("comma", "fullstop")
 """How the rules name ``MARKS``."""
 PARTED = "NPX"
@@ -159,7 +155,7 @@ class TreeBuilder:
             is_plural = tag == "NN" and text.endswith("s") and plural(text[:-1]) == text
             lemma = text[:-1] if is_plural else text
             return Word(text=text, tag="NNS" if is_plural else tag, lemma=lemma, position=position)
-        return Word(text=text, tag=_LITERAL_TAGS.get(text, "IN"), lemma=text, position=position)
+        return Word(text=text, tag=LITERAL_TAGS.get(text, "IN"), lemma=text, position=position)
 
 
 def _in_order(words: Iterable[Word]) -> tuple[Word, ...]:

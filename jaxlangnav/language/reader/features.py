@@ -11,7 +11,7 @@ from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
-from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, WORDS, load_lexicon
 from jaxlangnav.language.nouns import load_nouns, singular
 from jaxlangnav.language.tokens import MARKS
 
@@ -34,8 +34,6 @@ _SAME = {"mid": _RELATION, "sup_robot": "sup_adj"}
 _LEFT_OUT = ("type", "foreign", "nmod", "pair", "stop_tail")
 """Classes that tell nothing beside the others."""
 _ORDERS = frozenset({"v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid"})
-_FINITE = frozenset({"is", "are", "was", "were", "'s", "has", "have", "had", "will", "am", "i'm"})
-_FINITE |= frozenset({"it's", "we're", "need", "want", "can", "could", "would"})
 _ENDINGS = ("ly", "ing", "ed", "s")
 _NOTHING = "#"
 
@@ -158,7 +156,7 @@ def _describe_clauses(sentence: ReaderSentence) -> list[str]:
             bool(named[k]),
             is_order[k],
             not named[k].isdisjoint(others),
-            not _FINITE.isdisjoint(sentence.words[i] for i in clause),
+            not WORDS["finite"].isdisjoint(sentence.words[i] for i in clause),
             any(is_goal[:k]),
             any(is_goal[k + 1 :]),
             bool(others),

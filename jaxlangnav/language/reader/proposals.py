@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.lexicon import WORDS, load_lexicon
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.reader.features import (
     CHOOSING,
@@ -47,21 +47,6 @@ _MOST = 8
 """Sentences that are proposed: each takes a parse."""
 _ORDERING = frozenset({"go", "go to", "stop", "stop at"})
 """What a verb may be read as without having been met in training."""
-_ARTICLES = frozenset({"the", "a", "an", "my", "our", "your", "this", "that"})
-_DEGREES = frozenset({"most", "least", "more"})
-_UNDOING = frozenset(
-    {"no", "wait", "sorry", "mean", "meant", "actually", "scratch", "oops", "correction"}
-    | {"rather", "mistake", "instead"}
-)
-"""Words that take back what was said before them."""
-_CONDITIONS = frozenset({"if", "unless", "when", "whenever", "whether", "or", "otherwise", "till"})
-"""Words that set terms to other clauses."""
-_SUBJECTS = frozenset({"i", "we", "he", "she", "they", "it", "that", "this", "there"})
-_SUBJECTS |= frozenset({"the", "a", "my", "our", "somebody", "someone", "everybody", "everyone"})
-_CALLS = frozenset({"and", "so", "but", "because", "well", "oh", "ok", "okay", "yes", "yeah"})
-_POINTING = frozenset({"it", "them", "him", "her", "there"})
-_SOUGHT = frozenset({"for", "find", "get", "see", "locate", "bring", "take", "grab"})
-"""Words before "it" that ask for what was spoken of, wherever one goes before."""
 _TOLD = frozenset({"be", "be..", "exist", "exist..", "see", "see..", "link", "link.."})
 """Classes of words that make a statement."""
 _IDLE = frozenset({"opener", "closer", "conn", "adv", "degree", "particle", "but"})
@@ -116,9 +101,9 @@ class Labelling:
         words, size = self.sentence.words, len(self.labels)
         first = next((i for i in range(size) if not self.kept[i] and self.is_gone(i)), size)
         for index in range(first + 1, size):
-            if self.kept[index] and words[index] in _POINTING:
+            if self.kept[index] and words[index] in WORDS["pointing"]:
                 is_named = any(self.kept[i] and self.sentence.is_name[i] for i in range(index))
-                if not is_named or words[index - 1] in _SOUGHT:
+                if not is_named or words[index - 1] in WORDS["sought"]:
                     return True
         return False
 
@@ -147,7 +132,7 @@ class Labelling:
         """Tell whether a stretch of words may go."""
         words, is_name, classes = self.sentence.words, self.sentence.is_name, self.sentence.classes
         named = [i for i in run if is_name[i]]
-        is_undone = bool(named) and any(words[i] in _UNDOING for i in run if i > named[0])
+        is_undone = bool(named) and any(words[i] in WORDS["undoing"] for i in run if i > named[0])
         if named and not is_undone:
             kept = {singular(words[i]) for i, one in enumerate(self.kept) if one and is_name[i]}
             is_chosen = any(not CHOOSING.isdisjoint(classes[i]) for i in run)
@@ -171,7 +156,7 @@ class Labelling:
         if " ".join(self.sentence.words[index : index + 3]) in self.seen:
             return True
         if not CONTRARY.isdisjoint(classes):
-            is_gone = word not in _CONDITIONS and self.is_gone(index)
+            is_gone = word not in WORDS["conditions"] and self.is_gone(index)
             return is_gone or (is_undone and word == "no")
         if not IMPOSSIBLE.isdisjoint(classes) and _IDLE.isdisjoint(classes):
             if self.labels[index] != LEFT_OUT:
@@ -179,8 +164,8 @@ class Labelling:
             # A clause that says what somebody does asks for nothing.
             clause = self.sentence.clauses[self.sentence.clause[index]]
             said = [self.sentence.words[i] for i in clause]
-            first = next((one for one in said if one not in _CALLS), "")
-            tells = first.split("'")[0] in _SUBJECTS and "you" not in said
+            first = next((one for one in said if one not in WORDS["calls"]), "")
+            tells = first.split("'")[0] in WORDS["subjects"] and "you" not in said
             return tells and self.is_gone(index)
         if is_undone:
             return True
@@ -194,8 +179,8 @@ class Labelling:
             return PATH_WORD not in classes and (before[0] != KEPT or ">" in behind)
         if self.labels[index] != LEFT_OUT:
             return True
-        is_choosing = not CHOOSING.isdisjoint(classes) or word in _DEGREES
-        if index and classes[0][0] == "?" and self.sentence.words[index - 1] in _ARTICLES:
+        is_choosing = not CHOOSING.isdisjoint(classes) or word in WORDS["degrees"]
+        if index and classes[0][0] == "?" and self.sentence.words[index - 1] in WORDS["articles"]:
             is_choosing = True  # it may be a thing that nobody knows
         is_moved = any(label == f"{KEPT}>{word}" for label in self.labels)
         return not is_choosing or is_moved or self.is_gone(index)
