@@ -88,8 +88,8 @@ def test_a_new_synonym_needs_no_retraining(model, old, new):
     assert not any(new in name for name in model.annotation.vocabulary.names)
     (said, log_probability), *_ = infer_annotations(
         renamed, model.annotation, model.type_names
-    ).sets
-    assert said == ((relation_symbol(HYDRANT, BEHIND, CONE), 0),)
+    ).clauses
+    assert said == (((relation_symbol(HYDRANT, BEHIND, CONE), 0),),)
     assert np.exp(log_probability) > 0.9
 
 
@@ -106,9 +106,9 @@ def test_a_goal_that_can_never_be_found_is_refused_by_name(model):
 
 def test_probabilities_are_probabilities(model):
     belief = understand("go to the hydrant behind the cone", model).belief
-    total = sum(np.exp(score) for _, score in belief.sets)
+    total = sum(np.exp(score) for _, score in belief.clauses)
     assert 0.0 < total <= 1.0 + 1e-9
-    scores = [score for _, score in belief.sets]
+    scores = [score for _, score in belief.clauses]
     assert scores == sorted(scores, reverse=True)
 
 

@@ -1,6 +1,7 @@
 """Many models scored at once, against one model and one sentence at a time."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from jaxlangnav.grounding import load_shipped
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.properties import Behaviors
+from jaxlangnav.grounding.symbols import REGION
+from jaxlangnav.inputs.object_types import ANYTHING
+from jaxlangnav.messages import NONE
 from jaxlangnav.training.scoring import Models, gold_annotations, score_annotations, score_behaviors
 
 SENTENCES = (
@@ -45,8 +49,11 @@ def models():
 def alone_annotation(model, labelled, width):
     """Right, and how confident: the sums over ranks of what one search gives."""
     belief, chance = infer_annotations(labelled.parse, model, TYPES, width), {}
-    for said, log_probability in belief.sets:
-        symbols = frozenset(symbol for symbol, _ in said)
+    for said, log_probability in belief.clauses:
+        symbols = frozenset(
+            one._replace(kind=REGION, figure=NONE) if one.figure == ANYTHING else one
+            for one, _ in itertools.chain(*said)
+        )
         chance[symbols] = chance.get(symbols, 0.0) + np.exp(log_probability)
     best = max(chance, key=lambda symbols: chance[symbols])
     return best == gold_annotations(labelled), chance[best]

@@ -17,8 +17,7 @@ import numpy as np
 
 from jaxlangnav.episode import Task, begin, finish
 from jaxlangnav.experiments.monte_carlo import LANES, mesh, num_calls
-from jaxlangnav.grounding.instruction import NUM_CLAUSES, Instruction
-from jaxlangnav.grounding.program import empty_program, to_program
+from jaxlangnav.grounding.instruction import pack_instruction
 from jaxlangnav.grounding.readings import pad_readings
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
@@ -141,14 +140,7 @@ def any_task(num_slots: int = NUM_SLOTS) -> Task:
 @functools.cache
 def _any_instructions() -> Any:
     """Build the shapes of a batch of one instruction: all sentences have the same."""
-    program = jax.tree.map(lambda leaf: np.stack([leaf] * NUM_CLAUSES), empty_program())
-    one = Instruction(
-        readings=pad_readings(()),
-        program=to_program(program),
-        num_clauses=jnp.zeros((), jnp.int32),
-        metres=jnp.zeros(NUM_CLAUSES, jnp.float32),
-        frame=jnp.zeros((NUM_CLAUSES, 3), jnp.float32),
-    )
+    one = pack_instruction(pad_readings(()), ())
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), one)
 
 

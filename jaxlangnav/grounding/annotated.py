@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation import describe_annotation
+from jaxlangnav.grounding.annotation import add_up, describe_annotation
 from jaxlangnav.grounding.form import Form, FormCommand, FormReading, read_form
 from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
@@ -70,14 +70,13 @@ class AnnotationGrounder:
 
 def _to_instruction(form: Form) -> Instruction:
     """Turn a form into what the navigator takes: its readings, and a program for each command."""
-    ranked = sorted(form.readings, key=lambda one: -one.probability)
     readings = [
-        (_reading(one, f"$.readings[{form.readings.index(one)}]"), float(np.log(one.probability)))
-        for one in ranked
+        (_reading(one, f"$.readings[{i}]"), float(np.log(one.probability)))
+        for i, one in enumerate(form.readings)
     ]
     commands = form.readings[0].commands
     return pack_instruction(
-        pad_readings(readings),
+        pad_readings(sorted(readings, key=lambda one: -one[1])),
         [clause_of_form(form, i) for i in range(len(commands))],
         [Measure(metres=one.metres) for one in commands],
     )
@@ -117,17 +116,18 @@ def _reading(form: FormReading, path: str) -> Reading:
 
 def _annotations(form: Form, type_names: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
     """List what is said with its probability over the readings, likeliest first."""
-    total: dict[tuple[Annotation, int], float] = {}
-    for reading in form.readings:
-        of, touched = reading.type_of, set()
-        said = []
+
+    def said(reading: FormReading) -> Iterator[tuple[Annotation, int]]:
+        of = reading.type_of
         for one in reading.relations:
-            symbol = relation_symbol(of(one.figure), one.relation, of(one.landmark))
-            said.append((symbol, one.rank))
-            touched |= {one.figure, one.landmark}
-        kinds = enumerate(reading.types)
-        said += [(object_symbol(kind), 0) for thing, kind in kinds if thing not in touched]
-        for entry in dict.fromkeys(said):
-            total[entry] = total.get(entry, 0.0) + reading.probability
-    for (symbol, rank), probability in sorted(total.items(), key=lambda item: -item[1]):
+            yield relation_symbol(of(one.figure), one.relation, of(one.landmark)), one.rank
+        touched = {end for one in reading.relations for end in (one.figure, one.landmark)}
+        for thing, kind in enumerate(reading.types):
+            if thing not in touched:
+                yield object_symbol(kind), 0
+
+    total = add_up(
+        (entry, one.probability) for one in form.readings for entry in dict.fromkeys(said(one))
+    )
+    for (symbol, rank), probability in total:
         yield describe_annotation(symbol, rank, min(probability, 1.0), type_names)

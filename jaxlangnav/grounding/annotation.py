@@ -7,9 +7,10 @@ two things, and whether "the thing" that lies there is called by no type (``ANYT
 """
 
 import dataclasses
-import functools
 import itertools
-from collections.abc import Iterator, Sequence
+import operator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -38,6 +39,19 @@ _MAX_SYMBOLS = 12
 """Annotations of one clause beyond which further ones are not read (untrained weights)."""
 
 
+Key = TypeVar("Key", bound=Hashable)
+
+
+def add_up(
+    shares: Iterable[tuple[Key, float]], add: Callable[[float, float], Any] = operator.add
+) -> list[tuple[Key, float]]:
+    """Sum the shares of equal keys, or add their logarithms by ``np.logaddexp``; largest first."""
+    total: dict[Key, float] = {}
+    for key, share in shares:
+        total[key] = float(add(total[key], share)) if key in total else share
+    return sorted(total.items(), key=lambda item: -item[1])
+
+
 @dataclasses.dataclass(frozen=True)
 class Belief:
     """Distribution over what a sentence says."""
@@ -48,28 +62,13 @@ class Belief:
     rank: dict[Path, int]  # phrase → likeliest rank
     silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
-    @functools.cached_property
-    def sets(self) -> list[tuple[RankedAnnotations, float]]:
-        """The same as symbols of the space, clauses united: sets, log-probabilities, best first."""
-        totals: dict[RankedAnnotations, float] = {}
-        for said, score in self.clauses:
-            plain = [
-                (region_symbol(symbol.relation, symbol.landmark), rank)
-                if symbol.figure == ANYTHING
-                else (symbol, rank)
-                for symbol, rank in itertools.chain(*said)
-            ]
-            union = tuple(dict.fromkeys(plain))
-            totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score))
-        return sorted(totals.items(), key=lambda pair: -pair[1])
-
     def marginals(self) -> list[tuple[Annotation, int, float]]:
         """Add up the probability of each annotation, likeliest first, as ``clauses`` has them."""
-        total: dict[tuple[Annotation, int], float] = {}
-        for said, log_probability in self.clauses:
-            for entry in dict.fromkeys(itertools.chain(*said)):
-                total[entry] = total.get(entry, 0.0) + float(np.exp(log_probability))
-        ranked = sorted(total.items(), key=lambda item: -item[1])
+        ranked = add_up(
+            (entry, float(np.exp(log_probability)))
+            for said, log_probability in self.clauses
+            for entry in dict.fromkeys(itertools.chain(*said))
+        )
         return [(symbol, rank, min(p, 1.0)) for (symbol, rank), p in ranked]
 
 

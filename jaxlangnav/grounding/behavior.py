@@ -311,8 +311,8 @@ def infer_behaviors(
     chex.assert_shape(edges, (NUM_RELATIONS, size, size, None))
     chex.assert_type([worlds.object_type, worlds.is_object, worlds.is_previous], [int, bool, bool])
     chex.assert_type(edges, bool)
-    chex.assert_shape(program.region_base, (NUM_PHRASES, NUM_REGION_SLOTS))
-    chex.assert_type([program.object_named, program.region_base], jnp.float32)
+    chex.assert_shape(program.regions, (NUM_PHRASES, None, NUM_REGION_SLOTS))
+    chex.assert_type([program.objects, program.regions], jnp.float32)
     return _infer(program, worlds, jnp.asarray(num_phrases, jnp.int32))
 
 

@@ -81,33 +81,33 @@ def object_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, s
     """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
     own_mask = _own(row, scene)
     own = _is_in(own_mask, size)
-    weight = row.object_previous
-    base = jnp.where(own, row.object_named, row.object_unnamed)
-    base = base + jnp.where(_is_in(own_mask & scene.previous[0], size), weight[0], 0.0)
+    always, named, other, expressed, there, elsewhere, absent, named_there, *previous = row.objects
+    base = jnp.where(own, always + named, always + other)
+    base = base + jnp.where(_is_in(own_mask & scene.previous[0], size), previous[0], 0.0)
     for n in range(3):
-        base = base + jnp.where(_is_in(scene.previous[n], size), weight[1 + n], 0.0)
-    base = base + jnp.where(scene.previous[0] == 0, weight[4], 0.0)[None]
+        base = base + jnp.where(_is_in(scene.previous[n], size), previous[1 + n], 0.0)
+    base = base + jnp.where(scene.previous[0] == 0, previous[4], 0.0)[None]
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     objects, outside = joined.sets[:, _OBJECTS], joined.sets[:, _OUTSIDE]
     inside, lies = _is_in(objects, size), ~_is_in(outside, size)
-    there = row.object_inside + jnp.where(lies, row.object_lies, row.object_outside)
-    named = jnp.where(own[None] & lies, row.object_own_lies, 0.0)
-    return base[None] + named + jnp.where(inside, there, row.object_absent)
+    given = expressed + jnp.where(lies, there, elsewhere)
+    own_there = jnp.where(own[None] & lies, named_there, 0.0)
+    return base[None] + own_there + jnp.where(inside, given, absent)
 
 
 def region_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int) -> Array:
     """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
     inside = _is_in(joined.sets[:, _OBJECTS], size)[:, None]
     same = _is_in(joined.sets[:, _SLOTS], size)
-    base = row.region_base[:, None]
-    base = base + jnp.where(_is_in(_own(row, scene), size), row.region_own[:, None], 0.0)
-    base = base + jnp.where(_is_in(scene.robot, size), row.region_robot[:, None], 0.0)
+    base, expressed, alike, absent, own, robot = row.regions[:, :, None]
+    base = base + jnp.where(_is_in(_own(row, scene), size), own, 0.0)
+    base = base + jnp.where(_is_in(scene.robot, size), robot, 0.0)
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     return (
         base[None]
-        + jnp.where(inside, row.region_inside[:, None], 0.0)
-        + jnp.where(same, row.region_same[:, None], 0.0)
-        + jnp.where(inside | same, 0.0, row.region_absent[:, None])
+        + jnp.where(inside, expressed, 0.0)
+        + jnp.where(same, alike, 0.0)
+        + jnp.where(inside | same, 0.0, absent)
     )
 
 
@@ -115,17 +115,17 @@ def constraint_odds(
     row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int
 ) -> Array:
     """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
-    base = jnp.where(_is_in(scene.everything, size), row.constraint_base, LOG_NEVER)
+    base, alike, inside, part, untouched, again, first = row.constraints
+    base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     objects, touched, kept, near = (
         _is_in(joined.sets[:, row_of], size) for row_of in (_OBJECTS, _TOUCHED, _KEPT, _NEAR)
     )
-    new = jnp.where(kept, 0.0, row.constraint_new)
     return (
         base[None]
-        + jnp.where(near, row.constraint_same, 0.0)
-        + jnp.where(objects, row.constraint_inside, 0.0)
-        + jnp.where(touched, row.constraint_touched + new, row.constraint_untouched)
-        + jnp.where(kept, row.constraint_kept, 0.0)
+        + jnp.where(near, alike, 0.0)
+        + jnp.where(objects, inside, 0.0)
+        + jnp.where(touched, part + jnp.where(kept, 0.0, first), untouched)
+        + jnp.where(kept, again, 0.0)
     )
 
 

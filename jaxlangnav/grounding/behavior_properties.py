@@ -127,15 +127,21 @@ def _constraint_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
 
 
 PREVIOUS = ("own_previous", "previous", "alike", "unlike", "no_previous")
-_OBJECT = ("always", "own", "other", "inside", "inside_lies", "inside_elsewhere", "outside",
-           "own_lies", *PREVIOUS)  # fmt: skip
-_REGION = ("base", "inside", "same", "absent", "own", "robot")
-_CONSTRAINT = ("base", "same", "inside", "touched", "untouched", "kept", "new")
+OBJECT_CONDITIONS = (
+    "always", "own", "other", "inside", "inside_lies", "inside_elsewhere", "outside", "own_lies",
+    *PREVIOUS,
+)  # fmt: skip
+"""An object is named by the words, or other; a child expresses it (and it lies in all restricting
+regions, or elsewhere) or none does; it was the previous goal, is of its type or of another."""
+REGION_CONDITIONS = ("base", "inside", "same", "absent", "own", "robot")
+CONSTRAINT_CONDITIONS = ("base", "same", "inside", "touched", "untouched", "kept", "new")
+"""A child expresses the object, the region or constraint itself, either or none ("touched": the
+object or a region of it); the words name the object; it is the robot."""
 _DECLARED = {
-    "object": (_object_columns, _OBJECT),
-    "region": (_region_columns, _REGION),
-    "goal": (_goal_columns, _REGION),
-    "constraint": (_constraint_columns, _CONSTRAINT),
+    "object": (_object_columns, OBJECT_CONDITIONS),
+    "region": (_region_columns, REGION_CONDITIONS),
+    "goal": (_goal_columns, REGION_CONDITIONS),
+    "constraint": (_constraint_columns, CONSTRAINT_CONDITIONS),
 }
 """Kind of symbol → its properties, and the conditions that they may be under."""
 

@@ -16,6 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.grounding.behavior_properties import (
+    CONSTRAINT_CONDITIONS,
+    OBJECT_CONDITIONS,
+    REGION_CONDITIONS,
+)
 from jaxlangnav.grounding.form import Form, FormReading
 from jaxlangnav.grounding.program import (
     LOG_NEVER,
@@ -33,9 +38,9 @@ from jaxlangnav.messages import NEAR, NONE, REGIONS
 
 Place = tuple[int, int, "ThingDescription"]
 """Relation, rank, and what the landmark is."""
-ANY, AGAIN, OTHER = range(3)
-"""How a goal bears on that of the command before: not at all; the same thing; another of its type
-("the other cone")."""
+ANY, AGAIN, OTHER = (), ("alike",), ("own_previous",)
+"""How a goal bears on that of the command before, by the conditions that it must not meet: not at
+all; the same thing; another of its type ("the other cone")."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +57,7 @@ class Destination:
 
     thing: ThingDescription
     region: int
-    before: int = ANY
+    before: tuple[str, ...] = ANY
 
 
 def _description_of(
@@ -169,22 +174,21 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
     phrases += [_thing(one.thing, _log_odds(share)) for one, share in shares.items()]
     is_used = np.arange(NUM_REGION_SLOTS) < len(regions)
     slots = np.where(is_used, np.arange(NUM_REGION_SLOTS), NONE)
+    base = np.where(is_used, -CERTAIN, LOG_NEVER)
     passing_on = {  # of a phrase that expresses the goal regions of its children
         "region_relation": np.append(regions, [NONE] * (NUM_REGION_SLOTS - len(regions))),
-        "region_base": np.where(is_used, -CERTAIN, LOG_NEVER),
-        "region_same": np.where(is_used, 2.0 * CERTAIN, 0.0),
+        "regions": _under(REGION_CONDITIONS, base=base, same=2.0 * CERTAIN * is_used),
         "region_from": np.tile(slots, (NUM_CHILDREN, 1)),
     }
     # More phrases than one may have as children go below phrases that pass all of them on.
-    row = passing_on | {"object_unnamed": -CERTAIN, "object_inside": 2.0 * CERTAIN}
+    row = passing_on | {"objects": _under(OBJECT_CONDITIONS, always=-CERTAIN, inside=2.0 * CERTAIN)}
     while len(phrases) > NUM_CHILDREN:
         phrases = [_Phrase(row, tuple(phrases[:NUM_CHILDREN])), *phrases[NUM_CHILDREN:]]
     # The verb phrase: the children's regions are goals, their objects are to be avoided.
     verb = passing_on | {
         "is_verb": True,
         "constraint_relation": NEAR,
-        "constraint_base": -CERTAIN,
-        "constraint_inside": 2.0 * CERTAIN,
+        "constraints": _under(CONSTRAINT_CONDITIONS, base=-CERTAIN, inside=2.0 * CERTAIN),
     }
     fields = _lay_out(_Phrase(verb, tuple(phrases)), index)
     for reading in form.readings:
@@ -201,7 +205,7 @@ def _log_odds(probability: float) -> float:
     return min(CERTAIN, math.log(probability / (1.0 - probability)))
 
 
-def _thing(thing: ThingDescription, peak: float, before: int = ANY) -> _Phrase:
+def _thing(thing: ThingDescription, peak: float, before: tuple[str, ...] = ANY) -> _Phrase:
     """Express the objects of a description, "the hydrant behind the cone", at log-odds ``peak``."""
     ordered = sorted(thing.places, key=lambda place: (*place[:2], repr(place[2])))
     places = []
@@ -210,33 +214,31 @@ def _thing(thing: ThingDescription, peak: float, before: int = ANY) -> _Phrase:
         table = relation + NUM_RELATIONS * min(rank, 2)
         places.append(_Phrase(row, (_thing(landmark, CERTAIN),), table))
     first, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
-    previous = {ANY: (), OTHER: (0,), AGAIN: (2,)}[before]
-    row = {
-        "own": np.array([thing.kind] + [NONE] * (NUM_OWN - 1), np.int32),
-        "object_named": -CERTAIN,
-        "object_unnamed": LOG_NEVER,
-        "object_own_lies": CERTAIN + (CERTAIN if rest else peak),
-        "object_previous": np.where(np.isin(np.arange(5), previous), LOG_NEVER, 0.0),
-    }
-    phrase = _Phrase(row, tuple(first))
+    given = {"own": -CERTAIN, "other": LOG_NEVER, "own_lies": CERTAIN + (CERTAIN if rest else peak)}
+    objects = _under(OBJECT_CONDITIONS, **given, **dict.fromkeys(before, LOG_NEVER))
+    own = np.array([thing.kind] + [NONE] * (NUM_OWN - 1), np.int32)
+    phrase = _Phrase({"own": own, "objects": objects}, tuple(first))
     while rest:  # more places than a phrase has children: a phrase of the same objects above it
         some, rest = rest[: NUM_CHILDREN - 1], rest[NUM_CHILDREN - 1 :]
-        row = {
-            "object_unnamed": -CERTAIN,
-            "object_lies": CERTAIN + (CERTAIN if rest else peak),
-        }
-        phrase = _Phrase(row, (phrase, *some))
+        there = CERTAIN + (CERTAIN if rest else peak)
+        objects = _under(OBJECT_CONDITIONS, always=-CERTAIN, inside_lies=there)
+        phrase = _Phrase({"objects": objects}, (phrase, *some))
     return phrase
 
 
 def _in_slot(slot: int, relation: int, inside: float) -> dict[str, np.ndarray]:
     """Build the fields of one region slot; the others stay empty."""
     is_here = np.arange(NUM_REGION_SLOTS) == slot
+    base = np.where(is_here, -CERTAIN, LOG_NEVER)
     return {
         "region_relation": np.where(is_here, relation, NONE),
-        "region_base": np.where(is_here, -CERTAIN, LOG_NEVER),
-        "region_inside": np.where(is_here, inside, 0.0),
+        "regions": _under(REGION_CONDITIONS, base=base, inside=inside * is_here),
     }
+
+
+def _under(conditions: Sequence[str], **log_odds: Any) -> np.ndarray:
+    """Put log-odds into the columns of their conditions; there are none under the others."""
+    return np.stack(np.broadcast_arrays(*(log_odds.get(one, 0.0) for one in conditions)))
 
 
 def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ from jax import Array
 from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations
 from jaxlangnav.grounding.binding import BoundSentence, Detector, UnknownObjectError, said_noun
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
+from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program
 from jaxlangnav.grounding.readings import to_readings
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, bottom_up, count_graph
 from jaxlangnav.inputs.object_types import ANYTHING
@@ -304,7 +304,7 @@ def pack_instruction(
         metres[index], frame[index] = one.metres, one.frame
     return Instruction(
         readings=readings,
-        program=to_program(stacked),
+        program=BehaviorProgram(**jax.device_put(stacked)),
         num_clauses=jax.device_put(np.int32(len(commands))),
         metres=jax.device_put(metres),
         frame=jax.device_put(frame),

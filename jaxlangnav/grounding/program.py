@@ -8,15 +8,21 @@ A phrase rarely expresses more than one relation, so of the seven regions each o
 the ``NUM_REGION_SLOTS`` whose log-odds can become largest are kept (for constraints: one).
 """
 
-import dataclasses
 from collections.abc import Mapping
 
-import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.behavior_properties import PREVIOUS, PhraseWords, choice_tables, contract
-from jaxlangnav.grounding.model import RESTRICTORS, CorrespondenceModel, Senses, senses_of
+from jaxlangnav.grounding.behavior_properties import (
+    CONSTRAINT_CONDITIONS,
+    OBJECT_CONDITIONS,
+    PREVIOUS,
+    REGION_CONDITIONS,
+    PhraseWords,
+    choice_tables,
+    contract,
+)
+from jaxlangnav.grounding.model import RESTRICTORS, CorrespondenceModel, senses_of
 from jaxlangnav.grounding.properties import ranks_meant
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Path, bottom_up
 from jaxlangnav.language.phrase import Phrase
@@ -41,7 +47,7 @@ AT_TABLE = 3 * NUM_RELATIONS
 class BehaviorProgram:
     """Coefficients of one clause: phrases bottom-up, then padding, the root in the last row.
 
-    H rows, 3 children, L region slots, T tables. "named" marks object kinds that the words name.
+    H rows, 3 children, L region slots, T tables. Log-odds are sums over the conditions that hold.
     The children of a phrase are what lies on top of the stack; the last child is child 0.
     """
 
@@ -50,36 +56,17 @@ class BehaviorProgram:
     is_verb: Array  # bool[H] expresses goals and constraints, otherwise objects and regions
     is_restrictor: Array  # bool[H, 3] the child says where the figure is
     own: Array  # i32[H, 4] kinds that the words name; NONE beyond them
-    object_named: Array  # f32[H] log-odds of an object of a type that the words name
-    object_unnamed: Array  # f32[H] log-odds of any other object
-    object_inside: Array  # f32[H] added where a child expresses the object
-    object_lies: Array  # f32[H] added where it also lies in all restricting regions
-    object_outside: Array  # f32[H] added where it does not
-    object_absent: Array  # f32[H] added where no child expresses it
-    object_own_lies: Array  # f32[H] added where the words name it and it lies there
-    object_previous: Array  # f32[H, 5] added to named objects that were the previous goal; to the
-    # previous goal; to others of its type; to those of other types; where there is none
+    objects: Array  # f32[H, 13] log-odds added under each of ``OBJECT_CONDITIONS``
     table: Array  # i32[T] 0-5 related, 6-11 extreme of its type, 12-17 the second, third, ... that
     # the sentence means, 18 at; NONE where unused
     region_relation: Array  # i32[H, L] relation of each slot; NONE where empty
     region_table: Array  # i32[H, L] which table says what lies in the region; NONE
     region_from: Array  # i32[H, 3, L] slot of the child with the same relation; NONE
-    region_base: Array  # f32[H, L]
-    region_inside: Array  # f32[H, L] added where a child expresses the object
-    region_same: Array  # f32[H, L] added where a child expresses the region
-    region_absent: Array  # f32[H, L] added where neither
-    region_own: Array  # f32[H, L] added where the words name the object
-    region_robot: Array  # f32[H, L] added at the robot
+    regions: Array  # f32[H, 6, L] added under each of ``REGION_CONDITIONS``
     constraint_relation: Array  # i32[H]
     constraint_from: Array  # i32[H, 3] 0 where the child has the same constraint; NONE
     constraint_region: Array  # i32[H, 3] slot of the child with the same relation; NONE
-    constraint_base: Array  # f32[H]
-    constraint_inside: Array  # f32[H]
-    constraint_same: Array  # f32[H]
-    constraint_touched: Array  # f32[H] some child expresses the object or a region of it
-    constraint_untouched: Array  # f32[H]
-    constraint_kept: Array  # f32[H] a child expresses the constraint
-    constraint_new: Array  # f32[H] touched, and no child expresses the constraint
+    constraints: Array  # f32[H, 7] added under each of ``CONSTRAINT_CONDITIONS``
     action: Array  # f32[2] probability
     mode: Array  # f32[3] probability
 
@@ -95,28 +82,24 @@ def empty_program() -> dict[str, np.ndarray]:
     fields: dict[str, np.ndarray] = {
         "num_phrases": np.zeros((), i32),
         "num_children": np.full(h, NOTHING, i32),
-        "is_restrictor": np.zeros((h, k), bool),
         "is_verb": np.zeros(h, bool),
-        "object_named": np.full(h, LOG_NEVER, f32),
-        "object_unnamed": np.full(h, LOG_NEVER, f32),
+        "is_restrictor": np.zeros((h, k), bool),
         "own": np.full((h, NUM_OWN), NONE, i32),
+        "objects": np.zeros((h, len(OBJECT_CONDITIONS)), f32),
         "table": np.full(NUM_TABLES, NONE, i32),
         "region_relation": np.full((h, s), NONE, i32),
         "region_table": np.full((h, s), NONE, i32),
         "region_from": np.full((h, k, s), NONE, i32),
+        "regions": np.zeros((h, len(REGION_CONDITIONS), s), f32),
         "constraint_relation": np.full(h, NONE, i32),
         "constraint_from": np.full((h, k), NONE, i32),
         "constraint_region": np.full((h, k), NONE, i32),
+        "constraints": np.zeros((h, len(CONSTRAINT_CONDITIONS)), f32),
         "action": np.array([1, 0], f32),
         "mode": np.array([1, 0, 0], f32),
     }
-    for field in dataclasses.fields(BehaviorProgram):
-        if field.name not in fields:
-            shape = (h, s) if field.name.startswith("region") else (h,)
-            shape = (h, 5) if field.name == "object_previous" else shape
-            fields[field.name] = np.zeros(shape, f32)
-    fields["region_base"] += LOG_NEVER
-    fields["constraint_base"] += LOG_NEVER
+    for name in ("objects", "regions", "constraints"):
+        fields[name][:, 0] = LOG_NEVER
     return fields
 
 
@@ -139,23 +122,10 @@ def softmax(log_odds: np.ndarray) -> np.ndarray:
     return (weight / weight.sum()).astype(np.float32)
 
 
-def _fill_objects(
-    fields: dict[str, np.ndarray], row: int, senses: Senses, terms: dict[str, np.float32]
-) -> None:
-    """Write the coefficients of a noun phrase's objects, and the kinds that its words name."""
-    named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:NUM_OWN]
-    fields["own"][row] = named + [NONE] * (NUM_OWN - len(named))
-    if senses.is_thing:  # whatever the goal before was, to it there is none
-        terms["always"] += terms["no_previous"]
-        terms |= dict.fromkeys(PREVIOUS, np.float32(0.0))
-    fields["object_named"][row] = terms["always"] + terms["own"]
-    fields["object_unnamed"][row] = terms["always"] + terms["other"]
-    fields["object_inside"][row] = terms["inside"]
-    fields["object_lies"][row] = terms["inside_lies"]
-    fields["object_outside"][row] = terms["inside_elsewhere"]
-    fields["object_absent"][row] = terms["outside"]
-    fields["object_own_lies"][row] = terms["own_lies"]
-    fields["object_previous"][row] = [terms[condition] for condition in PREVIOUS]
+def _slot_of(fields: dict[str, np.ndarray], row: int, relation: int) -> int:
+    """Find the slot of a phrase that has a relation; NONE."""
+    held = np.flatnonzero(fields["region_relation"][row] == relation)
+    return int(held[0]) if len(held) else NONE
 
 
 def _fill_regions(
@@ -171,12 +141,9 @@ def _fill_regions(
         fields["region_relation"][row, slot] = relation
         table = AT_TABLE if relation == AT else relation + NUM_RELATIONS * min(meant[relation], 2)
         slots.append((float(reach[relation]), row, slot, int(table)))
-        for name, term in terms.items():
-            fields[f"region_{name}"][row, slot] = term[relation]
+        fields["regions"][row, :, slot] = [term[relation] for term in terms.values()]
         for k, child in enumerate(children):
-            held = np.flatnonzero(fields["region_relation"][child] == relation)
-            if len(held):
-                fields["region_from"][row, k, slot] = held[0]
+            fields["region_from"][row, k, slot] = _slot_of(fields, child, relation)
     return slots
 
 
@@ -186,14 +153,11 @@ def _fill_constraint(
     """Choose the relation of a verb phrase's constraints and write its coefficients."""
     relation = int(np.argmax(_reach(fields, children, terms)))
     fields["constraint_relation"][row] = relation
-    for name, term in terms.items():
-        fields[f"constraint_{name}"][row] = term[relation]
+    fields["constraints"][row] = [term[relation] for term in terms.values()]
     for k, child in enumerate(children):
         if fields["constraint_relation"][child] == relation:
             fields["constraint_from"][row, k] = 0
-        held = np.flatnonzero(fields["region_relation"][child] == relation)
-        if len(held):
-            fields["constraint_region"][row, k] = held[0]
+        fields["constraint_region"][row, k] = _slot_of(fields, child, relation)
 
 
 def _check_sizes(nodes: tuple[Node, ...]) -> None:
@@ -252,12 +216,16 @@ def compile_clause(
         words = PhraseWords.of(senses, bool(node.children), any(labels))
         if node.is_verb:
             terms = contract("goal", words, z["goal"])
-            constraint = contract("constraint", words, z["constraint"])
-            _fill_constraint(fields, row, children, constraint)
+            _fill_constraint(fields, row, children, contract("constraint", words, z["constraint"]))
         else:
             terms = contract("region", words, z["region"])
-            of_objects = contract("object", words, z["object"])
-            _fill_objects(fields, row, senses, {name: one[0] for name, one in of_objects.items()})
+            objects = contract("object", words, z["object"])
+            if senses.is_thing:  # whatever the goal before was, to it there is none
+                objects["always"] += objects["no_previous"]
+                objects |= dict.fromkeys(PREVIOUS, np.zeros(NUM_REGIONS, np.float32))
+            fields["objects"][row] = [term[0] for term in objects.values()]
+            named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:NUM_OWN]
+            fields["own"][row, : len(named)] = named
         meant = ranks_meant(node.phrase, node.path, rank, type_names)
         slots = _fill_regions(fields, row, children, terms, meant)
         if node.phrase.label in RESTRICTORS:
@@ -273,8 +241,3 @@ def compile_clause(
     for name, choices in choice_tables(senses_of(root, type_names)).items():
         fields[name] = softmax(choices @ z[name])
     return fields
-
-
-def to_program(fields: dict[str, np.ndarray]) -> BehaviorProgram:
-    """Put the fields of a program on the device."""
-    return BehaviorProgram(**jax.device_put(fields))

@@ -13,7 +13,7 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
+from jaxlangnav.grounding.annotation import Belief, RankedAnnotations, add_up
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.inputs.sanitize import shown
@@ -203,11 +203,7 @@ def to_readings(
     Raises:
         CapacityError: the best reading has more mentions or relations than the arrays hold.
     """
-    totals: dict[Reading, float] = {}
-    for said, log_probability in belief.clauses:
-        reading = read(*said)
-        totals[reading] = float(np.logaddexp(totals.get(reading, -np.inf), log_probability))
-    ranked = sorted(totals.items(), key=lambda item: -item[1])
+    ranked = add_up(((read(*said), score) for said, score in belief.clauses), np.logaddexp)
     if not _fits(ranked[0][0]):
         raise CapacityError(
             f"the sentence speaks of {len(ranked[0][0].mentions)} things and "

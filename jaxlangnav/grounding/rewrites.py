@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.grounding.annotation import add_up
 from jaxlangnav.grounding.asked import Asked, asked
 from jaxlangnav.grounding.form import quote
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, OtherTypes
@@ -110,18 +111,16 @@ class RewriteGrounder(OtherTypes):
 
     def _rewrites(self, text: str) -> tuple[list[Rewrite], tuple[str, ...]]:
         """Ask the source: the likeliest first, each text once, and what to note."""
-        total: dict[str, float] = {}
-        for one, score in self.source(text):
+        given = self.source(text)
+        for one, score in given:
             if not isinstance(one, str) or math.isnan(score) or score == math.inf:
                 raise ValueError(
                     f"the source gives {quote(one)} the log-probability {score}; it must be a "
                     "text and a number that is finite or -inf"
                 )
-            if score > -math.inf:
-                total[one] = float(np.logaddexp(total.get(one, -np.inf), score))
-        if not total:
+        ranked = add_up((one for one in given if one[1] > -math.inf), np.logaddexp)
+        if not ranked:
             raise ValueError(f"the source has no rewriting of {quote(text)}: say it in other words")
-        ranked = sorted(total.items(), key=lambda item: -item[1])
         left_out = len(ranked) - MOST_REWRITES
         notes = (f"{left_out} less likely rewritings are not read",) if left_out > 0 else ()
         return ranked[:MOST_REWRITES], notes
@@ -174,17 +173,15 @@ def _mixed_readings(
     found: Sequence[Read], log_weights: np.ndarray, order: Sequence[int]
 ) -> tuple[list[tuple[Reading, float]], float]:
     """Sum readings by weight: the likeliest that are held, and the share of those that are not."""
-    first: dict[Any, Reading] = {}
-    total: dict[Any, float] = {}
-    for index in order:
-        for reading, score in unpad_readings(found[index].grounded.instruction.readings):
-            key = _said(reading)
-            first.setdefault(key, reading)
-            share = score + float(log_weights[index])
-            total[key] = float(np.logaddexp(total.get(key, -np.inf), share))
-    ranked = sorted(total, key=lambda key: -total[key])
-    left_out = sum(math.exp(total[key]) for key in ranked[NUM_READINGS:])
-    return [(first[key], total[key]) for key in ranked[:NUM_READINGS]], left_out
+    given = [
+        (reading, score + float(log_weights[index]))
+        for index in order
+        for reading, score in unpad_readings(found[index].grounded.instruction.readings)
+    ]
+    first = {_said(reading): reading for reading, _ in reversed(given)}
+    ranked = add_up(((_said(reading), share) for reading, share in given), np.logaddexp)
+    left_out = sum(math.exp(share) for _, share in ranked[NUM_READINGS:])
+    return [(first[key], share) for key, share in ranked[:NUM_READINGS]], left_out
 
 
 def _said(reading: Reading) -> tuple[Any, ...]:
@@ -219,12 +216,14 @@ def _meaning(grounded: Grounded) -> tuple[Any, ...]:
 
 def _mixed_annotations(found: Sequence[Read], weight: np.ndarray) -> tuple[Mapping[str, Any], ...]:
     """Sum annotations by weight, likeliest first."""
-    total: dict[tuple[Any, ...], float] = {}
-    for one, share in zip(found, weight, strict=True):
-        for said in one.grounded.annotations:
-            key = tuple(item for item in said.items() if item[0] != "probability")
-            total[key] = total.get(key, 0.0) + float(share) * float(said["probability"])
-    ranked = sorted(total.items(), key=lambda item: -item[1])
+    ranked = add_up(
+        (
+            tuple(item for item in said.items() if item[0] != "probability"),
+            float(share) * float(said["probability"]),
+        )
+        for one, share in zip(found, weight, strict=True)
+        for said in one.grounded.annotations
+    )
     return tuple(dict(key) | {"probability": min(share, 1.0)} for key, share in ranked)
 
 

@@ -8,13 +8,14 @@ searched by all models that have not seen it together (``search``).
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import chex
 import numpy as np
 
-from jaxlangnav.grounding.annotation import Belief, clause_belief, join_clauses
+from jaxlangnav.grounding.annotation import Belief, add_up, clause_belief, join_clauses
 from jaxlangnav.grounding.correspondence import WeighedTree
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
 from jaxlangnav.grounding.properties import Annotations, Behaviors
@@ -118,13 +119,12 @@ def gold_annotations(labelled: LabelledInstruction) -> frozenset[Annotation]:
 
 def _compare(belief: Belief, gold: frozenset[Annotation]) -> tuple[bool, float, float]:
     """Compare a belief with the gold set, ranks summed out."""
-    chance: dict[frozenset[Annotation], float] = {}
-    for said, log_probability in belief.sets:
-        symbols = frozenset(symbol for symbol, _ in said)
-        chance[symbols] = chance.get(symbols, 0.0) + float(np.exp(log_probability))
-    best = max(chance, key=lambda symbols: chance[symbols])
-    log_gold = max(np.log(chance.get(gold, 0.0) + 1e-300), LOG_FLOOR)
-    return best == gold, chance[best], log_gold
+    ranked = add_up(
+        (frozenset(symbol for symbol, _ in itertools.chain(*said)), float(np.exp(score)))
+        for said, score in belief.clauses
+    )
+    log_gold = max(np.log(dict(ranked).get(gold, 0.0) + 1e-300), LOG_FLOOR)
+    return ranked[0][0] == gold, ranked[0][1], log_gold
 
 
 def _tested(

@@ -4,6 +4,12 @@ import itertools
 
 import numpy as np
 
+from jaxlangnav.grounding.behavior_properties import (
+    CONSTRAINT_CONDITIONS,
+    OBJECT_CONDITIONS,
+    REGION_CONDITIONS,
+)
+
 
 def softplus(x):
     return np.logaddexp(0.0, x)
@@ -42,7 +48,7 @@ class BehaviorOracle:
         self.p = {name: np.asarray(value, np.float64) for name, value in vars(program).items()}
         self.w = world
         self.size = len(world.object_type)
-        self.num_slots = self.p["region_base"].shape[1]
+        self.num_slots = self.p["region_relation"].shape[1]
         self.groups = 2 + self.num_slots  # objects, regions by slot, constraints
         self.sets = all_sets(self.groups * self.size).reshape(-1, self.groups, self.size)
 
@@ -94,31 +100,25 @@ class BehaviorOracle:
         alike = np.isin(self.w.object_type, self.w.object_type[last]) & ~last & self.w.is_object
         odds = np.full((self.groups, n), -np.inf)
         for i in np.flatnonzero(self.w.is_object):
-            value = p["object_named"][row] if own[i] else p["object_unnamed"][row]
-            weight = p["object_previous"][row]
-            value += weight[0] * (own[i] and last[i]) + weight[1] * last[i] + weight[2] * alike[i]
-            value += weight[3] * (last.any() and not last[i] and not alike[i])
-            value += weight[4] * (not last.any())
+            w = dict(zip(OBJECT_CONDITIONS, p["objects"][row], strict=True))
+            value = w["always"] + (w["own"] if own[i] else w["other"])
+            value += w["own_previous"] * (own[i] and last[i])
+            value += w["previous"] * last[i] + w["alike"] * alike[i]
+            value += w["unlike"] * (last.any() and not last[i] and not alike[i])
+            value += w["no_previous"] * (not last.any())
             if objects[i]:
-                value += p["object_inside"][row]
-                value += p["object_lies"][row] if lies[i] else p["object_outside"][row]
+                value += w["inside"] + (w["inside_lies"] if lies[i] else w["inside_elsewhere"])
             else:
-                value += p["object_absent"][row]
-            value += p["object_own_lies"][row] * (own[i] and lies[i])
-            odds[0, i] = value
+                value += w["outside"]
+            odds[0, i] = value + w["own_lies"] * (own[i] and lies[i])
             for s in range(self.num_slots):
-                value = p["region_base"][row, s] + p["region_own"][row, s] * own[i]
-                value += p["region_robot"][row, s] * robot[i]
-                value += p["region_inside"][row, s] * objects[i]
-                value += p["region_same"][row, s] * same[s, i]
-                value += p["region_absent"][row, s] * (not objects[i] and not same[s, i])
-                odds[1 + s, i] = value
-            value = p["constraint_base"][row] + p["constraint_same"][row] * near[i]
-            value += p["constraint_inside"][row] * objects[i] + p["constraint_kept"][row] * kept[i]
-            if touched[i]:
-                value += p["constraint_touched"][row] + p["constraint_new"][row] * (not kept[i])
-            else:
-                value += p["constraint_untouched"][row]
+                w = dict(zip(REGION_CONDITIONS, p["regions"][row, :, s], strict=True))
+                value = w["base"] + w["own"] * own[i] + w["robot"] * robot[i]
+                value += w["inside"] * objects[i] + w["same"] * same[s, i]
+                odds[1 + s, i] = value + w["absent"] * (not objects[i] and not same[s, i])
+            w = dict(zip(CONSTRAINT_CONDITIONS, p["constraints"][row], strict=True))
+            value = w["base"] + w["same"] * near[i] + w["inside"] * objects[i] + w["kept"] * kept[i]
+            value += w["touched"] + w["new"] * (not kept[i]) if touched[i] else w["untouched"]
             odds[-1, i] = value
         return odds
 
