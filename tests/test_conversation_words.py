@@ -82,7 +82,7 @@ class Talk:
         grounded = self.ground(text)
         how = {"is_new_task": False, "is_loose": True} | how
         self.joined = join(self.readings, self.words, grounded.instruction, grounded.spoken, **how)
-        self.readings, self.words = self.joined.readings, self.joined.words
+        self.readings, self.words = self.joined.instruction.readings, self.joined.words
         return self
 
     @property
@@ -210,9 +210,9 @@ def test_doubts_multiply() -> None:
         )),
         None, is_new_task=False,
     )  # fmt: skip
-    share = np.exp(np.asarray(joined.readings.log_probability))
+    share = np.exp(np.asarray(joined.instruction.readings.log_probability))
     np.testing.assert_allclose(share, [0.42, 0.28, 0.18, 0.12], rtol=1e-5)
-    kinds = [set(row[row != NONE]) for row in np.asarray(joined.readings.mention_type)]
+    kinds = [set(row[row != NONE]) for row in np.asarray(joined.instruction.readings.mention_type)]
     assert kinds == [{HYDRANT, CAR}, {HYDRANT}, {CONE, CAR}, {CONE, HYDRANT}]
 
 

@@ -5,34 +5,30 @@ serves a whole batch that has heard the same: it says where in the old arrays ea
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.dialogue.memory import AVOID_ALL, AVOID_IT, Words, heard_alone
 from jaxlangnav.grounding.instruction import Instruction, Spoken
-from jaxlangnav.grounding.program import BehaviorProgram
 from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.messages import NONE, ROBOT, Readings
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
 
 
 @pytree
 class Joined:
     """What has been said with what is said now; C commands of the new utterance lead."""
 
-    readings: Readings
+    instruction: Instruction  # the new utterance, with the readings of all that has been said
     words: Words  # with the goals of the old commands
     new_goal: jax.Array  # i32[K, C] mention that each new command is about
     new_pinned: jax.Array  # bool[K, C] earlier utterances say which one that is
     from_relation: jax.Array  # i32[K, J] where it was among the old ones, k J + j; NONE: it is new
     from_mention: jax.Array  # i32[K, M] likewise, k M + m
-    program: BehaviorProgram  # of the new utterance, leaves [C, ...]
-    num_clauses: jax.Array  # i32[] of the new utterance
-    metres: jax.Array  # f32[C] as ``Instruction`` has it
-    frame: jax.Array  # f32[C, 3] likewise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,59 +178,53 @@ def written(
     log_probability = np.full(number, -np.inf, np.float32)
     log_probability[: len(ranked)] = np.array(log_all) - np.logaddexp.reduce(log_all)
 
-    def table(rows: list[list[Any]], width: int, empty: int | bool) -> np.ndarray:
+    def table(rows: Iterable[Any], width: int, empty: int | bool) -> Any:
         found = np.full((number, width), empty, bool if isinstance(empty, bool) else np.int32)
         for place, row in enumerate(rows):
             found[place, : len(row)] = row
         return found
 
-    def mentions(name: str, empty: int | bool) -> np.ndarray:
-        rows = [[getattr(one, name) for one in account.mentions] for account in ranked]
+    def mentions(name: str, empty: int | bool) -> Any:
+        rows = ([getattr(it, name) for it in one.mentions] for one in ranked)
         return table(rows, num_mentions, empty)
 
-    def edges(name: str, empty: int = NONE) -> np.ndarray:
-        rows = [[getattr(one, name) for one in account.edges] for account in ranked]
-        return table(rows, num_edges, empty)
+    def edges(name: str, empty: int = NONE) -> Any:
+        return table(([getattr(it, name) for it in one.edges] for one in ranked), num_edges, empty)
 
-    pinned = [
-        [
-            one.is_told(goal, heard, is_now=True) or was
-            for goal, was in zip(one.goals, one.pinned, strict=True)
-        ]
-        for one in ranked
-    ]
-    new_pinned = [
-        [one.is_told(goal, heard, is_now=False) for goal in one.new_goals] for one in ranked
-    ]
-    readings = {
-        "mention_type": mentions("kind", NONE),
-        **{name: edges(name) for name in ("figure", "relation", "landmark")},
-        "rank": edges("rank", 0),
-        "log_probability": log_probability,
-    }
-    words = {
-        "is_asked": mentions("is_asked", False),
-        "avoid": mentions("avoid", 0),
-        "goal": table([one.goals for one in ranked], num_commands, NONE),
-        "is_pinned": table(pinned, num_commands, False),
-        "heard": edges("heard", 0),
-        "num_heard": np.int32(heard + 1),
-        "num_dropped": np.int32(ranked[0].num_dropped),
-    }
-    sources = {
-        "new_goal": table([one.new_goals for one in ranked], num_commands, NONE),
-        "new_pinned": table(new_pinned, num_commands, False),
-        "from_relation": edges("source"),
-        "from_mention": mentions("source", NONE),
-    }
-    return Joined(
-        readings=Readings(**jax.device_put(readings)),
-        words=Words(**jax.device_put(words)),
-        program=instruction.program,
-        num_clauses=instruction.num_clauses,
-        metres=instruction.metres,
-        frame=instruction.frame,
-        **jax.device_put(sources),
+    def commands(name: str) -> Any:
+        return table((getattr(one, name) for one in ranked), num_commands, NONE)
+
+    def told(one: Account, goals: Sequence[int], *, is_now: bool) -> list[bool]:
+        return [one.is_told(goal, heard, is_now=is_now) for goal in goals]
+
+    pinned = (np.logical_or(told(one, one.goals, is_now=True), one.pinned) for one in ranked)
+    new_pinned = (told(one, one.new_goals, is_now=False) for one in ranked)
+    readings = Readings(
+        mention_type=mentions("kind", NONE),
+        figure=edges("figure"),
+        relation=edges("relation"),
+        landmark=edges("landmark"),
+        rank=edges("rank", 0),
+        log_probability=jnp.asarray(log_probability),
+    )
+    words = Words(
+        is_asked=mentions("is_asked", False),
+        avoid=mentions("avoid", 0),
+        goal=commands("goals"),
+        is_pinned=table(pinned, num_commands, False),
+        heard=edges("heard", 0),
+        num_heard=jnp.int32(heard + 1),
+        num_dropped=jnp.int32(ranked[0].num_dropped),
+    )
+    return jax.device_put(
+        Joined(
+            instruction=replace(instruction, readings=readings),
+            words=words,
+            new_goal=commands("new_goals"),
+            new_pinned=table(new_pinned, num_commands, False),
+            from_relation=edges("source"),
+            from_mention=mentions("source", NONE),
+        )
     )
 
 

@@ -81,7 +81,7 @@ def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> Nav
     heard = replace(
         state,
         belief=replace(belief, must_ground=jnp.asarray(True)),
-        instruction=replace(state.instruction, readings=joined.readings),
+        instruction=replace(state.instruction, readings=joined.instruction.readings),
         talk=replace(talk, words=joined.words, context=_merged_context(talk.context, joined, pose)),
     )
     if how is How.REPLACE:
@@ -119,7 +119,7 @@ def _merged_context(context: UtteranceContext, joined: Joined, pose: Array) -> U
 
 def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -> NavigatorState:
     """Put the new commands behind ``left`` of the old ones; the present one comes first."""
-    old, talk = state.instruction, state.talk
+    old, told, talk = state.instruction, joined.instruction, state.talk
     place, last = jnp.arange(talk.viewer.shape[0]), talk.viewer.shape[0] - 1
     is_old = place < left
     kept, new = jnp.minimum(state.clause + place, last), jnp.clip(place - left, 0, last)
@@ -132,12 +132,12 @@ def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -
     is_pinned = jnp.where(is_old[None], words.is_pinned[:, kept], joined.new_pinned[:, new])
     instruction = replace(
         old,
-        program=jax.tree.map(arrange, old.program, joined.program),
-        num_clauses=(left + joined.num_clauses).astype(jnp.int32),
-        metres=arrange(old.metres, joined.metres),
-        frame=arrange(old.frame, joined.frame),
+        program=jax.tree.map(arrange, old.program, told.program),
+        num_clauses=(left + told.num_clauses).astype(jnp.int32),
+        metres=arrange(old.metres, told.metres),
+        frame=arrange(old.frame, told.frame),
     )
-    viewer = arrange(talk.viewer, seen_from(pose, joined.frame))
+    viewer = arrange(talk.viewer, seen_from(pose, told.frame))
     talk = replace(talk, words=replace(words, goal=goal, is_pinned=is_pinned), viewer=viewer)
     return replace(state, instruction=instruction, clause=jnp.int32(0), talk=talk)
 
