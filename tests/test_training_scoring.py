@@ -1,7 +1,6 @@
 """Many models scored at once, against one model and one sentence at a time."""
 
 import dataclasses
-import itertools
 
 import numpy as np
 import pytest
@@ -10,11 +9,8 @@ from grounding_fixture import TYPES, corpus
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.properties import Behaviors
-from jaxlangnav.grounding.symbols import REGION
-from jaxlangnav.inputs.object_types import ANYTHING
-from jaxlangnav.messages import NONE
-from jaxlangnav.training.scoring import Models, gold_annotations, score_annotations, score_behaviors
+from jaxlangnav.grounding.properties import Annotations, Behaviors
+from jaxlangnav.training.scoring import Models, score_annotations, score_behaviors
 
 SENTENCES = (
     "go to the second box near the tree",
@@ -46,31 +42,21 @@ def models():
     return three(shipped.annotation), three(shipped.behavior)
 
 
-def alone_annotation(model, labelled, width):
-    """Right, and how confident: the sums over ranks of what one search gives."""
-    belief, chance = infer_annotations(labelled.parse, model, TYPES, width), {}
-    for said, log_probability in belief.clauses:
-        symbols = frozenset(
-            one._replace(kind=REGION, figure=NONE) if one.figure == ANYTHING else one
-            for one, _ in itertools.chain(*said)
-        )
-        chance[symbols] = chance.get(symbols, 0.0) + np.exp(log_probability)
-    best = max(chance, key=lambda symbols: chance[symbols])
-    return best == gold_annotations(labelled), chance[best]
+def alone(space, model, trees, width):
+    """Right, and how confident: the best sets of one search for each clause."""
+    graph, right, confidence = CorrespondenceGraph(space, model), True, 1.0
+    for tree in trees:
+        weighed = graph.weigh(tree.root, tree.world, tree.clause)
+        best = weighed.search(width)[0]
+        right &= bool((best.expressed == weighed.symbols.mask(tree.expressed[-1])).all())
+        confidence *= np.exp(best.log_probability)
+    return right, confidence
 
 
 def alone_behaviors(annotation, model, labelled, width):
     """The same, a row for each world."""
-    rank = infer_annotations(labelled.parse, annotation, TYPES).rank
-    graph = CorrespondenceGraph(Behaviors(TYPES, rank), model)
-    for trees in labelled.behaving:
-        right, confidence = True, 1.0
-        for tree in trees:
-            weighed = graph.weigh(tree.root, tree.world, tree.clause)
-            best = weighed.search(width)[0]
-            right &= bool((best.expressed == weighed.symbols.mask(tree.expressed[-1])).all())
-            confidence *= np.exp(best.log_probability)
-        yield right, confidence
+    space = Behaviors(TYPES, infer_annotations(labelled.parse, annotation, TYPES).rank)
+    return [alone(space, model, trees, width) for trees in labelled.behaving]
 
 
 def test_each_of_many_models_is_scored_as_alone(instructions, models):
@@ -85,7 +71,7 @@ def test_each_of_many_models_is_scored_as_alone(instructions, models):
         for k, (annotation, behavior) in enumerate(zip(*models, strict=True)):
             tested = [instructions[i] for i in np.flatnonzero(IS_TESTED[k])]
             wanted = (
-                [alone_annotation(annotation, one, width) for one in tested],
+                [alone(Annotations(TYPES), annotation, one.annotated, width) for one in tested],
                 [
                     row
                     for one in tested

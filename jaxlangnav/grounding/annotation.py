@@ -9,7 +9,7 @@ two things, and whether "the thing" that lies there is called by no type (``ANYT
 import dataclasses
 import itertools
 import operator
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -105,7 +105,7 @@ def annotation_document(
 
 
 def _rank_chances(
-    paths: list[Path], rank: dict[Path, np.ndarray], between: frozenset[Path]
+    paths: list[Path], rank: Mapping[Path, np.ndarray], between: frozenset[Path]
 ) -> list[tuple[int, float]]:
     """List the two likeliest ranks of a symbol with their log-probabilities."""
     if between.intersection(paths):
@@ -118,13 +118,14 @@ def _rank_chances(
 
 
 def _by_rank(
-    paths: list[Path], likeliest: dict[Path, int], between: frozenset[Path]
+    paths: list[Path], rank: Mapping[Path, np.ndarray], between: frozenset[Path]
 ) -> list[list[Path]]:
     """Part the phrases of a symbol that say different ranks: they speak of different things.
 
     "Avoid the nearest cone and go to the second cone" says "near the robot" of two cones.
     """
-    ranks = sorted({likeliest[path] for path in paths} - {0})
+    likeliest = {path: int(np.argmax(rank[path])) for path in paths}
+    ranks = sorted({*likeliest.values()} - {0})
     if len(ranks) < 2 or between.intersection(paths):
         return [paths]
     return [[path for path in paths if likeliest[path] == one] for one in ranks]
@@ -140,28 +141,20 @@ def _said_of_things(phrase: Phrase, path: Path, *, is_of_thing: bool) -> Iterato
         yield from _said_of_things(child, (*path, i), is_of_thing=of_thing)
 
 
-def clause_belief(
+def _clause_sets(
     space: AnnotationSpace,
     beam: Sequence[Hypothesis],
+    root: Phrase,
     clause: int,
-    rank: dict[Path, np.ndarray],
-    width: int,
-    between: frozenset[Path] = frozenset(),
-    things: frozenset[Path] = frozenset(),
-) -> Belief:
-    """Read a beam as annotations, each with its rank: up to ``width`` sets and their probabilities.
+    rank: Mapping[Path, np.ndarray],
+) -> Iterator[tuple[RankedAnnotations, float]]:
+    """Read the beam of a clause as annotations, each with its rank, and their log-probability.
 
-    Args:
-        space: annotation symbols.
-        beam: hypotheses at the root, best first.
-        clause: its position in the sentence.
-        rank: for each phrase f64[5], log-probabilities of the ranks 0 to 4.
-        width: how many sets to keep.
-        between: the phrases that say "between".
-        things: the phrases that say where a thing called by no type is.
+    ``rank`` has for each phrase f64[5], log-probabilities of the ranks 0 to 4.
     """
-    likeliest = {path: int(np.argmax(chances)) for path, chances in rank.items()}
-    found: list[tuple[tuple[RankedAnnotations, ...], float]] = []
+    nodes = bottom_up(root, clause)
+    between = frozenset(node.path for node in nodes if node.phrase.says("between"))
+    things = frozenset(_said_of_things(root, (clause,), is_of_thing=False))
     for hypothesis in beam:
         symbols, chances = [], []
         for symbol in space.members(hypothesis.expressed)[:_MAX_SYMBOLS]:
@@ -178,17 +171,13 @@ def clause_belief(
                     if not any(path == below[: len(path)] != below for below in saying)
                 ]
             of_thing = symbol._replace(kind=RELATION, figure=ANYTHING)
-            for own in _by_rank(paths, likeliest, between):
+            for own in _by_rank(paths, rank, between):
                 is_of_thing = symbol.kind == REGION and things.intersection(own)
                 symbols.append(of_thing if is_of_thing else symbol)
                 chances.append(_rank_chances(own, rank, between))
         for choice in itertools.product(*chances):
             said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
-            score = hypothesis.log_probability + sum(log_chance for _, log_chance in choice)
-            found.append(((said,), score))
-    found = sorted(found, key=lambda one: -one[1])[:width]
-    silent = (path for path, one in beam[0].walk((clause,)) if not one.expressed.any())
-    return Belief(tuple(found), likeliest, frozenset(silent))
+            yield said, hypothesis.log_probability + sum(log_chance for _, log_chance in choice)
 
 
 def infer_annotations(
@@ -201,26 +190,18 @@ def infer_annotations(
 
     The clauses are independent and add up.
     """
-    space, beliefs = Annotations(type_names), []
-    graph, symbols = CorrespondenceGraph(space, model), space.symbols_in(None)
+    graph = CorrespondenceGraph(space := Annotations(type_names), model)
+    joint: list[tuple[tuple[RankedAnnotations, ...], float]] = [((), 0.0)]
+    rank, silent = dict[Path, int](), set[Path]()
     for clause, root in enumerate(parse.clauses):
         tree = graph.weigh(root, None, clause)
-        nodes = bottom_up(root, clause)
-        between = frozenset(node.path for node in nodes if node.phrase.says("between"))
-        things = frozenset(_said_of_things(root, (clause,), is_of_thing=False))
         beam = tree.search(width)
-        rank = {path: chances[0] for path, chances in tree.log_ranks().items()}
-        beliefs.append(clause_belief(symbols, beam, clause, rank, width, between, things))
-    return join_clauses(beliefs, width)
-
-
-def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
-    """Join what the clauses of a sentence say: up to ``width`` sets of annotations, best first."""
-    joint: list[tuple[tuple[RankedAnnotations, ...], float]] = [((), 0.0)]
-    for belief in beliefs:
-        pairs = itertools.product(joint, belief.clauses)
-        both = [((*said, *more), score + own) for (said, score), (more, own) in pairs]
+        chances = {path: of_models[0] for path, of_models in tree.log_ranks().items()}
+        rank |= {path: int(np.argmax(one)) for path, one in chances.items()}
+        silent |= {path for path, one in beam[0].walk((clause,)) if not one.expressed.any()}
+        sets = _clause_sets(space.symbols_in(None), beam, root, clause, chances)
+        best = sorted(sets, key=lambda one: -one[1])[:width]
+        pairs = itertools.product(joint, best)
+        both = [((*said, more), score + own) for (said, score), (more, own) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
-    rank = {path: one for belief in beliefs for path, one in belief.rank.items()}
-    silent = frozenset[Path]().union(*(belief.silent for belief in beliefs))
-    return Belief(tuple(joint), rank, silent)
+    return Belief(tuple(joint), rank, frozenset(silent))

@@ -1,26 +1,24 @@
 """How often each of many models is right on the sentences held out from it (section 4.1).
 
-A sentence counts as right when the likeliest set of symbols at the roots of its clauses is exactly
-the gold one. Confidence is the probability of that set.
+A sentence counts as right when the likeliest sets of symbols at the roots of its clauses are the
+gold ones, whatever the ranks. Confidence is the probability of those sets.
 
 The splits of a hold-out differ in their weights alone. So a sentence is described once, and
 searched by all models that have not seen it together (``search``).
 """
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import chex
 import numpy as np
 
-from jaxlangnav.grounding.annotation import Belief, add_up, clause_belief, join_clauses
-from jaxlangnav.grounding.correspondence import WeighedTree
+from jaxlangnav.grounding.correspondence import AnyWorld, Labelled, SymbolSpace, WeighedTree
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
 from jaxlangnav.grounding.properties import Annotations, Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
-from jaxlangnav.grounding.symbols import Annotation, Path
+from jaxlangnav.grounding.symbols import Path
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.training.examples import LabelledInstruction
 
@@ -103,28 +101,13 @@ class _Tally:
         """Stack what has come in."""
 
         def scores(rows: list[tuple[bool, float, float]]) -> Scores:
-            right, confidence, log_gold = zip(*rows, strict=True) if rows else ((), (), ())
-            return Scores(np.array(right, bool), np.array(confidence), np.array(log_gold))
+            right, confidence, log_gold = np.array(rows, float).reshape(-1, 3).T
+            return Scores(right.astype(bool), confidence, log_gold)
 
         return Results(
             {width: [scores(rows) for rows in models] for width, models in self.rows.items()},
             [ExactScores(*np.array(rows, bool).reshape(-1, 2).T) for rows in self.exact],
         )
-
-
-def gold_annotations(labelled: LabelledInstruction) -> frozenset[Annotation]:
-    """Join the gold annotations at the roots of all clauses."""
-    return frozenset().union(*(tree.expressed[-1] for tree in labelled.annotated))
-
-
-def _compare(belief: Belief, gold: frozenset[Annotation]) -> tuple[bool, float, float]:
-    """Compare a belief with the gold set, ranks summed out."""
-    ranked = add_up(
-        (frozenset(symbol for symbol, _ in itertools.chain(*said)), float(np.exp(score)))
-        for said, score in belief.clauses
-    )
-    log_gold = max(np.log(dict(ranked).get(gold, 0.0) + 1e-300), LOG_FLOOR)
-    return ranked[0][0] == gold, ranked[0][1], log_gold
 
 
 def _tested(
@@ -166,42 +149,10 @@ def score_annotations(
         is_exact: also find the likeliest of all sets.
         on_sentence: called after each sentence.
     """
-    symbols = Annotations(type_names).symbols_in(None)
     tally = _Tally(num := len(models.temperature), widths, is_exact)
     for labelled, which in _tested(instructions, is_tested, num, on_sentence):
-        gold = gold_annotations(labelled)
-        trees = _annotated(labelled, models.take(which), type_names)
-        ranks = [tree.log_ranks() for tree in trees]
-        for width, rows in tally.rows.items():
-            for place, model in enumerate(which):
-                beliefs = [
-                    clause_belief(
-                        symbols,
-                        tree.beams(width).of(place),
-                        clause,
-                        {path: chances[place] for path, chances in rank.items()},
-                        width,
-                    )
-                    for clause, (tree, rank) in enumerate(zip(trees, ranks, strict=True))
-                ]
-                rows[model].append(_compare(join_clauses(beliefs, width), gold))
-        if tally.exact:
-            best, is_proven = zip(*(tree.search_exactly() for tree in trees), strict=True)
-            is_right = (np.any(best, axis=0) == symbols.mask(gold)).all(1)
-            for model, *row in zip(which, is_right, np.all(is_proven, axis=0), strict=True):
-                tally.exact[model].append(tuple(row))
+        _count(tally, which, models.take(which), Annotations(type_names), labelled.annotated)
     return tally.results()
-
-
-def _annotated(
-    labelled: LabelledInstruction, models: Models, type_names: tuple[str, ...]
-) -> list[WeighedTree[None]]:
-    """Weigh the clauses of a sentence by annotation models."""
-    space, coefficients = Annotations(type_names), models.coefficients
-    return [
-        WeighedTree(space, coefficients, tree.root, None, tree.clause)
-        for tree in labelled.annotated
-    ]
 
 
 def _by_rank(
@@ -209,7 +160,7 @@ def _by_rank(
 ) -> Iterator[tuple[np.ndarray, dict[Path, int]]]:
     """Group models by the ranks they infer: i[M] models, and rank by phrase."""
     ranks: dict[Path, np.ndarray] = {}  # i[M] each
-    for tree in _annotated(labelled, annotation, type_names):
+    for tree in _weighed(annotation, Annotations(type_names), labelled.annotated):
         ranks |= {path: chances.argmax(1) for path, chances in tree.log_ranks().items()}
     rows, which = np.unique(np.stack([*ranks.values()], axis=1), axis=0, return_inverse=True)
     for group, row in enumerate(rows.tolist()):
@@ -238,38 +189,49 @@ def score_behaviors(
         for group, rank in _by_rank(labelled, annotation.take(which), type_names):
             own, space = behavior.take(which[group]), Behaviors(type_names, rank)
             for trees in labelled.behaving:
-                found = []
-                for tree in trees:
-                    one = WeighedTree(space, own.coefficients, tree.root, tree.world, tree.clause)
-                    found.append((one, one.symbols.mask(tree.expressed[-1])))
-                _count_world(tally, which[group], found)
+                _count(tally, which[group], own, space, trees)
     return tally.results()
 
 
-def _count_world(
-    tally: _Tally, models: np.ndarray, trees: Sequence[tuple[WeighedTree, np.ndarray]]
+def _weighed(
+    models: Models, space: SymbolSpace[AnyWorld], trees: Sequence[Labelled[AnyWorld]]
+) -> list[WeighedTree[AnyWorld]]:
+    """Weigh the clauses of a sentence in one world."""
+    return [
+        WeighedTree(space, models.coefficients, one.root, one.world, one.clause) for one in trees
+    ]
+
+
+def _count(
+    tally: _Tally,
+    which: np.ndarray,
+    models: Models,
+    space: SymbolSpace[AnyWorld],
+    labelled: Sequence[Labelled[AnyWorld]],
 ) -> None:
-    """Compare what models i[M] infer in one world with the gold sets bool[S] of the clauses."""
+    """Compare what models, i[M] of all, infer of the clauses of a sentence with the gold sets."""
+    trees = _weighed(models, space, labelled)
+    gold = [tree.symbols.mask(one.expressed[-1]) for tree, one in zip(trees, labelled, strict=True)]
     for width, rows in tally.rows.items():
-        right, confidence = np.ones(len(models), bool), np.ones(len(models))
-        log_gold = np.zeros(len(models))
-        for tree, gold in trees:
+        right, confidence = np.ones(len(which), bool), np.ones(len(which))
+        log_gold = np.zeros(len(which))
+        for tree, own in zip(trees, gold, strict=True):
             beams = tree.beams(width)
             log_probability = beams.log_probability
-            is_gold = (beams.sets == gold).all(1)[beams.index] & np.isfinite(log_probability)
+            is_gold = (beams.sets == own).all(1)[beams.index] & np.isfinite(log_probability)
             right &= is_gold[:, 0]
             confidence *= np.exp(log_probability[:, 0])
             found = np.take_along_axis(log_probability, is_gold.argmax(1)[:, None], 1)[:, 0]
             log_gold += np.where(is_gold.any(1), found, LOG_FLOOR)
         log_gold = np.maximum(log_gold, LOG_FLOOR)
-        for model, *row in zip(models, right, confidence, log_gold, strict=True):
+        for model, *row in zip(which, right, confidence, log_gold, strict=True):
             rows[model].append(tuple(row))
     if tally.exact:
-        right = proven = np.ones(len(models), bool)
-        for tree, gold in trees:
+        right = proven = np.ones(len(which), bool)
+        for tree, own in zip(trees, gold, strict=True):
             best, is_sure = tree.search_exactly()
-            right, proven = right & (best == gold).all(1), proven & is_sure
-        for model, *row in zip(models, right, proven, strict=True):
+            right, proven = right & (best == own).all(1), proven & is_sure
+        for model, *row in zip(which, right, proven, strict=True):
             tally.exact[model].append(tuple(row))
 
 
