@@ -8,75 +8,12 @@ import warnings
 from collections.abc import Sequence
 from types import ModuleType
 
-MOVED = {
-    "lanes": "episode.lanes",
-    "recording": "episode.recording",
-    "recorder": "episode.recorder",
-    "conversation": "dialogue",
-    "conversation.history": "dialogue.history",
-    "conversation.join": "dialogue.merge",
-    "conversation.memory": "dialogue.memory",
-    "hearing": "navigator.speech_acts",
-    "listening": "navigator.interpret",
-    "agent": "navigator.api",
-    "kept": "inputs.program_cache",
-    "kinds": "inputs.object_types",
-    "experiments.grid": "experiments.experiment",
-    "experiments.table2": "experiments.paper",
-    "experiments.figure5": "experiments.paper",
-    "experiments.report": "experiments.table",
-    "experiments.reliability": "experiments.judging",
-    "studies.unknowns": "experiments.unknowns",
-    "experiments.goal_region": "experiments.calibration",
-    "robots.motion.pursuit": "robots.motion.steering",
-    "robots.motion.window": "robots.motion.steering",
-    "robots.record": "robots.robot",
-    "robots.simulated": "robots.kinematic",
-    "robots.ros2.headway": "robots.ros2.robot",
-    "robots.ros2.recording": "robots.ros2.bags",
-    "robots.ros2.serve": "robots.ros2.simulation",
-    "navigator.outcome": "navigator.records",
-    "relations.frames": "relations.table",
-    "world.errors": "world.sensor",
-    "world.known": "world.simulator",
-    "grounding.annotation_properties": "grounding.properties",
-    "grounding.beam": "grounding.behavior",
-    "grounding.choosing": "grounding.grounder",
-    "grounding.graph": "grounding.symbols",
-    "grounding.json_schema": "grounding.form",
-    "grounding.recorded": "grounding.rewrites",
-    "grounding.space": "grounding.correspondence",
-    "grounding.spoken": "grounding.instruction",
-    "grounding.weighed": "grounding.correspondence",
-    "training.design": "training.examples",
-    "planner.asking": "planner.questions",
-    "planner.drafts": "planner.tours",
-    "planner.tour_proposals": "planner.tours",
-    "planner.endings": "planner.termination",
-    "semantic_map.bystanders": "semantic_map.unreferenced_objects",
-    "semantic_map.candidates": "semantic_map.proposal.candidates",
-    "semantic_map.choose": "semantic_map.proposal.sample",
-    "semantic_map.draws": "semantic_map.proposal.utterance",
-    "semantic_map.gathered": "semantic_map.proposal.utterance",
-    "semantic_map.looking": "semantic_map.heading_bias",
-    "semantic_map.order": "semantic_map.proposal.ranks",
-    "semantic_map.regrounding": "semantic_map.proposal.sparse_regrounding",
-    "semantic_map.said": "semantic_map.proposal.relation_query",
-    "semantic_map.soundness": "semantic_map.gating",
-    "semantic_map.surprise": "semantic_map.observe",
-    "semantic_map.ways": "semantic_map.proposal.enumerate",
-    "semantic_map.words": "semantic_map.proposal.utterance",
-    "terrain.travel": "terrain.view",
-    "training.evaluation": "training.scoring",
-    "training.labelled": "training.examples",
-    "training.search_many": "grounding.search",
-}
-"""In the package: old names and new ones. An entry goes after one release."""
-RENAMED = {
-    "kept": {"kept": "cached_jit", "keep_in": "set_cache_dir", "kept_in": "cache_dir"},
-    "lanes": {"Course": "EpisodeProgram"},
-    "listening": {"Heard": "UtteranceOutcome"},
-}
+from jaxlangnav.inputs.documents import parse_toml, read_shipped
+
+_TABLE = parse_toml(read_shipped("inputs", "old_names.toml"))
+MOVED: dict[str, str] = _TABLE["moved"]
+"""In the package: old names and new ones."""
+RENAMED: dict[str, dict[str, str]] = _TABLE["renamed"]
 """Of a module that has moved: what it called otherwise."""
 
 
