@@ -181,10 +181,7 @@ def _clause_sets(
 
 
 def infer_annotations(
-    parse: Parse,
-    model: CorrespondenceModel,
-    type_names: tuple[str, ...],
-    width: int = BEAM_WIDTH,
+    parse: Parse, model: CorrespondenceModel, type_names: tuple[str, ...], width: int = BEAM_WIDTH
 ) -> Belief:
     """Infer what a sentence says: up to ``width`` sets of annotations, best first (section 3.1).
 

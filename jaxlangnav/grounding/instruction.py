@@ -286,9 +286,7 @@ def understand_parse(
 
 
 def pack_instruction(
-    readings: Readings,
-    commands: Sequence[dict[str, np.ndarray]],
-    measures: Sequence[Measure] = (),
+    readings: Readings, commands: Sequence[dict[str, np.ndarray]], measures: Sequence[Measure] = ()
 ) -> Instruction:
     """Put readings and the programs of commands together, padded to ``NUM_CLAUSES``.
 

@@ -198,8 +198,4 @@ def count_graph(clauses: Sequence[Phrase], symbols: Symbols) -> dict[str, int]:
     """
     phrases = [phrase for root in clauses for phrase in root.walk()]
     factors = sum(symbols.num_expressible(phrase) for phrase in phrases)
-    return {
-        "phrases": len(phrases),
-        "factors": factors,
-        "variables": len(phrases) + 2 * factors,
-    }
+    return {"phrases": len(phrases), "factors": factors, "variables": len(phrases) + 2 * factors}

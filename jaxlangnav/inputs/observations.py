@@ -102,9 +102,7 @@ def padded(count: int) -> int:
 
 
 def detected(
-    detections: Iterable[Sequence[Any]],
-    sensor: Sequence[np.float32],
-    types: Sequence[str],
+    detections: Iterable[Sequence[Any]], sensor: Sequence[np.float32], types: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """Hold detections against their sensor, and pad them.
 

@@ -10,14 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
-from jaxlangnav.language.lexicon import (
-    REASONS,
-    SINGULARS,
-    TYPE_CLASS,
-    WORDS,
-    load_lexicon,
-    plural,
-)
+from jaxlangnav.language.lexicon import REASONS, SINGULARS, TYPE_CLASS, WORDS, load_lexicon, plural
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import NOUN, Token
 

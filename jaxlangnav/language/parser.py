@@ -24,13 +24,7 @@ from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reader.proposals import propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
-from jaxlangnav.language.refusal import (
-    NOUN,
-    Token,
-    explain,
-    offer,
-    refuse_guesses,
-)
+from jaxlangnav.language.refusal import NOUN, Token, explain, offer, refuse_guesses
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import (
     COMMA_MARK,

@@ -178,11 +178,7 @@ def sample_polar(
 
 
 def sample_law(
-    law: Law,
-    model: RelationModel,
-    relation: ArrayLike,
-    distance_normal: Array,
-    angle_normal: Array,
+    law: Law, model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
 ) -> tuple[Array, Array]:
     """Draw as ``sample_polar`` does, from a law looked up before; where it has a range."""
     law = jax.tree.map(lambda leaf: prepend_axes(leaf, distance_normal.ndim), law)

@@ -133,11 +133,7 @@ def alone(understood: Understanding) -> Instruction:
 
 
 def rehearse(
-    instructions: Instruction,
-    num_slots: int,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
+    instructions: Instruction, num_slots: int, *, params: NavigatorParams, config: NavigatorConfig
 ) -> None:
     """Load or compile the decision cycle in a thread, while other things are done.
 
@@ -194,10 +190,7 @@ def judged(recording: Recording, prepared: Prepared, *, has_person: bool = False
     is_arrived = (result.ending == Status.ARRIVED) & is_judged
     is_success = np.asarray(is_arrived & (result.goal_distance <= radius))
     scene = dataclasses.replace(
-        scene,
-        stop_radius=radius,
-        is_judged=is_judged,
-        unjudged=prepared.unjudged or scene.unjudged,
+        scene, stop_radius=radius, is_judged=is_judged, unjudged=prepared.unjudged or scene.unjudged
     )
     result = replace(result, is_success=is_success)
     return dataclasses.replace(recording, scene=scene, result=result)

@@ -198,10 +198,7 @@ def _spectrum(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def fit(
-    design: Design,
-    instruction_weights: np.ndarray,
-    *,
-    config: TrainingConfig | None = None,
+    design: Design, instruction_weights: np.ndarray, *, config: TrainingConfig | None = None
 ) -> tuple[list[dict[str, np.ndarray]], Fit]:
     """Train one model per row of instruction weights, all at once.
 
