@@ -75,9 +75,8 @@ def _child(row: BehaviorProgram, stack: _Stack, k: Array | int) -> Combinations:
     sets = jnp.where(exists, stack.sets[k], 0)
     objects, regions = sets[_OBJECTS], sets[_REGIONS : _REGIONS + NUM_REGION_SLOTS]
     slots = jnp.append(row.region_from[k], row.constraint_region[k][None], axis=0)
-    by_slot = jnp.zeros((1, 1, 1, 1), jnp.int32)
-    for slot in range(NUM_REGION_SLOTS):
-        by_slot = by_slot | jnp.where(slots == slot, regions[slot][:, None], 0)
+    held = [jnp.where(slots == i, one[:, None], 0) for i, one in enumerate(regions)]
+    by_slot = functools.reduce(jnp.bitwise_or, held)
     touched = functools.reduce(jnp.bitwise_or, [objects, *regions])
     kept = jnp.where(row.constraint_from[k] == NONE, 0, sets[_CONSTRAINTS])
     outside = jnp.where(row.is_restrictor[k] & exists, ~sets[_LIES], 0)
@@ -185,10 +184,10 @@ def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_S
 def _by_relation(values: Array, relation: Array) -> Array:
     """Spread slots f32[L, N, E, P] over the seven regions, f32[7, N, E, P]."""
     regions = iota(NUM_REGIONS, 3)[:, None]
-    spread = jnp.where(relation[0] == regions, values[0][None], 0.0)
-    for s in range(1, values.shape[0]):
-        spread = spread + jnp.where(relation[s] == regions, values[s][None], 0.0)
-    return spread
+    spread = [
+        jnp.where(own == regions, one[None], 0.0) for own, one in zip(relation, values, strict=True)
+    ]
+    return functools.reduce(jnp.add, spread)
 
 
 def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior:

@@ -108,10 +108,8 @@ class Detector:
             Indices of the labels, none where it has none; and whether they mean the noun itself,
             not only what it is a kind of.
         """
-        for names in _ways_to_say(noun):
-            found = self._with(names)
-            if found:
-                return found, True
+        if found := self._called(noun):
+            return found, True
         foreign = load_lexicon().entries["foreign"]
         kinds = tuple(
             i
@@ -122,21 +120,17 @@ class Detector:
             return kinds, True  # "the sign": any of the detector's signs
         if tuple(noun.split()) in foreign:  # a mail box is no box, and a tree house no house
             return (), False
-        for one in (load_nouns().broader.get(noun), noun.split()[-1]):
-            for names in _ways_to_say(one) if one else ():
-                found = self._with(names)
-                if found:
-                    return found, False
-        return (), False
+        broader = load_nouns().broader.get(noun)
+        return (broader and self._called(broader)) or self._called(noun.split()[-1]), False
 
-    def _with(self, names: frozenset[str]) -> tuple[int, ...]:
-        """List the labels that are one of the names, written as one word or several."""
-        joined = {name.replace(" ", "") for name in names}
-        return tuple(
-            i
-            for i, name in enumerate(self._names)
-            if {name.replace(" ", ""), singular(name).replace(" ", "")} & joined
-        )
+    def _called(self, noun: str) -> tuple[int, ...]:
+        """List the labels of a name, or else of its synonyms, written as one word or several."""
+        written = [{one.replace(" ", ""), singular(one).replace(" ", "")} for one in self._names]
+        for names in _ways_to_say(noun):
+            joined = {name.replace(" ", "") for name in names}
+            if found := tuple(i for i, own in enumerate(written) if own & joined):
+                return found
+        return ()
 
     def beyond(self, noun: str) -> int:
         """Give a noun without a label an index of its own."""

@@ -10,6 +10,7 @@ described in these terms first.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -78,13 +79,11 @@ def _description_of(
 
 def _destination_of(reading: FormReading, index: int) -> Destination:
     """Describe the goal of one of a reading's commands."""
-    command, thing = reading.commands[index], reading.commands[index].thing
-    before, last = ANY, reading.commands[index - 1].thing
-    if index > 0 and last == thing:
-        before = AGAIN
-    elif index > 0 and reading.type_of(last) == reading.type_of(thing):
-        before = OTHER
-    return Destination(_description_of(reading, thing), command.region, before)
+    command, last = reading.commands[index], reading.commands[index - 1].thing
+    before = ANY
+    if index > 0 and reading.type_of(last) == reading.type_of(command.thing):
+        before = AGAIN if last == command.thing else OTHER
+    return Destination(_description_of(reading, command.thing), command.region, before)
 
 
 def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
@@ -245,14 +244,11 @@ def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:
     """Write the phrases into the rows of a program, bottom-up, the root last."""
     phrases = list(root.walk())
     tables = list(dict.fromkeys(one.table for one in phrases if one.table != NONE))
-    depth = deepest = 0
-    for phrase in phrases:
-        depth += 1 - len(phrase.children)
-        deepest = max(deepest, depth)
+    depths = itertools.accumulate(1 - len(phrase.children) for phrase in phrases)
     for what, size, most in (
         ("phrases over all readings", len(phrases), NUM_PHRASES),
         ("kinds of relations over all readings", len(tables), NUM_TABLES),
-        ("phrases that nest", deepest, MAX_DEPTH),
+        ("phrases that nest", max(depths), MAX_DEPTH),
     ):
         if size > most:
             raise CapacityError(
@@ -262,8 +258,7 @@ def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:
     fields = empty_program()
     fields["num_phrases"] = np.asarray(len(phrases), np.int32)
     fields["table"][: len(tables)] = tables
-    for name in ("action", "mode"):
-        fields[name][:] = 0.0
+    fields["action"][:] = fields["mode"][:] = 0.0
     for count, phrase in enumerate(phrases):
         row = NUM_PHRASES - 1 if phrase is root else count
         fields["num_children"][row] = len(phrase.children)

@@ -125,7 +125,6 @@ class Instruction:
     metres: Array  # f32[C] told, from the landmark to the goal place; 0: what the relation suggests
     frame: Array  # f32[C, 3] from where a command is meant: x, y, heading; metres, radians, frame
     # of the robot as it hears the sentence
-    # of the robot as it hears the sentence
 
 
 @dataclasses.dataclass(frozen=True)
@@ -296,14 +295,12 @@ def pack_instruction(
         measures: how far each goes; by default as far as its words suggest.
     """
     fields = [*commands, *[empty_program()] * (NUM_CLAUSES - len(commands))]
+    told = [*measures, *[Measure()] * (NUM_CLAUSES - len(measures))]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *fields)
-    metres, frame = np.zeros(NUM_CLAUSES, np.float32), np.zeros((NUM_CLAUSES, 3), np.float32)
-    for index, one in enumerate(measures):
-        metres[index], frame[index] = one.metres, one.frame
-    return Instruction(
-        readings=readings,
-        program=BehaviorProgram(**jax.device_put(stacked)),
-        num_clauses=jax.device_put(np.int32(len(commands))),
-        metres=jax.device_put(metres),
-        frame=jax.device_put(frame),
-    )
+    numbers = {
+        "num_clauses": np.int32(len(commands)),
+        "metres": np.array([one.metres for one in told], np.float32),
+        "frame": np.array([one.frame for one in told], np.float32),
+    }
+    program = BehaviorProgram(**jax.device_put(stacked))
+    return Instruction(readings=readings, program=program, **jax.device_put(numbers))

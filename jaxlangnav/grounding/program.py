@@ -9,6 +9,7 @@ the ``NUM_REGION_SLOTS`` whose log-odds can become largest are kept (for constra
 """
 
 from collections.abc import Mapping
+from itertools import accumulate
 
 import numpy as np
 from jax import Array
@@ -167,7 +168,6 @@ def _check_sizes(nodes: tuple[Node, ...]) -> None:
             f"the command has {len(nodes)} phrases; at most {NUM_PHRASES} are held: "
             "say less at once"
         )
-    depth = 0
     for node in nodes:
         if len(node.children) > NUM_CHILDREN:
             text = " ".join(word.text for word in node.phrase.all_words())
@@ -175,9 +175,8 @@ def _check_sizes(nodes: tuple[Node, ...]) -> None:
                 f"'{text}' has {len(node.children)} parts; at most {NUM_CHILDREN} are held: "
                 "say less at once"
             )
-        depth += 1 - len(node.children)
-        if depth > MAX_DEPTH:
-            raise ValueError(f"the command nests more than {MAX_DEPTH} phrases: say less at once")
+    if max(accumulate(1 - len(node.children) for node in nodes)) > MAX_DEPTH:
+        raise ValueError(f"the command nests more than {MAX_DEPTH} phrases: say less at once")
 
 
 def compile_clause(

@@ -9,8 +9,10 @@ import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from jaxlangnav.grounding.behavior_properties import (
     ChildGroundings,
@@ -191,13 +193,9 @@ def annotation_table(
     }
     in_common = _shared_columns(senses, child)
     names = [f"{kind}: {name}" for kind, of_kind in columns.items() for name in of_kind]
-    joined = np.zeros((space.size, len(names) + len(in_common)), np.float32)
-    joined[:, len(names) :] = stack_columns((space.size,), in_common)
-    row = column = 0
-    for part, of_kind in zip(space.parts(child.expressed), columns.values(), strict=True):
-        below, right = row + part.size, column + len(of_kind)
-        joined[row:below, column:right] = stack_columns(part.shape, of_kind)
-        row, column = below, right
+    parts = zip(space.parts(child.expressed), columns.values(), strict=True)
+    tables: Any = block_diag(*(stack_columns(part.shape, of_kind) for part, of_kind in parts))
+    joined = np.hstack([tables, stack_columns((space.size,), in_common)])
     return (*names, *(f"any: {name}" for name in in_common)), joined
 
 

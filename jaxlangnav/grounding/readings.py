@@ -7,7 +7,7 @@ grounded given the earlier ones: landmarks before the figures placed against the
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 import jax
@@ -210,21 +210,15 @@ def to_readings(
             f"{len(ranked[0][0].relations)} relations; at most {NUM_MENTIONS} and "
             f"{NUM_RELATIONS_SAID} are held: say less at once"
         )
-    fitting = [item for item in ranked if _fits(item[0])][:NUM_READINGS]
-    return pad_readings(list(_of_kinds(fitting, kinds_of))[:NUM_READINGS])
-
-
-def _of_kinds(
-    ranked: Iterable[tuple[Reading, float]], kinds_of: Callable[[int], tuple[int, ...]]
-) -> Iterator[tuple[Reading, float]]:
-    """Put kinds in place of types, each way to choose with its share of the probability."""
-    for reading, score in ranked:
+    found = []
+    for reading, score in [item for item in ranked if _fits(item[0])][:NUM_READINGS]:
         types = tuple(dict.fromkeys(reading.mentions))
         ways = list(itertools.product(*map(kinds_of, types)))
-        for way in ways:
+        for way in ways:  # each with its share of the probability
             kinds = dict(zip(types, way, strict=True))
-            mentions = tuple(kinds[one] for one in reading.mentions)
-            yield dataclasses.replace(reading, mentions=mentions), score - math.log(len(ways))
+            one = dataclasses.replace(reading, mentions=tuple(map(kinds.get, reading.mentions)))
+            found.append((one, score - math.log(len(ways))))
+    return pad_readings(found[:NUM_READINGS])
 
 
 def widen(readings: Readings, capacity: Capacity) -> Readings:
@@ -249,11 +243,9 @@ def pad_readings(ranked: Sequence[tuple[Reading, float]]) -> Readings:
         mention_type[k, : len(reading.mentions)] = reading.mentions
         log_probability[k] = score - total
         edges[k, : len(reading.relations)] = np.reshape(reading.relations, (-1, 4))
-    ends = dict(
-        zip(("figure", "relation", "landmark", "rank"), np.moveaxis(edges, 2, 0), strict=True)
-    )
-    fields = {"mention_type": mention_type, **ends, "log_probability": log_probability}
-    return Readings(**jax.device_put(fields))
+    names = ("mention_type", "figure", "relation", "landmark", "rank", "log_probability")
+    leaves = jax.device_put((mention_type, *np.moveaxis(edges, 2, 0), log_probability))
+    return Readings(**dict(zip(names, leaves, strict=True)))
 
 
 def unpad_readings(readings: Readings) -> list[tuple[Reading, float]]:

@@ -24,7 +24,7 @@ from jaxlangnav.grounding.asked import Asked, asked
 from jaxlangnav.grounding.form import quote
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, OtherTypes
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
-from jaxlangnav.inputs.documents import parse_json, read_text
+from jaxlangnav.inputs.documents import naming, parse_json, read_lines
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.pytree import pytree, replace
 
@@ -249,19 +249,11 @@ class RecordedRewrites:
             ValueError: no such file, or a line cannot be; one line that names file and line.
         """
         self.answers: dict[str, tuple[Rewrite, ...]] = {}
-        try:
-            text = read_text(path, at_most=_LARGEST_FILE)
-        except OSError as error:
-            raise ValueError(f"cannot read {path}: {error.strerror}") from None
-        for number, line in enumerate(text.split("\n"), start=1):
-            if not line.strip():
-                continue
-            try:
+        for number, line in read_lines(path, at_most=_LARGEST_FILE):
+            with naming(f"{path}:{number}"):
                 said, rewrites = _read_line(parse_json(line))
                 if said in self.answers:
                     raise ValueError(f"text {quote(said)} stands in an earlier line already")
-            except ValueError as error:
-                raise ValueError(f"{path}:{number}: {error}") from None
             self.answers[said] = rewrites
         if not self.answers:
             raise ValueError(f"{path}: holds no rewriting: write one JSON object a line")

@@ -8,7 +8,6 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, TypeVar
 from zipfile import ZipFile
@@ -25,6 +24,7 @@ from jaxlangnav.grounding.model import (
 )
 from jaxlangnav.grounding.properties import property_names
 from jaxlangnav.inputs.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
+from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.inputs.whole_files import read_file, replacing
 from jaxlangnav.language.lexicon import load_lexicon
@@ -113,8 +113,7 @@ def load(path: Path | None) -> GroundingModel:
         return load_shipped()
     weights = [f"{name}/{kind}.npy" for name, kinds in _MODELS.items() for kind in kinds]
     members = ["about.npy", *(f"{name}.json.npy" for name in _MODELS), *weights]
-    with _refusing(path):
-        archive = open_arrays(read_file(path, at_most=_MAX_BYTES))
+    with _opened(path) as archive:
         if sorted(archive.namelist()) != sorted(members):
             raise ValueError("its arrays are not those of two models")
         trained = tuple(_document(archive, "about", _About).types)
@@ -132,28 +131,22 @@ def about(path: Path) -> dict[str, object]:
     Raises:
         ValueError: the file is not readable as weights.
     """
-    with _refusing(path):
-        archive = open_arrays(read_file(path, at_most=_MAX_BYTES))
+    with _opened(path) as archive:
         return structs.asdict(_document(archive, "about", _About))
 
 
 @contextmanager
-def _refusing(path: Path) -> Iterator[None]:
-    """Say of what cannot be read that it holds no weights."""
+def _opened(path: Path) -> Iterator[ZipFile]:
+    """Open a file, and say of what cannot be read that it holds no weights."""
     try:
-        yield
+        yield open_arrays(read_file(path, at_most=_MAX_BYTES))
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         why = why.removeprefix(f"{path}: ")
         raise ValueError(f"{path}: not a file of weights ({why})") from error
 
 
-def shipped_path() -> Path:
-    """Find the weights of the package."""
-    return Path(str(resources.files("jaxlangnav.grounding"))) / "data" / SHIPPED_WEIGHTS
-
-
 @cache
 def load_shipped() -> GroundingModel:
     """Read the weights of the package; the same object at every call."""
-    return load(shipped_path())
+    return load(shipped_file("grounding", SHIPPED_WEIGHTS))

@@ -5,11 +5,12 @@ walks through it or prints it; one key of many dots keeps the TOML parser busy f
 refused here, before anything else sees the document.
 """
 
+import contextlib
 import json
+import os
 import re
 import tomllib
-from collections.abc import Callable
-from importlib import resources
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,33 +50,51 @@ def read_document(path: Path, *, at_most: int) -> Any:
     Raises:
         ValueError: it cannot be read or is not valid; one line that names the file.
     """
-    try:
-        text = read_text(path, at_most=at_most)
+    if not os.path.lexists(path):
+        raise ValueError(f"{path}: no such file")
+    text = read_text(path, at_most=at_most)
+    with naming(path):
         return parse_json(text) if path.suffix.lower() == ".json" else parse_toml(text)
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such file") from None
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
-    except DocumentError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def read_text(path: str | Path, *, at_most: int) -> str:
     """Read a file of text of so many bytes at most.
 
     Raises:
-        ValueError: no regular file, too large, or no UTF-8; one line that names the file.
-        OSError: it cannot be opened or read.
+        ValueError: it cannot be read, is no regular file, too large, or no UTF-8; one line that
+            names the file.
     """
     try:
         return read_file(path, at_most=at_most).decode("utf-8")
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ValueError(f"{path}: is no text: save it as UTF-8") from None
 
 
+def read_lines(path: str | Path, *, at_most: int) -> list[tuple[int, str]]:
+    """Read the lines of a file that are not empty, with their numbers from 1, as ``read_text``."""
+    lines = enumerate(read_text(path, at_most=at_most).split("\n"), start=1)
+    return [(number, line) for number, line in lines if line.strip()]
+
+
+@contextlib.contextmanager
+def naming(place: object) -> Iterator[None]:
+    """Begin what a ValueError says with the place of its cause: a file, or a line of it."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from None
+
+
+def shipped_file(floor: str, name: str) -> Path:
+    """Find a file in the folder ``data`` of a part of this package, such as "language"."""
+    return Path(__file__).parent.parent / floor / "data" / name
+
+
 def read_shipped(floor: str, name: str) -> str:
-    """Read a text from the folder ``data`` of a part of this package, such as "language"."""
-    return resources.files(f"jaxlangnav.{floor}").joinpath("data", name).read_text("utf-8")
+    """Read such a file of text."""
+    return shipped_file(floor, name).read_text("utf-8")
 
 
 def _parse(loads: Callable[[str], Any], text: str, kind: str) -> Any:

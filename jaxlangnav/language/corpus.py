@@ -28,13 +28,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from jaxlangnav.inputs.documents import DocumentError, parse_json, read_text
+from jaxlangnav.inputs.documents import DocumentError, parse_json, read_lines, shipped_file
 from jaxlangnav.inputs.limits import FARTHEST
 from jaxlangnav.inputs.sanitize import cut, printable, shown
 from jaxlangnav.inputs.schema import Name, Schema, convert
@@ -226,15 +225,13 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
     """
     path = Path(path)
     try:
-        lines = read_text(path, at_most=LARGEST_CORPUS).splitlines()
-    except OSError as error:
-        raise CorpusError(f"cannot read {path}: {error.strerror}") from None
+        lines = read_lines(path, at_most=LARGEST_CORPUS)
     except ValueError as error:
         raise CorpusError(str(error)) from None
     examples: list[Example] = []
     templates: dict[str, str] = {}
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.startswith("#"):
+    for number, line in lines:
+        if line.startswith("#"):
             continue
         try:
             example = read_example(line)
@@ -250,8 +247,7 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
 @cache
 def load_corpus(name: str = "corpus") -> tuple[Example, ...]:
     """Read a corpus of the package: the large one, or "corpus39" (the paper's protocol)."""
-    with resources.as_file(resources.files("jaxlangnav.language") / f"data/{name}.jsonl") as path:
-        return read_corpus(path)
+    return read_corpus(shipped_file("language", f"{name}.jsonl"))
 
 
 def main(arguments: list[str]) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
-from jaxlangnav.inputs.documents import parse_toml, read_shipped, read_text
+from jaxlangnav.inputs.documents import naming, parse_toml, read_shipped, read_text
 
 OWN_LEXICON = "JAXLANGNAV_LEXICON"
 """Environment variable that names a lexicon file of one's own, joined to the package's."""
@@ -135,15 +135,10 @@ def load_lexicon() -> Lexicon:
     own = os.environ.get(OWN_LEXICON)
     if not own:
         return read_lexicon(text)
-    try:
+    with naming(OWN_LEXICON):
         added = read_text(own, at_most=_LARGEST_FILE)
-    except (OSError, ValueError) as error:
-        why = f"cannot read {own}: {error.strerror}" if isinstance(error, OSError) else error
-        raise ValueError(f"{OWN_LEXICON}: {why}") from None
-    try:
+    with naming(own):
         return read_lexicon(text, added)
-    except ValueError as error:
-        raise ValueError(f"{own}: {error}") from None
 
 
 def read_lexicon(text: str, own: str | None = None) -> Lexicon:

@@ -28,7 +28,7 @@ from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.worlds import place_for
-from jaxlangnav.inputs.documents import DocumentError, parse_json, read_text
+from jaxlangnav.inputs.documents import naming, parse_json, read_lines
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior
@@ -145,11 +145,7 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
     Raises:
         ValueError: no such file, or a line cannot be; one line that names file, line and remedy.
     """
-    try:
-        text = read_text(path, at_most=_LARGEST_FILE)
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    lines = [(i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip()]
+    lines = read_lines(path, at_most=_LARGEST_FILE)
     if not lines:
         raise ValueError(f"{path}: holds no sentence: write one JSON object a line")
     if len(lines) > MOST_SENTENCES:
@@ -158,10 +154,8 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
         )
     found = []
     for number, line in lines:
-        try:
+        with naming(f"{path}:{number}"):
             found.append(_read_line(number, parse_json(line)))
-        except (DocumentError, ValueError) as error:
-            raise ValueError(f"{path}:{number}: {error}") from None
     return found
 
 

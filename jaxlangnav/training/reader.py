@@ -21,7 +21,7 @@ import numpy as np
 import optax
 from jax import Array
 
-from jaxlangnav.inputs.documents import parse_json, read_shipped, read_text
+from jaxlangnav.inputs.documents import parse_json, read_lines, shipped_file
 from jaxlangnav.language.parser import split_text
 from jaxlangnav.language.reader.features import (
     CHOOSING,
@@ -37,7 +37,6 @@ from jaxlangnav.language.tokens import MARKS
 
 _LARGEST = 1 << 24
 """Bytes of a corpus."""
-_LINE = {"text", "read"}
 _TELLING = CONTRARY | IMPOSSIBLE
 _PLAIN = frozenset({"=go", "=go to", "=stop"})
 _TALKATIVE = 0.3
@@ -116,20 +115,16 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
     Raises:
         ValueError: a line is none; one line that names it.
     """
-    if path is None:
-        name = "readings.jsonl"
-        text = read_shipped("language", name)
-    else:
-        text, name = read_text(path, at_most=_LARGEST), path.name
+    path = shipped_file("language", "readings.jsonl") if path is None else path
     rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip():
-            continue
+    for number, line in read_lines(path, at_most=_LARGEST):
         row = parse_json(line)
-        if not (isinstance(row, dict) and set(row) - {"names"} == _LINE):
-            raise ValueError(f"{name} line {number} must have text, read, and maybe names")
+        if not (isinstance(row, dict) and set(row) - {"names"} == {"text", "read"}):
+            raise ValueError(f"{path.name} line {number} must have text, read, and maybe names")
         if type(row["text"]) is not str or type(row["read"]) not in (str, type(None)):
-            raise ValueError(f"{name} line {number}: text and read must be texts, or read null")
+            raise ValueError(
+                f"{path.name} line {number}: text and read must be texts, or read null"
+            )
         rows.append(row)
     names = frozenset(one for row in rows for one in row.get("names", ()))
     found = []

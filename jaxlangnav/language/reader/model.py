@@ -12,12 +12,12 @@ import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from jaxlangnav.inputs.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
+from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.inputs.whole_files import read_file, replacing
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.reader.features import featurize
@@ -150,9 +150,7 @@ def load_reader() -> ReaderModel:
     """
     own = os.environ.get(OWN_READER)
     if own is None:
-        return _read(
-            resources.files("jaxlangnav.language").joinpath("data/reader.npz").read_bytes()
-        )
+        return _read(shipped_file("language", "reader.npz").read_bytes())
     try:
         return _read(read_file(Path(own), at_most=_MAX_BYTES))
     except (OSError, ValueError) as error:
