@@ -131,10 +131,10 @@ def test_posterior_of_the_frame_equals_brute_force(fitted: Fitted) -> None:
             "spread": float(fit.params.log_distance_sd[index]),
             "concentration": float(fit.params.concentration[index]),
         }
-        figure = np.array([flat.figure_x[row], flat.figure_y[row]], float)
+        figure = np.array(flat.figure[row], float)
         for k, pose in enumerate((flat.viewer[row], flat.robot[row], flat.viewer[row])):
             own = bool(flat.is_robot[row])
-            there = np.array([flat.landmark_x[row], flat.landmark_y[row]], float)
+            there = np.array(flat.landmark[row], float)
             where = pose[:2] if own else there
             sight = float(direction(pose[None], where[None], np.array([own]))[0])
             axis = float(fit.params.axis[index]) * (-1.0 if own else 1.0)

@@ -178,54 +178,56 @@ def written(
     log_probability = np.full(number, -np.inf, np.float32)
     log_probability[: len(ranked)] = np.array(log_all) - np.logaddexp.reduce(log_all)
 
-    def table(rows: Iterable[Any], width: int, empty: int | bool) -> Any:
-        found = np.full((number, width), empty, bool if isinstance(empty, bool) else np.int32)
+    def table(rows: Iterable[Sequence[Any]], width: int, empty: Sequence[int]) -> Any:
+        found = np.full((number, width, len(empty)), empty, np.int32)
         for place, row in enumerate(rows):
-            found[place, : len(row)] = row
-        return found
+            found[place, : len(row)] = np.reshape(row, (-1, len(empty)))
+        return np.moveaxis(found, 2, 0)
 
-    def mentions(name: str, empty: int | bool) -> Any:
-        rows = ([getattr(it, name) for it in one.mentions] for one in ranked)
-        return table(rows, num_mentions, empty)
-
-    def edges(name: str, empty: int = NONE) -> Any:
-        return table(([getattr(it, name) for it in one.edges] for one in ranked), num_edges, empty)
-
-    def commands(name: str) -> Any:
-        return table((getattr(one, name) for one in ranked), num_commands, NONE)
-
-    def told(one: Account, goals: Sequence[int], *, is_now: bool) -> list[bool]:
-        return [one.is_told(goal, heard, is_now=is_now) for goal in goals]
-
-    pinned = (np.logical_or(told(one, one.goals, is_now=True), one.pinned) for one in ranked)
-    new_pinned = (told(one, one.new_goals, is_now=False) for one in ranked)
+    things = ([dataclasses.astuple(it) for it in one.mentions] for one in ranked)
+    kind, is_asked, avoid, from_mention = table(things, num_mentions, (NONE, 0, 0, NONE))
+    ties, blank = ([dataclasses.astuple(it) for it in one.edges] for one in ranked), (NONE,) * 3
+    figure, relation, landmark, rank, said, from_relation = table(
+        ties, num_edges, (*blank, 0, 0, NONE)
+    )
+    old = (
+        [
+            (goal, was or one.is_told(goal, heard, is_now=True))
+            for goal, was in zip(one.goals, one.pinned, strict=True)
+        ]
+        for one in ranked
+    )
+    new = (
+        [(goal, one.is_told(goal, heard, is_now=False)) for goal in one.new_goals] for one in ranked
+    )
+    goal, is_pinned = table(old, num_commands, (NONE, 0))
+    new_goal, new_pinned = table(new, num_commands, (NONE, 0))
     readings = Readings(
-        mention_type=mentions("kind", NONE),
-        figure=edges("figure"),
-        relation=edges("relation"),
-        landmark=edges("landmark"),
-        rank=edges("rank", 0),
+        mention_type=kind,
+        figure=figure,
+        relation=relation,
+        landmark=landmark,
+        rank=rank,
         log_probability=jnp.asarray(log_probability),
     )
     words = Words(
-        is_asked=mentions("is_asked", False),
-        avoid=mentions("avoid", 0),
-        goal=commands("goals"),
-        is_pinned=table(pinned, num_commands, False),
-        heard=edges("heard", 0),
+        is_asked=is_asked > 0,
+        avoid=avoid,
+        goal=goal,
+        is_pinned=is_pinned > 0,
+        heard=said,
         num_heard=jnp.int32(heard + 1),
         num_dropped=jnp.int32(ranked[0].num_dropped),
     )
-    return jax.device_put(
-        Joined(
-            instruction=replace(instruction, readings=readings),
-            words=words,
-            new_goal=commands("new_goals"),
-            new_pinned=table(new_pinned, num_commands, False),
-            from_relation=edges("source"),
-            from_mention=mentions("source", NONE),
-        )
+    joined = Joined(
+        instruction=replace(instruction, readings=readings),
+        words=words,
+        new_goal=new_goal,
+        new_pinned=new_pinned > 0,
+        from_relation=from_relation,
+        from_mention=from_mention,
     )
+    return jax.device_put(joined)
 
 
 def first_words(instruction: Instruction, spoken: Spoken | None) -> Words:

@@ -214,12 +214,12 @@ class BoundSentence:
         """Bind the nouns of a phrase and of those below it."""
         children = tuple(self._bind(child, goal) for child in phrase.children)
         phrase_now = dataclasses.replace(phrase, children=children)
-        head = next((w for w in phrase.words if _type_of(w)), None)
+        head = next((w for w in phrase.words if w.type_sense), None)
         if is_thing(phrase):
             self._thing = kind_of(ANYTHING, self._code(phrase, phrase.words[-1], ""))
         if phrase.label != "NP" or head is None:
             return phrase_now
-        noun = _type_of(head) or ""
+        noun = (head.type_sense or "").removeprefix(_TYPE)
         name = self._name(noun, self._code(phrase, head, noun), phrase, is_goal=phrase is goal)
         senses = tuple(_TYPE + name if s == _TYPE + noun else s for s in head.senses)
         words = (dataclasses.replace(w, senses=senses) if w is head else w for w in phrase.words)
@@ -267,7 +267,7 @@ class BoundSentence:
                 "name one of them"
             )
         if not labels and is_goal:
-            position = next(w.position for w in phrase.words if _type_of(w))
+            position = next(w.position for w in phrase.words if w.type_sense)
             known = self.detector.labels[:_MOST_TOLD]
             more = ", ..." if len(self.detector.labels) > len(known) else ""
             raise UnknownObjectError(
@@ -296,11 +296,6 @@ class BoundSentence:
         self.names.append(name)
         self.kinds.append(kinds)
         return name
-
-
-def _type_of(word: Word) -> str | None:
-    """Find the type that a word names."""
-    return next((s.removeprefix(_TYPE) for s in word.senses if s.startswith(_TYPE)), None)
 
 
 def said_noun(phrase: Phrase) -> str:

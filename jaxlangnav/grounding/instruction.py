@@ -65,25 +65,22 @@ def _spoken_of(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoke
         leaf = head_of(phrase)
         if leaf is not None and is_thing(leaf):
             return (ANYTHING,)
-        sense = None if leaf is None else type_sense(leaf)
-        types = () if sense is None else types_of(sense.removeprefix("type:"))
-        if len(types) > 1:
-            ways.setdefault(types)
+        types = () if leaf is None else types_of((type_sense(leaf) or "").removeprefix("type:"))
+        ways.setdefault(types)
         return types
 
     for clause, kind in zip(tree.clauses, tree.kinds, strict=True):
         nouns = [child for child in clause.children if child.label == "NP"]
         for leaf in leaves(clause):
-            if any("other" in word.senses for word in leaf.words):
+            if leaf.says("other"):
                 others.update(told(leaf))
         if is_constraint(clause):
             avoided += [(type_, not one.children) for one in nouns for type_ in told(one)]
         elif kind == COMMAND:
             goals.append(next(iter(told(clause)), NONE))
         else:  # what it names as known, and says no more of
-            for one in nouns:
-                texts = {word.text for word in one.words}
-                if not one.children and not texts & {"a", "an", "another"}:
+            for one in (noun for noun in nouns if not noun.children):
+                if not {word.text for word in one.words} & {"a", "an", "another"}:
                     known.update(told(one))
     return Spoken(
         goals=tuple(goals),
@@ -91,7 +88,7 @@ def _spoken_of(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoke
         others=frozenset(others),
         avoided=tuple(avoided),
         steps=tuple(one.end for one in tree.measures if one.end is not None),
-        ways=tuple(ways),
+        ways=tuple(way for way in ways if len(way) > 1),
     )
 
 
@@ -183,7 +180,7 @@ class Understanding:
         named: set[str] = set()
         for clause in self.parse.clauses:
             things = [one for one in clause.walk() if one.label == "NP" and not one.children]
-            others = [one for one in things if any("other" in word.senses for word in one.words)]
+            others = [one for one in things if one.says("other")]
             named |= {type_sense(one) or "" for one in things if one not in others} - {""}
             for one in others:
                 kind = type_sense(one)

@@ -5,7 +5,7 @@ nouns of the lexicon have it, and so is carried by agreement ("the type that the
 of several words, of which one would be read as something else ("the stop sign"), are one token.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -158,17 +158,12 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
     return not is_followed and _is_after_determiner(tokens, index)
 
 
-def name_nouns(clauses: Iterable[Phrase]) -> list[Phrase]:
-    """Give the nouns that the lexicon does not know the senses of types of their own.
+def name_nouns(phrase: Phrase) -> Phrase:
+    """Give nouns below a phrase that the lexicon does not know the senses of types of their own.
 
     A noun that modifies one, known or not, is part of its name: "coke machine", "water fountain".
     """
-    return [_named(clause) for clause in clauses]
-
-
-def _named(phrase: Phrase) -> Phrase:
-    """Name the nouns of a phrase and of those below it."""
-    children = tuple(_named(child) for child in phrase.children)
+    children = tuple(map(name_nouns, phrase.children))
     words = phrase.words
     last = max((i for i, word in enumerate(words) if word.tag in ("NN", "NNS")), default=None)
     if phrase.label != "NP" or last is None or words[last].senses:

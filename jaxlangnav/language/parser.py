@@ -270,7 +270,7 @@ def _read(
     except NoParseError as error:
         raise explain(tokens, error.index) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
-    clauses = resolve(name_nouns(builder.build(derivation)), reader.earlier)
+    clauses = resolve([*map(name_nouns, builder.build(derivation))], reader.earlier)
     refuse_guesses(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
     return Parse(

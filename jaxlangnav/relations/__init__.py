@@ -31,6 +31,7 @@ from jaxlangnav.relations.table import (
     RelationParams as RelationParams,
     default_params as default_params,
     robot_frame as robot_frame,
+    to_frame as to_frame,
     to_map as to_map,
     viewer_frame as viewer_frame,
 )

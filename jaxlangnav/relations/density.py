@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.relations.table import ReferenceFrame, RelationParams
+from jaxlangnav.relations.table import ReferenceFrame, RelationParams, to_frame
 
 NUM_QUANTILES = 256
 """Resolution of the tabulated von Mises quantile function used for sampling."""
@@ -148,8 +148,7 @@ def log_density_of(law: Law, offset_x: Array, offset_y: Array, frame: ReferenceF
     Returns:
         f32[...], per square metre.
     """
-    along = offset_x * frame.along_x + offset_y * frame.along_y
-    lateral = offset_x * frame.lateral_x + offset_y * frame.lateral_y
+    along, lateral = to_frame(frame, offset_x, offset_y)
     return _log_density(law, along, lateral, offset_x * offset_x + offset_y * offset_y + 1e-6)
 
 

@@ -30,10 +30,8 @@ class RelationPairs:
     """Labelled pairs; metres and radians, map frame."""
 
     relation: Array  # i32[N] index into ``messages.RELATIONS``
-    figure_x: Array  # f32[N]
-    figure_y: Array  # f32[N]
-    landmark_x: Array  # f32[N] not read where the landmark is the robot
-    landmark_y: Array  # f32[N]
+    figure: Array  # f32[N, 2] x, y
+    landmark: Array  # f32[N, 2] not read where the landmark is the robot
     is_robot: Array  # bool[N] the landmark is the robot itself ("on your left")
     viewer: Array  # f32[N, 3] x, y, heading of speaker and robot at the utterance
     robot: Array  # f32[N, 3] x, y, heading of the robot now
@@ -84,27 +82,15 @@ def make_pairs(
             f"relation must be an index from 0 to {len(RELATIONS) - 1} ({', '.join(RELATIONS)})"
         )
     packed = {name: jnp.asarray(values) for name, values in given.items()}
-    (figure_x, figure_y), (landmark_x, landmark_y) = (
-        packed.pop("figure").T,
-        packed.pop("landmark").T,
-    )
-    return RelationPairs(
-        relation=jnp.asarray(word, jnp.int32),
-        figure_x=figure_x,
-        figure_y=figure_y,
-        landmark_x=landmark_x,
-        landmark_y=landmark_y,
-        **packed,
-    )
+    return RelationPairs(relation=jnp.asarray(word, jnp.int32), **packed)
 
 
 def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, ReferenceFrame]:
     """Compute offsets and directions of the pairs as seen from a pose f32[N, 3]."""
-    x = jnp.where(pairs.is_robot, pose[:, 0], pairs.landmark_x)
-    y = jnp.where(pairs.is_robot, pose[:, 1], pairs.landmark_y)
+    x, y = jnp.where(pairs.is_robot[:, None], pose[:, :2], pairs.landmark).T
     seen, own = viewer_frame(pose[:, 0], pose[:, 1], x, y), robot_frame(pose[:, 2])
     frame = jax.tree.map(lambda one, other: jnp.where(pairs.is_robot, one, other), own, seen)
-    return pairs.figure_x - x, pairs.figure_y - y, frame
+    return pairs.figure[:, 0] - x, pairs.figure[:, 1] - y, frame
 
 
 def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Array:
@@ -117,11 +103,5 @@ def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Arra
     by_robot = _in_frame(pairs, pairs.robot)
     directed = law_of(prepare(params), pairs.relation)
     ring = law_of(prepare(replace(params, concentration=jnp.zeros(6))), pairs.relation)
-    return jnp.stack(
-        [
-            log_density_of(directed, *by_viewer),
-            log_density_of(directed, *by_robot),
-            log_density_of(ring, *by_viewer),
-        ],
-        axis=1,
-    )
+    meant = ((directed, by_viewer), (directed, by_robot), (ring, by_viewer))
+    return jnp.stack([log_density_of(law, *seen) for law, seen in meant], axis=1)

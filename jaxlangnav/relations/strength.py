@@ -16,6 +16,7 @@ from jaxlangnav.relations.table import (
     SIDES,
     ReferenceFrame,
     robot_frame,
+    to_frame,
     viewer_frame,
 )
 
@@ -91,8 +92,7 @@ def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Referen
         offset_y: f32[...]
         robot: the robot's own frame.
     """
-    backward = offset_x * robot.along_x + offset_y * robot.along_y
-    leftward = offset_x * robot.lateral_x + offset_y * robot.lateral_y
+    backward, leftward = to_frame(robot, offset_x, offset_y)
     holds = jnp.ones(jnp.broadcast_shapes(relation.shape, offset_x.shape), bool)
     for side in SIDES:
         inward = backward * math.cos(AXIS[side]) + leftward * math.sin(AXIS[side])
@@ -142,8 +142,5 @@ def holds(
     else:
         frame = robot_frame(jnp.asarray(heading, jnp.float32))
     x, y = figure[..., 0] - landmark[..., 0], figure[..., 1] - landmark[..., 1]
-    along, lateral = (
-        x * frame.along_x + y * frame.along_y,
-        x * frame.lateral_x + y * frame.lateral_y,
-    )
+    along, lateral = to_frame(frame, x, y)
     return is_so(relation, along, lateral, has_range=heading is None or relation not in SIDES)

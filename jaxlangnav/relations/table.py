@@ -89,6 +89,11 @@ def robot_frame(heading: Array) -> ReferenceFrame:
     return ReferenceFrame(along_x=-cosine, along_y=-sine, lateral_x=-sine, lateral_y=cosine)
 
 
+def to_frame(frame: ReferenceFrame, x: Array, y: Array) -> tuple[Array, Array]:
+    """Turn offsets f32[...], metres, map axes, into along and lateral of a frame."""
+    return x * frame.along_x + y * frame.along_y, x * frame.lateral_x + y * frame.lateral_y
+
+
 def to_map(frame: ReferenceFrame, along: Array, lateral: Array) -> tuple[Array, Array]:
     """Turn frame coordinates f32[...], metres, into x and y in map axes."""
     return (

@@ -227,17 +227,9 @@ def _tasks_of(
     relation = relation if template.num_cones else "null"
     tasks = make_tasks(cell(template.name, relation, 0, sensing_range, number, seed))
     # On the host: taken apart on the device, each leaf would be a small program of its own.
-    keys = np.asarray(jax.random.key_data(tasks.key))
-    batch = jax.device_get((tasks.scenario, tasks.sensor, tasks.motion))
-    found = []
-    for index in range(number):
-        scenario, sensor, motion = jax.tree.map(lambda leaf, i=index: leaf[i], batch)
-        task = Task(
-            key=jax.random.wrap_key_data(keys[index]),
-            scenario=scenario,
-            instruction_index=jax.device_put(np.int32(0)),
-            sensor=sensor,
-            motion=motion,
-        )
-        found.append(task)
-    return found
+    batch = jax.device_get(replace(tasks, key=jax.random.key_data(tasks.key)))
+    rows = (jax.tree.map(lambda leaf, i=index: leaf[i], batch) for index in range(number))
+    first = jax.device_put(np.int32(0))
+    return [
+        replace(row, key=jax.random.wrap_key_data(row.key), instruction_index=first) for row in rows
+    ]

@@ -30,6 +30,7 @@ from jaxlangnav.relations import (
     log_density_of,
     robot_frame,
     sample_law,
+    to_frame,
     to_map,
     viewer_frame,
 )
@@ -103,8 +104,7 @@ class Query(NamedTuple):
         Limits: what merely exists, or has a rank, holds anywhere.
         """
         frame, dx, dy = self.frame(landmark_x, landmark_y), x - landmark_x, y - landmark_y
-        along = dx * frame.along_x + dy * frame.along_y
-        lateral = dx * frame.lateral_x + dy * frame.lateral_y
+        along, lateral = to_frame(frame, dx, dy)
         relation, has_range = jnp.maximum(self.relation, 0)[None], self.law.has_range[None] > 0.0
         of_one = is_so(relation, along, lateral, has_range=has_range)
         other = self.viewer[0][None], self.viewer[1][None]
