@@ -23,16 +23,18 @@ TOGETHER = {
         "test_studies_episode_evidence",
     ),
     "robots": (
-        "test_any_noun", "test_outside", "test_conversation", "test_anything", "test_navigator_",
-        "test_robots_", "test_measured", "test_follow_talk",
+        "test_any_noun", "test_outside", "test_conversation", "test_navigator_",
+        "test_robots_", "test_measured", "test_follow_talk", "test_halting",
     ),
-    "follow": ("test_cli_experiments", "test_cli_follow", "test_task.py"),
+    "follow": (
+        "test_cli_experiments", "test_cli_follow", "test_follow_constructs", "test_task.py",
+    ),
     "batches": ("test_episode_batch", "test_recording"),
     "corpora": ("test_language_corpus", "test_training_labelled"),
 }  # fmt: skip
 """Files that run the same programs, by the beginnings of their names: the worker that has compiled
 them runs them all."""
-FIRST = ("test_notebooks.py", *TOGETHER, "test_follow_constructs.py", "test_experiments_sweep.py")
+FIRST = ("test_notebooks.py", *TOGETHER, "test_experiments_sweep.py")
 """What to begin with, so that no worker waits for it at the end."""
 FULL = 2e9
 """Bytes of a worker from which on it lets compiled programs go; a decision cycle's is 0.4e9."""

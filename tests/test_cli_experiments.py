@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from test_cli_hostile import document
 
-from jaxlangnav.cli import main as cli, reproduction
+from jaxlangnav.cli import reproduction
 from jaxlangnav.grounding.weights import load, load_shipped
 
 CORPUS_39 = str(resources.files("jaxlangnav.language") / "data" / "corpus39.jsonl")
@@ -171,20 +171,3 @@ def test_all_writes_one_page_of_its_parts(tmp_path, capsys, monkeypatch):
     assert page.count("data:image/svg+xml;base64,") == 2
     assert "8.75 (1.69)" in page
     assert 'src="http' not in page
-
-
-@pytest.mark.slow
-def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    grid = tmp_path / "grid.toml"
-    grid.write_text(
-        'worlds = ["1H1C"]\ncommands = ["behind"]\nranges = [3, 5]\nepisodes = 3\n', "utf-8"
-    )
-    out = str(tmp_path / "results")
-    ran = document(["sweep", str(grid), "--out", out], capsys)
-    assert ran["episodes"] == 6
-    assert document(["sweep", str(grid), "--out", out, "--resume"], capsys)["episodes"] == 0
-    found = document(["summarize", out], capsys)
-    assert found["episodes"] == 6
-    assert [row["range"] for row in found["rows"]] == [3.0, 5.0]
-    assert cli.main(["summarize", out]) == 0
-    assert "1H1C" in capsys.readouterr().out

@@ -1,18 +1,27 @@
-"""The command line under hostile input: exit code 2, one line, and a terminal that stays still."""
+"""The command line under hostile input, and its options: exit code 2, one line, a calm terminal."""
 
 import io
 import json
+import math
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from jaxlangnav.cli import main as cli
-from jaxlangnav.cli.output import Output, platform_fault, write_document
+from jaxlangnav.cli import main as cli, settings
+from jaxlangnav.cli.arguments import parse_arguments
+from jaxlangnav.cli.follow import Follow
+from jaxlangnav.cli.output import Output, UsageError, platform_fault, write_document
+from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
+from jaxlangnav.messages import default_sensor
+from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.task.follow import navigator_params
 
 ANSI = "\x1b[31mred\x1b]0;title\x07\u202e\x9b2J"
 MARKUP = "[red]x[/red] [link=https://example.org]y[/link] :skull:"
@@ -58,6 +67,7 @@ def test_a_value_of_any_length_is_cut(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 GO, TABLE_2 = ["follow", "go to the hydrant"], ["reproduce", "table2"]
+HUGE = "1000000000000"
 REFUSED: list[tuple[list[str], str]] = [
     # Sentences.
     *(([command, text], "") for command in ("parse", "ground", "follow")
@@ -124,6 +134,25 @@ REFUSED: list[tuple[list[str], str]] = [
     ([*GO, "--config.map.num-objects", "many"], "must be a whole number"),
     ([*GO, "--config.map.num-objects", "0"], "num_objects is 0, but must be at least 1"),
     (["parse", "go", "--params.planner.discount", "1"], 'unknown option "--params.planner.disc'),
+    # Work that no memory holds, which leaves nothing behind.
+    ([*GO, "--particles", HUGE, "--out", "out"], "particles is 1,000,000,000,000"),
+    ([*GO, "--max-steps", HUGE, "--out", "out"], "max steps is 1,000,000,000,000"),
+    ([*GO, "--config.map.num-cells", "360000", "--out", "out"], "360,000 cells a side"),
+    *((["reproduce", part, "--particles", HUGE, "--out", "out"], "particles is 1,000,000,000,000")
+      for part in ("fig4", "fig5")),
+    *((["reproduce", part, "--episodes", HUGE, "--out", "out"], "episodes is 1,000,000,000,000")
+      for part in ("table2", "all", "unknowns")),
+    (["evaluate", "--splits", HUGE], "splits is 1,000,000,000,000"),
+    (["evaluate", "--splits", "10000000"], "splits is 10,000,000"),
+    (["evaluate", "--beams", HUGE], "beam width is 1,000,000,000,000, but must be 256 or less"),
+    # What is said on the way.
+    *(([*GO, "--hear", said], "must name a step") for said in ("stop", "x: go", "5:", "-1: go")),
+    ([*GO, "--hear", "120: stop"], "the last one is 119"),
+    ([*GO, "--hear", "9999999999999: stop"], "is for step 9999999999999, but the last one is 119"),
+    ([*GO, "--hear", "5: frobnicate the zorp"], '--hear "5: frobnicate the zorp"'),
+    ([*GO, "--person", "atentive"], 'did you mean "attentive"'),
+    ([*GO, "--ask"], "--ask needs a terminal"),
+    ([*GO, "--talk"], "--talk needs a terminal"),
     # A detector with which the robot would stand still.
     ([*GO, "--sensor.noise", "5"], "noise is 5, but must lie between 0 and 3"),
     ([*TABLE_2, "--sensor.noise", "5"], "noise is 5, but must lie between 0 and 3"),
@@ -134,8 +163,11 @@ REFUSED: list[tuple[list[str], str]] = [
 
 
 @pytest.mark.parametrize(("words", "why"), REFUSED)
-def test_what_is_wrong_is_one_line_and_nothing_is_begun(words, why, monkeypatch, capsys):
-    monkeypatch.setattr("jaxlangnav.task.follow.rehearse", lambda *_, **__: pytest.fail("begun"))
+def test_what_is_wrong_is_one_line_and_nothing_is_begun(words, why, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
+    for begins in ("jaxlangnav.task.follow.rehearse", "jaxlangnav.episode.recorder.play"):
+        monkeypatch.setattr(begins, lambda *_, **__: pytest.fail("begun"))
     assert cli.main([*words, "--json"]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -143,6 +175,7 @@ def test_what_is_wrong_is_one_line_and_nothing_is_begun(words, why, monkeypatch,
     assert all(note.startswith(("note: ", "reading the corpus")) for note in notes), notes
     assert line.startswith("jaxlangnav: ")
     assert why in line
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path, capsys):
@@ -228,3 +261,80 @@ def test_a_refusal_of_a_sentence_cannot_act_on_a_terminal(text: str) -> None:
     with pytest.raises(LanguageError) as caught:
         parse(text)
     assert str(caught.value).isprintable()
+
+
+# ----------------------------------------------------------- options made from the engine's records
+
+TEXT = "go to the hydrant"
+
+
+def typed(*words: str) -> dict[settings.SettingPath, Any]:
+    command: Any = parse_arguments(["follow", TEXT, *words])
+    return settings.read_settings(command.settings, Follow.SETTINGS)
+
+
+def test_every_number_of_the_planner_is_an_option_with_its_help() -> None:
+    found = {one.path: one for one in settings.options(["params"])}
+    names = [path[-1] for path in found if path[:2] == ("params", "planner")]
+    assert names == list(PlannerParams.__dataclass_fields__)
+    discount = found["params", "planner", "discount"]
+    assert discount.flag == "--params.planner.discount"
+    assert discount.default == pytest.approx(float(navigator_params().planner.discount))
+    assert discount.help.startswith("γ per metre")
+    # Every number says what it is, to its end; sizes say it by their names.
+    assert all(one.help or one.is_whole for one in settings.options(settings.GROUPS))
+    assert found["params", "planner", "give_up"].help.endswith("of ``informed``, 0: never")
+    assert found["params", "mode_speed"].default == (1.0, 1.5, 0.6)
+    assert "normal, quickly, carefully" in found["params", "mode_speed"].help
+    # What has an option of its own is not offered twice.
+    assert "--config.map.num-particles" not in {one.flag for one in settings.options(["config"])}
+
+
+def test_nothing_typed_sets_nothing() -> None:
+    assert typed() == {}
+    params = navigator_params()
+    assert settings.apply(params, {}, "params") is params
+
+
+def test_values_are_read_with_units_and_set() -> None:
+    values = typed(
+        "--params.planner.reach", "80 cm", "--params.map.concentration=0.2",
+        "--config.map.num-objects", "6", "--sensor.field-of-view", "90 deg",
+        "--params.mode-speed", "1, 2, 0.5", "--params.map.relations.log-distance-sd",
+        "0.1,0.2,0.3,0.4,0.5,0.6",
+    )  # fmt: skip
+    params = settings.apply(navigator_params(), values, "params")
+    assert float(params.planner.reach) == pytest.approx(0.8)
+    assert float(params.map.concentration) == pytest.approx(0.2)
+    assert np.asarray(params.mode_speed) == pytest.approx([1, 2, 0.5])
+    spread = np.asarray(params.map.relations.log_distance_sd)
+    assert spread == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    # What the filter has prepared from it is prepared anew.
+    before = np.asarray(navigator_params().map.relations.log_constant)
+    change = np.asarray(params.map.relations.log_constant) - before
+    old = np.asarray(navigator_params().map.relations.log_distance_sd)
+    assert change == pytest.approx(np.log(old) - np.log(spread), abs=1e-5)
+    assert float(params.planner.discount) == float(navigator_params().planner.discount)
+    config = settings.apply(navigator_config("faithful", 32), values, "config")
+    assert (config.map.num_objects, config.map.num_particles) == (6, 32)
+    assert config.planner.policy == "faithful"
+    sensor = settings.apply(default_sensor(4.0), values, "sensor")
+    assert float(sensor.field_of_view) == pytest.approx(math.pi / 2)
+    assert float(sensor.range_max) == 4.0
+
+
+def test_plain_help_is_short_and_the_long_one_has_everything(capsys):
+    assert cli.main(["follow", "--help"]) == 0
+    short = capsys.readouterr().out
+    assert len(short.splitlines()) <= 70
+    assert settings.HELP_ALL in short
+    assert "--params.planner.visit-spacing" not in short
+    assert cli.main(["follow", settings.HELP_ALL]) == 0
+    told = capsys.readouterr().out
+    assert all(one.flag in told for one in settings.options(Follow.SETTINGS))
+    assert "metres between visited nodes" in told
+
+
+def test_commands_without_settings_have_no_long_help() -> None:
+    with pytest.raises(UsageError, match="unknown option"):
+        parse_arguments(["parse", TEXT, settings.HELP_ALL])

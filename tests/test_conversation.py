@@ -1,6 +1,8 @@
 """A conversation driven: what each kind of utterance does to where the robot ends."""
 
 import functools
+import subprocess
+import sys
 
 import jax
 import numpy as np
@@ -191,6 +193,12 @@ def curious(robot, cost: float = 0.05):
     return api.Navigator(grounder=robot.grounder, params=params, config=robot.config)
 
 
+def leftmost(run, places) -> int:
+    """Tell which of some things is the left one, as the robot stands where it asks."""
+    x, y, turn = np.asarray(run.state.belief.last_pose)
+    return int(np.argmax([(b - y) * np.cos(turn) - (a - x) * np.sin(turn) for _, a, b in places]))
+
+
 @pytest.mark.parametrize(
     ("answer", "end"), [("the left one", NEAR_HYDRANT), ("the one by the cone", FAR_HYDRANT)]
 )
@@ -206,13 +214,8 @@ def test_a_question_in_place_of_a_guess(robot, answer: str, end: int) -> None:
     heard, after = tell(asking, run, answer)
     assert heard.kind == Kind.ANSWER
     assert ended(after) == Status.ARRIVED
-    if answer == "the left one":  # as the robot stands where it asks
-        x, y, turn = np.asarray(run.state.belief.last_pose)
-        leftward = [
-            (WORLD[n][2] - y) * np.cos(turn) - (WORLD[n][1] - x) * np.sin(turn)
-            for n in (NEAR_HYDRANT, FAR_HYDRANT)
-        ]
-        end = (NEAR_HYDRANT, FAR_HYDRANT)[int(np.argmax(leftward))]
+    if answer == "the left one":
+        end = leftmost(run, WORLD[:2])
     assert away(after, end) < 1.5
 
 
@@ -298,3 +301,75 @@ def test_sizes_that_do_not_fit_are_refused(robot) -> None:
             config=robot.config,
             capacity=Capacity(num_mentions=32),
         )
+
+
+# ---------------- after ``warm_up`` no utterance compiles anything: JAX counts, in its own process
+
+SCRIPT = """
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxlangnav.navigator import api
+from jaxlangnav.messages import Status
+from jaxlangnav.pytree import replace
+
+compiled = []
+
+
+def listen(name, seconds, **about):
+    if name.endswith("backend_compile_duration"):
+        compiled.append(about.get("fun_name"))
+
+
+# The decision cycle, most of a minute to compile, is counted in test_navigator_step.
+api._step = lambda key, state, look, **rest: (state, None, None)
+jax.monitoring.register_event_duration_secs_listener(listen)
+SAID = (
+    "go to the cone", "then go to the cone", "there is a tree left of the cone",
+    "keep away from the car", "go three metres forward", "no, I meant the cone",
+    "not that one, the one by the cone", "go to the other hydrant", "stop", "go on",
+    "never mind", "come back", "the other one", "closer", "never mind, come back",
+)  # fmt: skip
+ANSWERS = ("the left one", "the second", "the nearest", "any", "no", "the one by the cone")
+
+
+def converse(one):
+    one.warm_up()
+    compiled.clear()
+    idle = one.wait()
+    state = one.start("go to the hydrant behind the cone", pose=(0.0, 0.0, 0.0))
+    one.start("go two metres forward and then one metre to the left")
+    assert not compiled, compiled
+    # Two things seen may be meant, the first of which is approached; made without JAX.
+    shares, particles = np.zeros_like(state.talk.candidate), state.belief.particles
+    shares[:2] = 0.6, 0.4
+    kinds = np.array(particles.object_type)
+    kinds[:2] = 0
+    particles = replace(particles, object_type=jax.device_put(kinds))
+    talk = replace(state.talk, approached=jnp.int32(0), candidate=jax.device_put(shares))
+    state = replace(state, belief=replace(state.belief, particles=particles), talk=talk)
+    asked = replace(state, status=jnp.int32(Status.WHICH_ONE))
+    shapes = jax.tree.map(jax.typeof, state)
+    for told, texts in ((idle, SAID[:4]), (state, SAID), (asked, ANSWERS)):
+        for text in texts:
+            after, heard = one.take(told, text)
+            assert jax.tree.map(jax.typeof, after) == shapes, text
+            bool(after.is_resting)
+            for ask in (one.candidates, one.missing, one.spoken):
+                ask(after)
+            print(heard.kind.name, text)
+            assert not compiled, (text, compiled)
+
+
+for numbers in ({}, {"heading_noise": 0.01}):
+    converse(api.Navigator.pretrained(**numbers))
+"""
+
+
+def test_after_warming_up_no_utterance_compiles_anything() -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", SCRIPT], capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0, done.stderr[-1000:]
+    kinds = {line.split()[0] for line in done.stdout.splitlines()}
+    assert kinds == {kind.name for kind in Kind}

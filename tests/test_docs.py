@@ -6,6 +6,7 @@ What is frozen in README, docs and notebooks is what the code as it is would pri
 import importlib
 import json
 import re
+import runpy
 import shlex
 import sys
 import tomllib
@@ -14,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
 from jaxlangnav.cli.arguments import parse_arguments
@@ -189,3 +191,28 @@ def test_only_what_changes_results_makes_old(tmp_path: Path) -> None:
     assert engine(first) != whole
     weights.write_bytes(b"other")
     assert engine(f"{first}{second}") != whole
+
+
+# ----------------------------------------------------------- the examples run, and do what they say
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+@pytest.mark.slow
+def test_own_world_ends_at_the_hydrant(capsys: pytest.CaptureFixture[str]) -> None:
+    example = runpy.run_path(str(EXAMPLES / "own_world.py"))
+    end = example["main"]("go to the hydrant behind the cone")
+    assert np.linalg.norm(end - example["THINGS"]["hydrant"]) <= 1.5
+    assert "arrived at" in capsys.readouterr().out
+    # Other sentences, the same compiled program and the same world.
+    end = example["main"]("go to the tree", "go to the bench")
+    assert np.linalg.norm(end - example["THINGS"]["tree"]) > 1.5
+    told = capsys.readouterr().out
+    assert "arrived at" in told
+    assert "never seen: bench" in told
+
+
+def test_own_world_is_short() -> None:
+    """The promise is some thirty lines of program."""
+    code = (EXAMPLES / "own_world.py").read_text("utf-8").split("def main")[1].splitlines()
+    assert len([line for line in code if line.strip()]) <= 30

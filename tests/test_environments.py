@@ -129,14 +129,6 @@ def test_step_and_reset_begins_anew(pool: Any) -> None:
     assert float(info.distance) > 0.5
 
 
-def test_without_a_pool_a_world_is_drawn() -> None:
-    params = functional.default_params()
-    _, state = RESET(jax.random.key(0), params)
-    _, after, _, is_over, _ = STEP_AND_RESET(jax.random.key(1), state, STOP, params)
-    assert bool(is_over)
-    assert not np.allclose(after.scenario.goal, state.scenario.goal)
-
-
 def test_a_pool_holds_the_worlds_of_the_law_and_hands_them_out_evenly(pool: Any) -> None:
     assert bool(pool.is_valid.all())
     goals = np.asarray(pool.goal)

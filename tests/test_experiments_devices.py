@@ -93,20 +93,13 @@ def slurm(place: int, job: int) -> dict[str, str]:
 
 # Quick are its parts: test_a_launcher_tells_where_to_meet, and test_shards_in_any_order.
 @pytest.mark.slow
-@pytest.mark.parametrize("launcher", ["options", "slurm"])
-def test_two_processes_divide_a_sweep(launcher, tmp_path, pytestconfig):
+def test_two_processes_divide_a_sweep(tmp_path, pytestconfig):
     config = write(SMALL, tmp_path)
     sweep.run_sweep(config, tmp_path / "alone")
     address, out = free_address(), tmp_path / "out"
-    port = int(address.split(":")[1])
-    peers = []
-    for place in (0, 1):
-        told, environment = ["--distributed"], slurm(place, port)
-        if launcher == "options":
-            told = ["--coordinator", address, "--processes", "2", "--process", str(place)]
-            environment = {}
-        command = ["-m", "jaxlangnav", "sweep", str(tmp_path / "sweep.toml"), "--out", str(out)]
-        peers.append(start([*command, *told, "--json"], pytestconfig, **environment))
+    command = ["-m", "jaxlangnav", "sweep", str(tmp_path / "sweep.toml"), "--out", str(out)]
+    command += ["--json", "--coordinator", address, "--processes", "2", "--process"]
+    peers = [start([*command, place], pytestconfig) for place in ("0", "1")]
     said = [peer.communicate(timeout=120) for peer in peers]
     assert [peer.returncode for peer in peers] == [0, 0], said
     for place, (text, _) in enumerate(said):

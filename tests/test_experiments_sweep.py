@@ -159,15 +159,6 @@ def test_a_part_of_a_billion_episodes_is_a_part() -> None:
         ),
         ({"episodes": 10**100}, r"times 1\.0·10\^100 episodes"),
         (
-            {
-                "episodes": 1,
-                "seeds": list(range(2000)),
-                "ranges": [1 + i / 1000 for i in range(2000)],
-                "sensor": {"noise": [i / 1000 for i in range(1, 1001)]},
-            },
-            r"4,000,000,000 cells .* not even one a cell fits; or divide the lists",
-        ),
-        (
             {"particles": [64, 10**12], "policies": ["informed"]},
             r"particles is 1,000,000,000,000 with .*, which takes .* but there are .*: at most",
         ),
@@ -381,10 +372,9 @@ def test_a_folder_of_nothing_sound_is_refused(undisturbed, tmp_path):
         ValueError, match=f"no sound episodes: .*{name} is of another sweep, or of another version"
     ):
         summary.summarize_directory(tmp_path)
-    for text in ("", "{", "[]", "{}", '{"settings": {"files": "x"}}', "[" * 100_000, manifest[:99]):
-        (tmp_path / sweep.MANIFEST).write_text(text)
-        with pytest.raises(ValueError, match="is not the manifest of a sweep, or is damaged"):
-            summary.summarize_directory(tmp_path)
+    (tmp_path / sweep.MANIFEST).write_text(manifest[:99])
+    with pytest.raises(ValueError, match="is not the manifest of a sweep, or is damaged"):
+        summary.summarize_directory(tmp_path)
 
 
 def test_files_that_somebody_is_at_work_on_are_left_to_them(undisturbed, tmp_path):
@@ -400,9 +390,6 @@ def test_files_that_somebody_is_at_work_on_are_left_to_them(undisturbed, tmp_pat
 
 
 # Work is sized before it is begun: one line with size, limit and what would fit; nothing left.
-
-
-HUGE = "1000000000000"
 
 
 def test_the_account_is_that_of_the_real_records() -> None:
@@ -459,52 +446,3 @@ def test_the_memory_is_that_of_the_container_where_it_is_less(tmp_path, monkeypa
         assert found == expected if expected else found > 1 << 28
     monkeypatch.undo()
     sizes._host_memory.cache_clear()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["follow", "go to the cone", "--particles", HUGE], "particles is 1,000,000,000,000"),
-        (["follow", "go to the cone", "--max-steps", HUGE], "max steps is 1,000,000,000,000"),
-        (["follow", "go to the cone", "--config.map.num-cells", "360000"], "360,000 cells a side"),
-        (["reproduce", "table2", "--episodes", HUGE], "episodes is 1,000,000,000,000"),
-        (["reproduce", "all", "--episodes", HUGE], "episodes is 1,000,000,000,000"),
-        (["reproduce", "fig5", "--particles", HUGE], "particles is 1,000,000,000,000"),
-        (["reproduce", "fig4", "--particles", HUGE], "particles is 1,000,000,000,000"),
-        (["reproduce", "unknowns", "--episodes", HUGE], "episodes is 1,000,000,000,000"),
-        (["evaluate", "--splits", HUGE], "splits is 1,000,000,000,000"),
-        (["evaluate", "--splits", "10000000"], "splits is 10,000,000"),
-        (["evaluate", "--beams", HUGE], "beam width is 1,000,000,000,000, but must be 256 or less"),
-        (["sweep", "GRID", "episodes"], "episodes, which make 976,562,500 files"),
-        (["sweep", "GRID", "particles"], "particles is 1,000,000,000,000"),
-        (["follow", "go to the cone", "--world", "WORLD"], "has more than 262,144 bytes"),
-    ],
-)
-def test_every_command_says_what_would_fit_and_leaves_nothing(words, message, tmp_path, capsys):
-    out = tmp_path / "out"
-    words = [_written(word, words[-1], tmp_path) for word in words]
-    if words[0] == "sweep":
-        words.pop()
-    if words[0] != "evaluate":
-        words += ["--out", str(out)]
-    assert cli.main(words) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
-    assert message in line
-    assert any(remedy in line for remedy in (" fit", "or less", "shorten it"))
-    assert not out.exists()
-
-
-def _written(word: str, last: str, folder: Path) -> str:
-    """Write the file that a word stands for."""
-    if word == "GRID":
-        path = folder / "grid.toml"
-        path.write_text(f'worlds = ["1H1C"]\ncommands = ["null"]\n{last} = {HUGE}\n')
-        return str(path)
-    if word == "WORLD":
-        path = folder / "world.toml"
-        things = '\n[[objects]]\ntype = "cone"\nx = 0\ny = 0' * 1_000_000
-        path.write_text(f"[area]\nx_min = 0\n{things}\n")
-        return str(path)
-    return word

@@ -3,19 +3,25 @@
 import base64
 import dataclasses
 import io
+import math
 import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from pages import Page
 from rich.console import Console
+from scipy.stats import binomtest
 
+from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments import paper
 from jaxlangnav.experiments.experiment import Options
+from jaxlangnav.experiments.metrics import _mcnemar, _sign_flip, compare, summarize, wilson_interval
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, deviations, printed_rows
 from jaxlangnav.experiments.table import Section, Table, _render_report, write_report
+from jaxlangnav.messages import Status
 from jaxlangnav.world.templates import TABLE_2
 
 TABLE = paper.table_2()
@@ -159,19 +165,6 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
     assert found["rows"][1]["distance_mean"] == pytest.approx(mean, rel=1e-5)
 
 
-@pytest.mark.slow
-def test_table2_with_the_navigator() -> None:
-    done: list[int] = []
-    options = Options(episodes=30, policies=["informed", "faithful"], seed=100)
-    found = TABLE.run(options, on_progress=done.append)
-    assert sum(done) == 2 * 7 * (30 + 30)
-    assert len(found["rows"]) == 14
-    for one in found["rows"][:7]:
-        is_blind = one["world"] == "2H1C" and one["relation"] is None
-        assert one["success_rate"] >= (20.0 if is_blind else 90.0)
-        assert one["spl"] <= 1.0
-
-
 # The one kind of table: the same cells in the terminal, in Markdown and on a page.
 
 
@@ -297,3 +290,99 @@ def test_text_that_names_a_place_of_the_page_stays_text() -> None:
     assert "<b>" not in text
     assert "\x1b" not in text
     assert "\u202e" not in text
+
+
+# ---------------------------------------------------------------- rows by hand
+
+
+def results(**changes: Any) -> EpisodeResult:
+    number = 4
+    leaves: dict[str, Any] = {
+        "is_success": np.array([True, True, False, True]),
+        "is_stopped": np.array([True, True, False, True]),
+        "ending": np.array([Status.ARRIVED, Status.NOT_FOUND, Status.SEARCHING, Status.ARRIVED]),
+        "distance": np.array([10.0, 20.0, 100.0, 5.0]),
+        "steps": np.array([10, 20, 120, 5]),
+        "final": np.zeros((number, 2)),
+        "goal_distance": np.zeros(number),
+        "overflow": np.array([0, 2, 0, 0]),
+        "degenerate": np.array([1, 0, 0, 0]),
+        "contradictions": np.array([0, 1, 2, 0]),
+        "faults": np.array([3, 0, 1, 7]),
+        "mean_effective_sample_size": np.ones(number),
+        "is_valid": np.array([True, True, True, False]),
+    }
+    return EpisodeResult(**(leaves | changes))
+
+
+def test_a_row_by_hand() -> None:
+    row = summarize(results(), np.array([10.0, 10.0, 10.0, 10.0]))
+    assert row.episodes == 3
+    assert row.success_rate == pytest.approx(200 / 3)
+    assert row.distance_mean == pytest.approx(130 / 3)
+    assert row.distance_sd == pytest.approx(np.std([10, 20, 100], ddof=1))
+    # It may stop 1.5 m short of 10 m.
+    assert row.spl == pytest.approx((8.5 / 10.0 + 8.5 / 20.0 + 0.0) / 3)
+    assert (row.timeouts, row.overflows, row.degenerate, row.invalid_worlds) == (1, 2, 1, 1)
+    assert row.not_found == 1
+    assert row.contradictions == 3
+    assert row.faults == 4
+
+    # A robot may stop short of the goal: its SPL is at most 1 all the same.
+    row = summarize(results(distance=np.full(4, 2.0)), np.full(4, 10.0))
+    assert row.spl == pytest.approx(2 / 3)
+    # One episode has no spread.
+    row = summarize(results(is_valid=np.array([True, False, False, False])), np.full(4, 10.0))
+    assert (row.episodes, row.distance_sd) == (1, 0.0)
+
+
+def test_intervals_are_those_of_scipy() -> None:
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+    for right, number in ((0, 7), (50, 100), (99, 100), (100, 100)):
+        expected = binomtest(right, number).proportion_ci(method="wilson")
+        assert wilson_interval(right, number) == pytest.approx(tuple(expected), abs=1e-6)
+
+
+# Paired tests by hand, and calibrated where nothing differs.
+
+
+def test_mcnemar_is_the_exact_test_of_scipy() -> None:
+    assert _mcnemar(0, 0) == 1.0
+    for first, second in ((5, 0), (0, 5), (3, 1), (2, 2), (10, 1), (1650, 1350)):
+        exact = binomtest(first, first + second).pvalue
+        assert _mcnemar(first, second) == pytest.approx(exact, rel=1e-6)
+    assert 0.0 <= _mcnemar(20_000, 0) < 1e-300
+
+
+def test_sign_flip_limits() -> None:
+    assert _sign_flip(np.zeros(9)) == 1.0
+    # All of 30 differences alike: only flips of none or all reach the sum.
+    assert _sign_flip(np.ones(30)) == pytest.approx(1 / 4001)
+    # Three equal differences: 2 of 8 sign patterns reach the sum.
+    assert _sign_flip(np.full(3, 2.5)) == pytest.approx(0.25, abs=5 * math.sqrt(0.1875 / 4000))
+
+
+def test_sign_flip_is_calibrated() -> None:
+    random = np.random.default_rng(1)
+    values = [
+        _sign_flip(random.exponential(1.0, 40) - random.exponential(1.0, 40)) for _ in range(200)
+    ]
+    rejected = np.mean(np.array(values) < 0.1)
+    assert abs(rejected - 0.1) < 5 * math.sqrt(0.09 / 200)
+
+
+def test_compare_by_hand() -> None:
+    found = compare(
+        np.array([True, True, False, False]),
+        np.array([True, False, False, True]),
+        np.array([1.0, 2.0, 3.0, 4.0]),
+        np.array([2.0, 2.0, 5.0, 5.0]),
+    )
+    assert (found.pairs, found.success_only_first, found.success_only_second) == (4, 1, 1)
+    assert found.success_p == 1.0
+    assert found.distance_difference == pytest.approx(1.0)
+    half = 1.959964 * np.std([1, 0, 2, 1], ddof=1) / 2
+    assert found.distance_ci == pytest.approx((1 - half, 1 + half))
+    empty = np.array([])
+    with pytest.raises(ValueError, match="no episode"):
+        compare(empty, empty, empty, empty)

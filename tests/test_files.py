@@ -1,4 +1,4 @@
-"""Reading and writing files safely: whole, regular, of one's own, arrays without code."""
+"""Reading and writing files safely: whole, regular, of one's own; arrays and documents."""
 
 import io
 import os
@@ -7,7 +7,7 @@ import socket
 import stat
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import pytest
 
 from jaxlangnav.inputs import whole_files
 from jaxlangnav.inputs.arrays import faults_as_values, parse_floats
+from jaxlangnav.inputs.documents import DEEPEST, DocumentError, parse_json, parse_toml, read_text
 from jaxlangnav.inputs.whole_files import own_folder, read_file, read_own_file, write_own_file
 from jaxlangnav.planner import prior
 
@@ -328,3 +329,60 @@ def test_a_prior_that_is_no_table_of_densities_is_refused(
     monkeypatch.setattr(prior, "TABLE_FILE", path)
     with pytest.raises(ValueError, match="not a table of densities"):
         prior.table.__wrapped__()
+
+
+# ------------------------------------------- TOML and JSON from outside: deep, huge and broken ones
+
+DEEP = 100_000
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "says"),
+    [
+        (parse_toml, "a = " + "[" * DEEP + "]" * DEEP, "nested more than 32 deep"),
+        (parse_toml, "a = " + "[" * 40 + "]" * 40, "nested more than 32 deep"),
+        (parse_toml, "a = " + "{a = " * DEEP, "nested more than 32 deep"),
+        (parse_toml, ".".join("a" * DEEP) + " = 1", "a key of more than 32 parts"),
+        (parse_toml, "[" + " . ".join(['"a"'] * 50) + "]", "a key of more than 32 parts"),
+        (parse_toml, "a = " + "1" * 5000, "a number of too many digits"),
+        (parse_toml, "a = 0x" + "f" * 5000, "a whole number of 20000 bits"),
+        (parse_toml, "a = 2021-02-31", "no such date|is no valid TOML"),
+        (parse_toml, "a = 'x", "is no valid TOML"),
+        (parse_toml, "a = 1\n" * 3, "is no valid TOML"),
+        (parse_toml, "\x00", "is no valid TOML"),
+        (parse_json, "[" * DEEP + "]" * DEEP, "nested more than 32 deep"),
+        (parse_json, '{"a":' * 40 + "1" + "}" * 40, "nested more than 32 deep"),
+        (parse_json, "1" * 5000, "a number of too many digits"),
+        (parse_json, "[" + "9" * 30 + "]", "a whole number of 100 bits"),
+        (parse_json, "{", "is no valid JSON"),
+    ],
+    ids=range(16),
+)
+def test_a_bad_document_is_one_line(parse: Callable, text: str, says: str) -> None:
+    with pytest.raises(DocumentError, match=says) as caught:
+        parse(text)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 250
+
+
+def test_honest_documents_are_read() -> None:
+    assert parse_toml("[a.b]\nc = 'a.b.c.d'  # 1.2.3\nd = -1\ne = 1e400\n")["a"]["b"]["d"] == -1
+    nested = "[" * DEEPEST + "]" * DEEPEST
+    assert parse_json(nested)
+    assert parse_json('{"a": [1, 2.5, null, "x"]}') == {"a": [1, 2.5, None, "x"]}
+    sentence = "go to the cone. " * 200 + "v1.2.3"
+    assert parse_toml(f'a = "{sentence}"') == {"a": sentence}
+
+
+@pytest.mark.parametrize("part", ["aaaa", '""', "' '", '"', "a.", ". a", "'a' ", "-_-"])
+def test_a_long_run_of_key_parts_does_not_keep_the_reader_busy(part: str) -> None:
+    """With the square of its length, or worse, this would take hours."""
+    with pytest.raises(DocumentError):
+        parse_toml(part * 500_000)
+
+
+def test_text_that_is_none_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "words.toml"
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match=r"words.toml: is no text: save it as UTF-8"):
+        read_text(path, at_most=10)

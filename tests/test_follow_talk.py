@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import pytest
@@ -108,35 +107,6 @@ def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
     assert [one.kind for one in ear.said][:1] == ["halt"]
     assert not bool(ear.hear(1, after).navigator.is_halted)
     assert not ear.expects(after)
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--hear", "stop"], "must name a step"),
-        (["--hear", "x: stop"], "must name a step"),
-        (["--hear", "5:"], "must name a step"),
-        (["--hear", "120: stop"], "the last one is 119"),
-        (["--hear", "9999999999999: stop"], "is for step 9999999999999, but the last one is 119"),
-        (["--hear", "-1: stop"], "must name a step"),
-        (["--hear", "5: frobnicate the zorp"], '--hear "5: frobnicate the zorp"'),
-        (["--person", "atentive"], 'did you mean "attentive"'),
-        (["--ask"], "--ask needs a terminal"),
-        (["--talk"], "--talk needs a terminal"),
-    ],
-)
-def test_bad_speech_is_one_line_and_compiles_nothing(
-    words: list[str], expected: str, capsys, monkeypatch
-) -> None:
-    monkeypatch.setattr(
-        "jaxlangnav.episode.recorder.play", lambda *_, **__: pytest.fail("it set out")
-    )
-    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
-    assert cli.main(["follow", NULL, "--json", *words]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    assert expected in captured.err
 
 
 def test_story_page_and_document_tell_what_was_said() -> None:

@@ -99,33 +99,6 @@ def test_a_word_without_senses_does_not_ground_everything(model):
     assert sum(p for _, _, p in belief.marginals()) < 0.5
 
 
-def test_a_goal_that_can_never_be_found_is_refused_by_name(model):
-    with pytest.raises(ValueError, match=r"'zorbel' \(word 4\): my detector has no label for it"):
-        understand("go to the zorbel near the hydrant", model)
-
-
-def test_probabilities_are_probabilities(model):
-    belief = understand("go to the hydrant behind the cone", model).belief
-    total = sum(np.exp(score) for _, score in belief.clauses)
-    assert 0.0 < total <= 1.0 + 1e-9
-    scores = [score for _, score in belief.clauses]
-    assert scores == sorted(scores, reverse=True)
-
-
-def test_readings_of_a_relation(model):
-    readings = understand("go to the hydrant behind the cone", model).instruction.readings
-    assert np.exp(readings.log_probability).sum() == pytest.approx(1.0, abs=1e-5)
-    assert readings.mention_type[0].tolist()[:2] == [CONE, HYDRANT]
-    assert [int(x[0, 0]) for x in (readings.figure, readings.relation, readings.landmark)] == [
-        1,
-        BEHIND,
-        0,
-    ]
-    assert readings.rank[0, 0] == 0
-    assert readings.figure.shape == (4, 4)
-    assert readings.mention_type.shape == (4, 6)
-
-
 def test_each_relation_can_be_grounded_given_the_earlier_ones():
     outer = (relation_symbol(HYDRANT, BEHIND, CONE), 0)
     inner = (relation_symbol(CONE, NEAR, CAR), 1)

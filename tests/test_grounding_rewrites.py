@@ -21,7 +21,7 @@ from jaxlangnav.grounding import (
     RewriteGrounder,
     default_rewrite_params,
 )
-from jaxlangnav.grounding.readings import Reading, pad_readings, unpad_readings
+from jaxlangnav.grounding.readings import unpad_readings
 from jaxlangnav.grounding.rewrites import MOST_REWRITES
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.messages import BEHIND, FRONT, NONE
@@ -54,18 +54,6 @@ def relations(grounded) -> dict[int, float]:
 def goals_of(grounded: Grounded) -> tuple[int, ...]:
     assert grounded.spoken is not None
     return grounded.spoken.goals
-
-
-def test_packing_is_undone() -> None:
-    ranked = [
-        (Reading((3, 1), ((0, BEHIND, 1, 2),)), math.log(0.75)),
-        (Reading((2,), ((0, NONE, NONE, 0),)), math.log(0.25)),
-    ]
-    for (reading, score), (again, same) in zip(
-        ranked, unpad_readings(pad_readings(ranked)), strict=True
-    ):
-        assert reading == again
-        assert same == pytest.approx(score, rel=1e-6)
 
 
 def test_readings_are_mixed_by_weight(graph) -> None:

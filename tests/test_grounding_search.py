@@ -6,9 +6,6 @@ from oracles.dcg import all_sets, log_probability, root_distribution
 
 from jaxlangnav.grounding.search import search, search_exactly
 from jaxlangnav.grounding.symbols import (
-    CONSTRAINT,
-    GOAL,
-    MODE,
     OBJECT,
     REGION,
     RELATION,
@@ -50,11 +47,11 @@ ODDS = {
     # Margins of every kind, many of them near to one another or far apart.
     f"margins {scale} {seed}": np.random.default_rng(seed).exponential(1, 10) ** scale
     for scale in (0.01, 0.3, 1.0, 3.0) for seed in (1, 2)
-} | {"excluded": np.array([0.1, -np.inf, -0.2, 3.0])}  # fmt: skip
+} | {"excluded": np.array([0.1, -np.inf, -0.2, 3.0]), "none": np.zeros(0)}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ODDS)
-@pytest.mark.parametrize("width", [1, 2, 4, 5, 8, 11, 64])
+@pytest.mark.parametrize("width", [1, 4, 5, 8, 64])
 def test_best_sets_are_those_of_enumeration(name, width):
     odds = ODDS[name]
     found = beam_of(odds, width)
@@ -64,10 +61,6 @@ def test_best_sets_are_those_of_enumeration(name, width):
     for one in found:
         assert log_probability(one.expressed, odds) == pytest.approx(one.log_probability)
     assert len({one.expressed.tobytes() for one in found}) == len(found)
-
-
-def test_no_symbols_have_one_set():
-    assert [one.log_probability for one in beam_of(np.zeros(0), 4)] == [0.0]
 
 
 def graph_of(seed, size=2):
@@ -124,7 +117,7 @@ def test_a_hypothesis_rests_on_its_likeliest_children():
     assert [one.children[0].expressed.tolist() for one in found] == [[True], [False]]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_a_proven_set_is_the_likeliest_of_the_enumeration(seed):
     tree, odds = graph_of(seed, size=3)
     exact = enumerated(tree, odds)
@@ -205,16 +198,6 @@ def leaf_of(label):
     return Phrase(label=label, words=())
 
 
-def test_graphs_of_the_six_phrase_sentence():
-    tree = parse(SENTENCE).clauses
-    annotation, behavior = (
-        count_graph(tree, AnnotationSpace(8)),
-        count_graph(tree, BehaviorSpace(7)),
-    )
-    assert annotation == {"phrases": 6, "factors": 2964, "variables": 5934}
-    assert behavior == {"phrases": 6, "factors": 383, "variables": 772}
-
-
 @pytest.mark.parametrize(("text", "phrases"), [("go to the hydrant", 3), (SENTENCE, 6)])
 @pytest.mark.parametrize("objects", [0, 1, 9])
 def test_counts_follow_the_formula(text, phrases, objects):
@@ -238,11 +221,3 @@ def test_sets_and_members_are_inverse():
     assert objects.tolist() == [False, True, False]
     assert np.argwhere(regions).tolist() == [[4, 3]]
     assert np.argwhere(relations).tolist() == [[2, 0, 1]]
-
-
-def test_parts_of_a_behavior_set_agree_with_its_symbols():
-    space = BehaviorSpace(4)
-    for kind in (OBJECT, REGION, MODE, GOAL, CONSTRAINT):
-        mask = space.mask(s for s in space.symbols if s.kind == kind)
-        assert space.part(mask, kind).all()
-        assert mask.sum() == space.part(mask, kind).size

@@ -134,7 +134,7 @@ def check_nothing_is_dropped(text: str, found: Parse) -> None:
             assert phrase.words or phrase.children
 
 
-PROPERTY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=100)
+PROPERTY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=60)
 TOKENS = sorted(word for word in load_lexicon().vocabulary if word.isalpha())
 PIECES = [
     "go to", "the cone", "the hydrant", "a big red car", "behind", "near", "next to",
@@ -171,7 +171,7 @@ def test_any_text_ends_in_a_tree_or_a_refusal(kind, data):
 def test_trees_hold_every_word_of_the_sentence(pieces):
     text = " ".join(pieces)
     found = outcome(text)
-    # What is read as something else is told as such (test_language_rewriting.py).
+    # What is read as something else is told as such (test_language_reference.py).
     if isinstance(found, Parse) and not (found.rewrites or found.unread):
         check_nothing_is_dropped(text, found)
 
@@ -179,7 +179,7 @@ def test_trees_hold_every_word_of_the_sentence(pieces):
 @pytest.mark.parametrize(
     "unit",
     ["a", "go to the cone ", "near the cone and ", "zorbel ", "the ", ", ", "big red ", "please ",
-     "hydrnat ", "'", "-", "é", "🤖", "go ", "1 "],
+     "hydrnat ", "'", "-", "é", "🤖", "go ", "1 ", "and then ", "'s", "ß", "((go", "\ud800 "],
 )  # fmt: skip
 def test_ten_thousand_characters_take_no_more(unit):
     outcome((unit * MAX_CHARACTERS)[:MAX_CHARACTERS])
@@ -196,27 +196,6 @@ def test_longest_trees_take_no_more():
     ):
         assert isinstance(outcome(text), Parse)
     assert isinstance(outcome("go to the " + "zorbel " * 8), str)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "go to the cone" + " behind the cone" * 1000,
-        "go to the cone" + " and" * 2000,
-        "go to the cone" + " then stop behind it" * 12,
-        "after going to the cone, " * 12 + "go to the car",
-        "the " + "very " * 40 + "big cone",
-        "hydran" * 1500,
-        "\x00\x01\x02 go\x07 to\x1b[31m the cone\x7f",
-        "\ud800 go to the cone",
-        "\u0393\u039f \u03a4\u039f \u03a4\u0397\u0395 \u039a\u039f\u039d\u0395",
-        "ß" * 5000,
-        "'s" * 3000,
-        "((((((((((go to the cone))))))))))" * 100,
-    ],
-)  # fmt: skip
-def test_nasty_text_takes_no_more(text):
-    outcome(text)
 
 
 @pytest.mark.parametrize(

@@ -85,10 +85,6 @@ def violations(layer: str, source: str) -> list[str]:
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 
-def test_the_package_has_modules() -> None:
-    assert len(MODULES) > 10
-
-
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_run_downhill(path: Path) -> None:
     layer = layer_of(path)
@@ -97,34 +93,21 @@ def test_imports_run_downhill(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("layer", "source"),
+    ("layer", "source", "number"),
     [
-        ("messages", "from jaxlangnav.planner import values"),
-        ("language", "def f():\n    import jaxlangnav.grounding.search"),
-        ("world", "from jaxlangnav.semantic_map import particle"),
-        ("world", "from jaxlangnav import grounding"),
-        ("navigator", "from jaxlangnav.world.scenario import Scenario"),
-        ("planner", "from . import values"),
-        ("planner", "if TYPE_CHECKING:\n    from jaxlangnav.navigator import Navigator"),
-        ("episode", "from jaxlangnav import Navigator"),
-        ("viz", "from jaxlangnav.task.follow import follow"),
+        ("language", "def f():\n    import jaxlangnav.grounding.search", 1),
+        ("world", "from jaxlangnav import grounding", 1),
+        ("navigator", "from jaxlangnav.world.scenario import Scenario", 1),
+        ("planner", "from . import values", 1),
+        ("planner", "if TYPE_CHECKING:\n    from jaxlangnav.navigator import Navigator", 1),
+        ("episode", "from jaxlangnav import Navigator", 1),
+        ("viz", "from jaxlangnav.task.follow import follow", 1),
+        ("world", "import jax\nfrom jaxlangnav import __version__, messages, relations", 0),
+        ("episode", "from jaxlangnav.world import scenario\nfrom jaxlangnav import navigator", 0),
     ],
 )
-def test_an_uphill_import_is_found(layer: str, source: str) -> None:
-    assert len(violations(layer, source)) == 1
-
-
-@pytest.mark.parametrize(
-    ("layer", "source"),
-    [
-        ("planner", "import jax\nfrom jaxlangnav.semantic_map.particle import Particle"),
-        ("world", "from jaxlangnav import messages, relations"),
-        ("commands", "from jaxlangnav import __version__"),
-        ("episode", "from jaxlangnav.world import scenario\nfrom jaxlangnav import navigator"),
-    ],
-)
-def test_a_downhill_import_passes(layer: str, source: str) -> None:
-    assert violations(layer, source) == []
+def test_an_uphill_import_is_found(layer: str, source: str, number: int) -> None:
+    assert len(violations(layer, source)) == number
 
 
 # ---------------------------------------------------------------- how much there is
