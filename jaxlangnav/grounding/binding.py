@@ -234,9 +234,11 @@ class BoundSentence:
         for word, value in told:
             group = group_of(value)
             if group not in self.detector.attribute_groups:
-                self._note(f"'{word.text}' is not used: my detector reports no {group}")
+                self.notes.setdefault(f"'{word.text}' is not used: my detector reports no {group}")
             elif group in used:
-                self._note(f"'{word.text}' is not used: one {group} of a thing is compared")
+                self.notes.setdefault(
+                    f"'{word.text}' is not used: one {group} of a thing is compared"
+                )
             else:
                 used[group] = value
         for word in idle:
@@ -246,12 +248,9 @@ class BoundSentence:
                     f"'{word.text}' (word {word.position}): how {adjective} things are is not "
                     f"compared; say '{adjective}', or which one is the nearest"
                 )
-            self._note(f"'{word.text}' is not used: it is no attribute that is compared")
+            self.notes.setdefault(f"'{word.text}' is not used: it is no attribute that is compared")
         self._latest[noun] = attributes(*used.values())
         return self._latest[noun]
-
-    def _note(self, text: str) -> None:
-        self.notes.setdefault(text)
 
     def _name(self, noun: str, code: int, phrase: Phrase, *, is_goal: bool) -> str:
         """Name the type of the sentence that a noun with its attributes is."""
@@ -276,10 +275,12 @@ class BoundSentence:
             )
         if not labels:
             labels = (self.detector.beyond(noun),)
-            self._note(f"my detector has no label for '{said[:30]}': it is never seen")
+            self.notes.setdefault(f"my detector has no label for '{said[:30]}': it is never seen")
         elif not is_itself:
             taken = " or ".join(self.detector.labels[i] for i in labels)
-            self._note(f"my detector has no label for '{said[:30]}': any {taken} may be meant")
+            self.notes.setdefault(
+                f"my detector has no label for '{said[:30]}': any {taken} may be meant"
+            )
         return self._enter(noun, code, labels)
 
     def _enter(self, noun: str, code: int, labels: tuple[int, ...]) -> str:

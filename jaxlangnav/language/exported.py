@@ -13,9 +13,10 @@ import json
 from collections.abc import Iterable
 from typing import Literal
 
-from jaxlangnav.language.grammar import UNKNOWN, Grammar, load_grammar
+from jaxlangnav.language.grammar import Grammar, load_grammar
 from jaxlangnav.language.nouns import load_nouns
 from jaxlangnav.language.tokens import MARKS, is_word, plainly
+from jaxlangnav.language.tree import UNKNOWN
 
 Notation = Literal["lark", "gbnf"]
 Rules = dict[str, list[tuple[str, ...]]]

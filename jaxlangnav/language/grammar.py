@@ -18,23 +18,17 @@ from lark.lexer import Lexer
 
 from jaxlangnav.inputs.documents import read_shipped
 from jaxlangnav.language.lexicon import LexicalEntry, Lexicon, load_lexicon
-from jaxlangnav.language.refusal import NOUN
 from jaxlangnav.language.tokens import MARKS
-from jaxlangnav.language.tree import PUNCTUATION, Derivation, ForestReader, Production
+from jaxlangnav.language.tree import (
+    PUNCTUATION,
+    UNKNOWN_CLASSES,
+    Derivation,
+    Production,
+    read_forest,
+)
 
 P_OPTIONAL = 0.2
 W_EXPRESSION = 0.005  # of a word of fixed expressions to be a noun, beside an unknown word
-UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "?", "?ly", "?ing"
-# What an unknown word may be, with its weight beside the known words of the class.
-UNKNOWN_CLASSES = {
-    "unknown_noun": {UNKNOWN: 1.0, UNKNOWN_ING: 0.1, NOUN: 0.01},
-    "adj": {UNKNOWN: 0.3, UNKNOWN_ING: 0.05},
-    "v_to": {UNKNOWN: 0.05},
-    "v_obj": {UNKNOWN: 0.05},
-    "g_to": {UNKNOWN_ING: 0.05},
-    "g_obj": {UNKNOWN_ING: 0.05},
-    "adv": {UNKNOWN_ADVERB: 0.5},
-}
 
 
 class NoParseError(Exception):
@@ -97,7 +91,7 @@ def _lexical_rules(
     rules: list[tuple[str, tuple[str, ...], float, LexicalEntry | None]] = []
     for name, entries in lexicon.entries.items():
         rules += [(name, tuple(f'"{w}"' for w in key), 1.0, e) for key, e in entries.items()]
-    for name, marks in UNKNOWN_CLASSES.items():
+    for name, (_, marks) in UNKNOWN_CLASSES.items():
         known = max(1, len(lexicon.entries.get(name, {})))
         rules += [(name, (f'"{mark}"',), known * share, None) for mark, share in marks.items()]
     # Words known only from fixed expressions ("plant yourself") are nouns alone.
@@ -207,7 +201,7 @@ class Grammar:
             except (UnexpectedEOF, UnexpectedToken):
                 end = self._end_of_parse(terminals) if is_end_found else len(tokens) - 1
                 raise NoParseError(end) from None
-        return ForestReader(self._by_rule).read(root)
+        return read_forest(root, self._by_rule)
 
     def _end_of_parse(self, terminals: list[str]) -> int:
         """Find the first token that cannot continue any tree, of a sentence that has none."""

@@ -11,13 +11,7 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 
-from jaxlangnav.language.grammar import (
-    UNKNOWN,
-    UNKNOWN_ADVERB,
-    UNKNOWN_ING,
-    NoParseError,
-    load_grammar,
-)
+from jaxlangnav.language.grammar import NoParseError, load_grammar
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.measured import of_clauses, take_out
 from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
@@ -36,7 +30,7 @@ from jaxlangnav.language.tokens import (
     plainly,
     without_idle_marks,
 )
-from jaxlangnav.language.tree import TreeBuilder
+from jaxlangnav.language.tree import UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING, TreeBuilder
 
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64

@@ -9,7 +9,7 @@ tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,35 +47,16 @@ class _Best:
     children: tuple["Derivation | int", ...]
 
 
-class ForestReader:
-    """Viterbi and inside sums over a shared packed parse forest, without recursion."""
+def read_forest(
+    root: SymbolNode, by_rule: Mapping[tuple[str, ...], Production]
+) -> tuple[Derivation, float]:
+    """Find the best derivation of a packed parse forest and its posterior probability.
 
-    def __init__(self, by_rule: dict[tuple[str, ...], Production]) -> None:
-        """Keep the productions by the symbols of their lark rules."""
-        self.by_rule = by_rule
-        self.memo: dict[int, _Best] = {}
+    Viterbi and inside sums, without recursion; productions go by the symbols of their lark rules.
+    """
+    memo: dict[int, _Best] = {}
 
-    def read(self, root: SymbolNode) -> tuple[Derivation, float]:
-        """Return the best derivation of the root and its posterior probability."""
-        stack: list[Any] = [root]
-        while stack:
-            node = stack[-1]
-            parts = [c for p in node.children for c in p.children if isinstance(c, SymbolNode)]
-            waiting = [child for child in parts if id(child) not in self.memo]
-            if id(node) not in self.memo and waiting:
-                stack.extend(waiting)
-                continue
-            stack.pop()
-            ways = [self._way(node, packed) for packed in node.children]
-            best = max(ways, key=lambda way: way.log_best)
-            top = max(way.log_sum for way in ways)
-            log_sum = top + math.log(sum(math.exp(way.log_sum - top) for way in ways))
-            self.memo.setdefault(id(node), _Best(best.log_best, log_sum, best.children))
-        best = self.memo[id(root)]
-        derivation: Any = best.children[0]
-        return derivation, math.exp(best.log_best - best.log_sum)
-
-    def _way(self, node: SymbolNode, packed: PackedNode) -> _Best:
+    def score(node: SymbolNode, packed: PackedNode) -> _Best:
         """Score one way to make a node: its rule and its parts."""
         log_best = log_sum = 0.0
         children: tuple[Derivation | int, ...] = ()
@@ -84,25 +65,49 @@ class ForestReader:
                 # The wheels of ROS 2 bring lark 0.12 in place of 1: a token is its own node there.
                 children += (getattr(part, "token", part).start_pos,)
                 continue
-            value = self.memo[id(part)]
+            value = memo[id(part)]
             log_best, log_sum = log_best + value.log_best, log_sum + value.log_sum
             children += value.children
         if node.is_intermediate:
             return _Best(log_best, log_sum, children)
         rule = packed.rule
-        production = self.by_rule[rule.origin.name, *(symbol.name for symbol in rule.expansion)]
+        production = by_rule[rule.origin.name, *(symbol.name for symbol in rule.expansion)]
         log_p = production.log_probability
         return _Best(log_best + log_p, log_sum + log_p, (Derivation(production, children),))
+
+    stack: list[Any] = [root]
+    while stack:
+        node = stack[-1]
+        parts = [c for p in node.children for c in p.children if isinstance(c, SymbolNode)]
+        waiting = [child for child in parts if id(child) not in memo]
+        if id(node) not in memo and waiting:
+            stack.extend(waiting)
+            continue
+        stack.pop()
+        ways = [score(node, packed) for packed in node.children]
+        best = max(ways, key=lambda way: way.log_best)
+        top = max(way.log_sum for way in ways)
+        log_sum = top + math.log(sum(math.exp(way.log_sum - top) for way in ways))
+        memo.setdefault(id(node), _Best(best.log_best, log_sum, best.children))
+    best = memo[id(root)]
+    derivation: Any = best.children[0]
+    return derivation, math.exp(best.log_best - best.log_sum)
 
 
 # -------------------------------------------- from the most probable derivation to phrases
 
 
-UNKNOWN_TAGS = {
-    "unknown_noun": "NN", "adj": "JJ", "v_to": "VB", "v_obj": "VB",
-    "g_to": "VBG", "g_obj": "VBG", "adv": "RB",
-}  # fmt: skip
-"""What an unknown word is tagged as, by its class."""
+UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "?", "?ly", "?ing"
+UNKNOWN_CLASSES = {
+    "unknown_noun": ("NN", {UNKNOWN: 1.0, UNKNOWN_ING: 0.1, NOUN: 0.01}),
+    "adj": ("JJ", {UNKNOWN: 0.3, UNKNOWN_ING: 0.05}),
+    "v_to": ("VB", {UNKNOWN: 0.05}),
+    "v_obj": ("VB", {UNKNOWN: 0.05}),
+    "g_to": ("VBG", {UNKNOWN_ING: 0.05}),
+    "g_obj": ("VBG", {UNKNOWN_ING: 0.05}),
+    "adv": ("RB", {UNKNOWN_ADVERB: 0.5}),
+}
+"""Classes that an unknown word may be of: its tag, and its weight beside their known words."""
 PUNCTUATION = ("comma", "fullstop")
 """How the rules name ``MARKS``."""
 PARTED = "NPX"
@@ -148,8 +153,8 @@ class TreeBuilder:
                 senses=entry.senses[index], position=position,
             )  # fmt: skip
         left = node.production.left
-        if left in UNKNOWN_TAGS:
-            tag = UNKNOWN_TAGS[left]
+        if left in UNKNOWN_CLASSES:
+            tag, _ = UNKNOWN_CLASSES[left]
             if node.production.right != (f'"{NOUN}"',):
                 self.unknown.append((text, position))
             is_plural = tag == "NN" and text.endswith("s") and plural(text[:-1]) == text

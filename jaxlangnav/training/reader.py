@@ -315,17 +315,12 @@ def _fit(
 ) -> tuple[ReaderWeights, float]:
     """Minimise the objective; the same batches and seed give the same weights."""
     size = len(labels)
-    weights = ReaderWeights(
-        jnp.zeros((num_features + 1, size)),
-        jnp.zeros((size, size)),
-        jnp.zeros(size),
-        jnp.zeros(size),
-    )
+    weights = ReaderWeights(*map(jnp.zeros, ((num_features + 1, size), (size, size), size, size)))
     # From a sentence that is refused to one that is read there is no transition, nor back.
     is_refused = np.array([label == UNREADABLE for label in labels])
     bars = np.where(is_refused[:, None] == is_refused, 0.0, _BARRED).astype(np.float32)
-    rate = optax.cosine_decay_schedule(config.rate, config.epochs * len(batches))
-    optimizer = optax.adam(rate)
+    num_steps = config.epochs * len(batches)
+    optimizer = optax.adam(optax.cosine_decay_schedule(config.rate, num_steps))
 
     def objective(weights: ReaderWeights, batch: Batch) -> Array:
         barred = weights._replace(transition=weights.transition + bars)
