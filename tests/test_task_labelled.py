@@ -36,7 +36,7 @@ def write(path: Path, *lines: object) -> Path:
         ({"label": "refuse"}, "text is missing"),
         ({"text": 3, "label": "refuse"}, "text is 3"),
         ({"text": "go", "label": "refused"}, "must be 'refuse' or an object"),
-        ({"text": "go", "label": "refuse", "note": ""}, "has 'note'"),
+        ({"text": "go", "label": "refuse", "note": ""}, "note is unknown"),
         ({"text": "go", "label": {"things": [], "probability": 1}}, "probability"),
         ({"text": "go", "label": {**CONE, "commands": [{"goal": {"thing": "b"}}]}}, "goal.thing"),
     ],

@@ -16,12 +16,13 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from msgspec import Meta
 
 from jaxlangnav.dialogue import seen_from
 from jaxlangnav.grounding.asked import infer_commands
@@ -29,6 +30,7 @@ from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.worlds import place_for
 from jaxlangnav.inputs.documents import naming, parse_json, read_lines
+from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior
@@ -159,32 +161,27 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
     return found
 
 
+class _Line(Schema):
+    text: str
+    label: Any
+    construction: Annotated[str, Meta(max_length=_LONGEST_NAME)] = ""
+    set: str = ""
+
+    def __post_init__(self) -> None:
+        """Take any characters: people may say what they like."""
+
+
 def _read_line(number: int, document: Any) -> LabelledSentence:
     """Read one line."""
     if not isinstance(document, dict):
         raise ValueError(f"is {quote(document)}, but must be an object with text and label")
-    unknown = document.keys() - {"text", "label", "construction", "set"}
-    if unknown:
-        names = ", ".join(sorted(quote(name) for name in unknown))
-        raise ValueError(f"has {names}, but only text, label, construction and set are known")
-    for name in ("text", "label"):
-        if name not in document:
-            raise ValueError(f"{name} is missing: every line needs text and label")
-    texts = {name: document.get(name, "") for name in ("text", "construction", "set")}
-    for name, value in texts.items():
-        if not isinstance(value, str):
-            raise ValueError(f"{name} is {quote(value)}, but must be a string")
-    if len(texts["construction"]) > _LONGEST_NAME:
-        raise ValueError(
-            f"construction has {len(texts['construction'])} characters, but at most "
-            f"{_LONGEST_NAME} are held: shorten it"
-        )
-    label, meaning = document["label"], None
-    if label != REFUSE:
-        if isinstance(label, str):
-            raise ValueError(f"label is {quote(label)}, but must be 'refuse' or an object")
-        reading, types = read_meaning(label, path="label")
+    line, meaning = convert(document, _Line), None
+    if line.label != REFUSE:
+        if isinstance(line.label, str):
+            raise ValueError(f"label is {quote(line.label)}, but must be 'refuse' or an object")
+        reading, types = read_meaning(line.label, path="label")
         meaning = Meaning(reading, tuple(type_called(name.lower()) or name for name in types))
+    texts = {"text": line.text, "construction": line.construction, "set": line.set}
     return LabelledSentence(line=number, **texts, meaning=meaning)
 
 
