@@ -67,7 +67,6 @@ def _said_again(old: Account, new: Account) -> dict[int, int]:
 def _product(
     old: Account, new: Account, told: Spoken, *, is_new_task: bool, is_loose: bool
 ) -> Account:
-    """Say two readings together."""
     places = _places(old, new, told, is_loose=is_loose)
     mentions = [
         dataclasses.replace(one, is_asked=one.is_asked and not is_new_task) for one in old.mentions

@@ -52,7 +52,6 @@ class Asked:
 
 @cached_jit()
 def _infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
-    """Infer one command in one world, compiled."""
     return infer_behavior(program, world, num_phrases=program.num_phrases)
 
 

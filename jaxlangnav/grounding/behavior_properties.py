@@ -52,7 +52,6 @@ class PhraseWords(NamedTuple):
 
 
 def _object_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
-    """Describe the objects of a noun or preposition phrase."""
     return {
         "bias": met["always"],
         "named": met["own"],
@@ -71,7 +70,6 @@ def _object_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
 
 
 def _region_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
-    """Describe the regions of a noun or preposition phrase."""
     inside = met["inside"]
     return {
         "bias": met["base"],
@@ -91,7 +89,6 @@ def _region_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
 
 
 def _goal_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
-    """Describe the goals of a verb phrase."""
     return {
         "bias": met["base"],
         "same": met["same"],
@@ -108,7 +105,6 @@ def _goal_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
 
 
 def _constraint_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
-    """Describe the constraints of a verb phrase."""
     del words
     return {
         "bias": met["base"],

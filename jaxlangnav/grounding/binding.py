@@ -151,7 +151,6 @@ def _ways_to_say(noun: str) -> Iterator[frozenset[str]]:
 
 @cache
 def _names_of_types() -> dict[str, frozenset[str]]:
-    """Collect the lexicon's names of each of its types."""
     names: dict[str, set[str]] = {}
     for words, entry in load_lexicon().entries[TYPE_CLASS].items():
         for sense in (sense for senses in entry.senses for sense in senses):
@@ -211,7 +210,6 @@ class BoundSentence:
         return tuple(dict.fromkeys(label_of(k) for k in self.kinds[self.names.index(name)]))
 
     def _bind(self, phrase: Phrase, goal: Phrase | None) -> Phrase:
-        """Bind the nouns of a phrase and of those below it."""
         children = tuple(self._bind(child, goal) for child in phrase.children)
         phrase_now = dataclasses.replace(phrase, children=children)
         head = next((w for w in phrase.words if w.type_sense), None)

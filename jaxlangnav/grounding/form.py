@@ -233,7 +233,6 @@ def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> 
 
 
 def _look_up(name: str, index: Mapping[str, int], path: str, *, may_be_robot: bool = True) -> int:
-    """Find the thing of an id."""
     if name not in index:
         raise ValueError(
             f"{path} is {quote(name)}, but this reading has no such thing: use one of "
@@ -247,7 +246,6 @@ def _look_up(name: str, index: Mapping[str, int], path: str, *, may_be_robot: bo
 def _read_relation(
     document: Mapping[str, Any], index: Mapping[str, int], path: str
 ) -> FormRelation:
-    """Read one relation."""
     figure = _look_up(document["figure"], index, f"{path}.figure", may_be_robot=False)
     landmark = _look_up(document["landmark"], index, f"{path}.landmark")
     if figure == landmark:
@@ -275,7 +273,6 @@ def _read_relation(
 
 
 def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> FormCommand:
-    """Read one command."""
     goal = document["goal"]
     region = REGIONS.index(goal.get("region", REGIONS[AT]))
     thing, metres = _look_up(goal["thing"], index, f"{path}.goal.thing"), goal.get("metres", 0.0)

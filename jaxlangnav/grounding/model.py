@@ -61,7 +61,6 @@ class Senses:
 
 
 def _indices(senses: set[str], prefix: str, names: tuple[str, ...]) -> frozenset[int]:
-    """Find which of the names the senses hold."""
     return frozenset(i for i, name in enumerate(names) if f"{prefix}:{name}" in senses)
 
 

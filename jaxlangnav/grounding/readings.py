@@ -188,7 +188,6 @@ def read(*clauses: RankedAnnotations) -> Reading:
 
 
 def _fits(reading: Reading) -> bool:
-    """Whether a reading fits the arrays."""
     return len(reading.mentions) <= NUM_MENTIONS and len(reading.relations) <= NUM_RELATIONS_SAID
 
 

@@ -264,7 +264,6 @@ class RecordedRewrites:
 
 
 def _read_line(document: Any) -> tuple[str, tuple[Rewrite, ...]]:
-    """Read one line."""
     if not isinstance(document, dict) or set(document) != {"text", "rewrites"}:
         raise ValueError(f"is {quote(document)}, but must be an object with text and rewrites")
     text, rewrites = document["text"], document["rewrites"]

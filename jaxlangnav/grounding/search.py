@@ -59,7 +59,6 @@ class Beams:
         return [self._hypothesis(model, place) for place in range(count)]
 
     def _hypothesis(self, model: int, place: int) -> Hypothesis:
-        """Read one hypothesis with all below it."""
         below = zip(self.children, self.origin[model, place], strict=True)
         return Hypothesis(
             self.sets[self.index[model, place]],

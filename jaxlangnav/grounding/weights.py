@@ -58,7 +58,6 @@ _Document = TypeVar("_Document", bound=Schema)
 
 
 def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
-    """Build a model from named arrays of an archive."""
     header = _document(archive, f"{name}.json", _Header)
     if len(set(header.names)) < len(header.names):
         raise ValueError(f"{name}: one of {len(header.names)} names of features stands twice")
@@ -76,7 +75,6 @@ def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
 
 
 def _document(archive: ZipFile, name: str, schema: type[_Document]) -> _Document:
-    """Read a JSON document of the archive."""
     text = read_text_entry(archive, name, at_most=_MAX_TEXT)
     with faults_as_values():
         return convert(json.loads(text), schema, where=name)

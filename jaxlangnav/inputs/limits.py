@@ -124,7 +124,6 @@ class Quantity:
         raise ValueError(f'{name} = "{cut(match[0])}" {what}, but {wanted} is needed{example}')
 
     def _limits(self) -> str:
-        """Say between which values it must lie."""
         unit = {"length": " m", "angle": " rad"}.get(self.kind, "")
         above = f"above {self.low:g}" if self.is_low_open else f"at least {self.low:g}"
         below = "" if math.isinf(self.high) else f" and at most {self.high:.6g}"
@@ -136,5 +135,4 @@ SHARE = Quantity(kind="share", high=1.0)
 
 
 def _shown(value: Any) -> str:
-    """Repeat a value in a message."""
     return cut(value) if isinstance(value, str) else shown(value)

@@ -29,7 +29,6 @@ SLOTS = (8, 16, 32, 64)
 
 
 def _type_index(name: Any, types: Sequence[str], what: str) -> int:
-    """Find a type by its name, or check its index."""
     if isinstance(name, str):
         if name in types:
             return types.index(name)
@@ -192,7 +191,6 @@ _NEAR = "give metres from the map's origin"
 
 
 def _parts(values: Any, number_of: int, what: str, remedy: str) -> list[Any]:
-    """Take apart what must be a row of so many."""
     parts = listed(values, number_of + 1)
     if parts is None or len(parts) != number_of:
         raise ValueError(f"{what} is {quoted(values)}, but must be {remedy}")

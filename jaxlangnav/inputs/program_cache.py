@@ -68,7 +68,6 @@ def set_cache_dir(folder: Path | None, *, say: Callable[[str], None] = warnings.
 
 
 def _tell_once(text: str) -> None:
-    """Say what went wrong, the first time."""
     global _has_said
     if not _has_said:
         _has_said = True

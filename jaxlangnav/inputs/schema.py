@@ -109,7 +109,6 @@ def _meant(kind: inspect.Type, value: Any) -> inspect.Type:
 
 
 def _fault(value: Any, kind: inspect.Type) -> str:
-    """Say what a value is and what it must be."""
     most = getattr(kind, "max_length", None)
     if isinstance(value, str) and most is not None and len(value) > most:
         return f"has {len(value)} characters, but must have at most {most}: shorten it"

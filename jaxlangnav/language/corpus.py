@@ -131,7 +131,6 @@ def _check_symbols(
 
 
 def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
-    """Check one clause against the tree the parser makes."""
     root, kind = found.clauses[index], found.kinds[index]
     heads, where = [phrase.head for phrase in root.walk()], f"clause {index}:"
     _check(record.kind == kind, f"{where} kind is '{kind}', not '{record.kind}'")
@@ -148,7 +147,6 @@ def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
 
 
 def _read_world(record: _World, found: Parse) -> WorldLabels:
-    """Check one world and its behavior labels."""
     types, objects = load_lexicon().type_names, []
     for kind, *place in record.objects:
         _check(kind in types, f"object type {shown(kind)} is none of {', '.join(types)}")

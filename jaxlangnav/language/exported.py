@@ -78,7 +78,6 @@ def spaced(text: str) -> str:
 
 
 def _words(noun: str) -> list[str]:
-    """Part a name into words."""
     words = plainly(noun).split()
     if not words or not all(map(is_word, words)):
         raise ValueError(f"'{noun[:30]}' is no noun: give words of letters, as in 'fire hydrant'")
@@ -98,7 +97,6 @@ def _fillable(ways: Rules) -> Rules:
 
 
 def _reached(ways: Rules) -> Rules:
-    """Leave out what no sentence uses."""
     found, waiting = {}, [START]
     while waiting:
         left = waiting.pop(0)

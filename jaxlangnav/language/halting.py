@@ -203,7 +203,6 @@ def _alarms() -> tuple[dict[str, set[tuple[str, ...]]], int]:
 
 @cache
 def _table() -> dict[str, Any]:
-    """Read the file of wordings."""
     return parse_toml(read_shipped("language", "halting.toml"))
 
 

@@ -155,7 +155,6 @@ def _composed(root: Phrase, compose: Callable[[Phrase, list[Any]], Any]) -> Labe
 
 
 def _annotate(phrase: Phrase, children: list[_Meaning]) -> _Meaning:
-    """Compose the annotation of one phrase from those of its children."""
     if phrase.label == "NP" and not children:
         type_name = sense_of(phrase, "type")
         types = () if type_name is None else (type_name,)
@@ -202,7 +201,6 @@ def behave(root: Phrase, geometry: Geometry) -> Labels:
 
 
 def _behave(phrase: Phrase, children: list[_Sense], geometry: Geometry) -> _Sense:
-    """Compose the behavior label of one phrase from those of its children."""
     if phrase.label == "VP":
         return _verb(phrase, children)
     if phrase.label == "S":

@@ -74,7 +74,6 @@ class PlacedMeasure:
 
 @cache
 def _words() -> _Words:
-    """Read the words."""
     document = parse_toml(read_shipped("language", "measures.toml"))
     numbers, units, places = document["numbers"], document["units"], document["places"]
 
@@ -112,7 +111,6 @@ def _words() -> _Words:
 
 
 def _number(text: str) -> float:
-    """Read a number, in figures or words."""
     if text[0].isdigit():
         return float(text)
     return float(sum(_words().numbers[word] for word in re.split("[ -]", text)))
@@ -187,7 +185,6 @@ def _from_things(tokens: list[SpokenToken], held: list[_Held]) -> list[PlacedMea
 
 
 def _placed(words: str, over: Sequence[SpokenToken]) -> list[SpokenToken]:
-    """Write words in the places of others, in order."""
     return [
         SpokenToken(text=word, position=over[min(index, len(over) - 1)].position)
         for index, word in enumerate(words.split())

@@ -72,7 +72,6 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
 
 
 def _expressions(value: Any, where: str) -> list[str]:
-    """Read a list of expressions."""
     if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
         raise ValueError(f"{where} must be a list of words")
     return [_expression(text, where) for text in value]

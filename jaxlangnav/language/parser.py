@@ -129,13 +129,11 @@ def _to_token(spoken: SpokenToken) -> Token:
 
 @cache
 def _compounds() -> dict[str, tuple[str, ...]]:
-    """Find the words of compounds that are written as one: "firehydrant", "fire-hydrant"."""
     entries = load_lexicon().entries[TYPE_CLASS]
     return {"".join(words): words for words in entries if len(words) > 1}
 
 
 def _check_symbols(spoken: list[SpokenToken]) -> None:
-    """Refuse numbers and signs."""
     for index, one in enumerate(spoken):
         if one.text in MARKS or one.text[0].isalpha() or one.text in load_lexicon().vocabulary:
             continue

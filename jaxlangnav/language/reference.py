@@ -129,7 +129,6 @@ class _Resolver:
 
 
 def _with_senses(phrase: Phrase, word: Word, senses: tuple[str, ...]) -> Phrase:
-    """Give a word of a phrase other senses."""
     words = (replace(one, senses=senses) if one is word else one for one in phrase.words)
     return replace(phrase, words=tuple(words))
 

@@ -134,7 +134,6 @@ def offer(
 
 
 def _candidates(tokens: list[SpokenToken], index: int) -> Iterator[list[SpokenToken]]:
-    """List what could be read, the nearest first."""
     before, after = tokens[:index], tokens[index:]
     text = after[0].text
     last = next((i for i, t in enumerate(after) if t.text in _JOINTS), len(after))

@@ -53,7 +53,6 @@ def _meanings(word: str) -> frozenset[tuple[str, tuple[str, ...]]]:
 
 @cache
 def _nominal() -> frozenset[str]:
-    """Collect the words that may be the noun of a phrase."""
     entries = load_lexicon().entries
     return frozenset(word for name in _NOUNS for key in entries[name] for word in key)
 

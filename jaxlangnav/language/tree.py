@@ -126,7 +126,6 @@ class TreeBuilder:
         return self._parts(derivation)[1]
 
     def _parts(self, node: Derivation) -> tuple[list[Word], list[Phrase]]:
-        """Collect the words and phrases a node hands up."""
         production = node.production
         if production.left in PUNCTUATION:
             return [], []

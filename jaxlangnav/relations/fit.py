@@ -225,7 +225,6 @@ def in_viewer_frame(fit: RelationFit) -> RelationParams:
 
 
 def _resultant(concentration: np.ndarray) -> np.ndarray:
-    """Mean resultant length of a von Mises direction."""
     kappa = jnp.asarray(concentration)
     ratio = jax.scipy.special.i1e(kappa) / jax.scipy.special.i0e(kappa)
     return np.asarray(ratio, np.float64)

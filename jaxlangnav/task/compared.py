@@ -78,7 +78,6 @@ def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...
 
 
 def _named(meaning: Meaning, one: FormRelation) -> Relation:
-    """Write a relation with the names of its types."""
     figure, landmark = (
         "robot" if thing == ROBOT else meaning.type_of(thing)
         for thing in (one.figure, one.landmark)
@@ -104,7 +103,6 @@ def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], s
 
 
 def _listed(parts: Iterable[str]) -> str:
-    """Write some names in one order."""
     return "; ".join(sorted(parts)) or "nothing"
 
 
@@ -183,7 +181,6 @@ def _fitting(meaning: Meaning, thing: int, world: World) -> set[int]:
 
 
 def _ends(ends: Iterable[tuple[int, int]], meaning: Meaning, world: World) -> str:
-    """Write goals: region and slot, with its type."""
     kinds = [*map(meaning.type_of, _slots(meaning)), "robot"]
     return (
         ", ".join(f"{REGIONS[region]} {kinds[s]} ({s})" for region, s in sorted(ends)) or "nowhere"

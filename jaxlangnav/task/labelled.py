@@ -172,7 +172,6 @@ class _Line(Schema):
 
 
 def _read_line(number: int, document: Any) -> LabelledSentence:
-    """Read one line."""
     if not isinstance(document, dict):
         raise ValueError(f"is {quote(document)}, but must be an object with text and label")
     line, meaning = convert(document, _Line), None
@@ -207,7 +206,6 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
 def _infer_in(
     instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
 ) -> list[Behavior]:
-    """Infer what each command asks for among placed objects."""
     return infer_commands(instruction, place_for(placed, names, instruction.readings))
 
 

@@ -114,7 +114,6 @@ def render_scores(document: dict[str, Any]) -> tuple[Any, list[str]]:
 
 
 def _count_scores(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count the outcomes of some sentences."""
     counts = Counter(score.outcome for score in scores)
     share = 100.0 * counts[CORRECT] / max(len(scores), 1)
     return {
@@ -138,7 +137,6 @@ def _labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> 
 
 
 def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Wrapping) -> Score:
-    """Score one sentence."""
     meaning = sentence.meaning
     try:
         grounded = arm(graph).ground(sentence.text, _context_of(sentence))

@@ -147,7 +147,6 @@ class Earshot:
         return is_scripted or self.is_awaited(progress)
 
     def _doubt(self, progress: EpisodeState) -> list[Candidate]:
-        """List what may be meant, where the robot asks."""
         state = progress.navigator
         is_asking = int(state.status) == Status.WHICH_ONE
         return candidates(state, names_of(self.grounder)) if is_asking else []

@@ -142,7 +142,6 @@ def examples_of(
 def _tree_examples(
     space: SymbolSpace[AnyWorld], one: Labelled[AnyWorld], instruction: int
 ) -> Iterator[PhraseExample]:
-    """Build the examples of one tree."""
     nodes, symbols = bottom_up(one.root, one.clause), space.symbols_in(one.world)
     ranks = one.ranks or [0] * len(nodes)
     for labels in (one.expressed, ranks):

@@ -60,7 +60,6 @@ def _softplus(log_odds: Array) -> Array:
 
 @_softplus.defjvp
 def _softplus_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    """Its slope is the probability of φ = 1."""
     (log_odds,), (change,) = primals, tangents
     return _softplus(log_odds), _chance(log_odds) * change
 

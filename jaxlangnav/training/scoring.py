@@ -196,7 +196,6 @@ def score_behaviors(
 def _weighed(
     models: Models, space: SymbolSpace[AnyWorld], trees: Sequence[Labelled[AnyWorld]]
 ) -> list[WeighedTree[AnyWorld]]:
-    """Weigh the clauses of a sentence in one world."""
     return [
         WeighedTree(space, models.coefficients, one.root, one.world, one.clause) for one in trees
     ]

@@ -129,7 +129,6 @@ class Labelling:
         )
 
     def _may_go(self, run: range) -> bool:
-        """Tell whether a stretch of words may go."""
         words, is_name, classes = self.sentence.words, self.sentence.is_name, self.sentence.classes
         named = [i for i in run if is_name[i]]
         is_undone = bool(named) and any(words[i] in WORDS["undoing"] for i in run if i > named[0])
