@@ -193,20 +193,20 @@ def test_symbols_of_several_kinds_are_searched_as_enumerated(yard):
     tree = yard.weigh(SECOND, world, clause=1)
 
     def log_odds(phrase, path, children):
-        return tree.log_odds(path, tuple(children), np.array([0]))[0]
+        return tree.log_odds(path, tuple(children))
 
     exact = root_distribution(SECOND, log_odds, (1,))
     found = {one.expressed.tobytes(): one.log_probability for one in tree.search(64)}
     assert len(found) == 16
     for key, probability in exact.items():
         assert found.get(key, -np.inf) == pytest.approx(np.log(probability), abs=1e-6)
-    (noun,) = tree.log_odds((1, 0), (), np.array([0]))
+    noun = tree.log_odds((1, 0), ())
     assert np.isfinite(noun).tolist() == [True, True, False, False]
 
 
 def test_ranks_are_a_choice_by_the_words_alone(yard):
     (noun,) = SECOND.children
-    (chance,) = yard.weigh(SECOND, WORLDS[0]).log_ranks()[(0, 0)]
+    chance = yard.weigh(SECOND, WORLDS[0]).log_ranks()[(0, 0)]
     coefficients = yard.model.coefficients(noun)[RANK]
     scores = np.exp([0.0, coefficients[0], coefficients.sum()])
     np.testing.assert_allclose(np.exp(chance), scores / scores.sum(), rtol=1e-6)

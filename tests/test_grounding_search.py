@@ -27,18 +27,12 @@ def leaf(label="NP", *children):
 
 
 def beam_of(odds, width):
-    """Search one phrase of one model; its odds depend on nothing."""
-    return search(leaf(), lambda *_: np.asarray(odds)[None], 1, width=width).of(0)
+    """Search one phrase; its odds depend on nothing."""
+    return search(leaf(), lambda *_: np.asarray(odds), width=width)
 
 
-def proven(tree, odds, num_models=1):
-    def beams_of(width, models):
-        def some(path, children, rows):
-            return odds(path, children, models[rows])
-
-        return search(tree, some, len(models), width=width)
-
-    return search_exactly(beams_of, num_models)
+def proven(tree, odds):
+    return search_exactly(lambda width: search(tree, odds, width=width))
 
 
 ODDS = {
@@ -79,10 +73,6 @@ def graph_of(seed, size=2):
     return tree, odds
 
 
-def of_one(odds):
-    return lambda path, children, models: odds(path, children)[None].repeat(len(models), 0)
-
-
 def enumerated(tree, odds):
     return root_distribution(tree, lambda _, path, children: odds(path, children))
 
@@ -93,7 +83,7 @@ def test_beam_is_enumeration_or_claims_less(seed, width):
     """Equal sets that rest on different children add up; a wide beam misses none."""
     tree, odds = graph_of(seed)
     exact = enumerated(tree, odds)
-    found = search(tree, of_one(odds), 1, width=width).of(0)
+    found = search(tree, odds, width=width)
     assert sum(exact.values()) == pytest.approx(1.0)
     assert len(found) == 4
     for one in found:
@@ -107,12 +97,8 @@ def test_a_hypothesis_rests_on_its_likeliest_children():
     tree, sure = leaf("VP", leaf()), np.array([5.0])
     found = search(
         tree,
-        lambda path, children, models: np.stack(
-            [np.where(children[0], sure, -sure) if children else np.array([1.0])] * len(models)
-        ),
-        1,
-        width=4,
-    ).of(0)
+        lambda _, children: np.where(children[0], sure, -sure) if children else np.array([1.0]),
+    )
     assert [one.expressed.tolist() for one in found] == [[True], [False]]
     assert [one.children[0].expressed.tolist() for one in found] == [[True], [False]]
 
@@ -121,57 +107,15 @@ def test_a_hypothesis_rests_on_its_likeliest_children():
 def test_a_proven_set_is_the_likeliest_of_the_enumeration(seed):
     tree, odds = graph_of(seed, size=3)
     exact = enumerated(tree, odds)
-    (best,), is_proven = proven(tree, of_one(odds))
-    assert is_proven.all()  # four phrases of three symbols: 256 combinations are all there are
+    best, is_proven = proven(tree, odds)
+    assert is_proven  # four phrases of three symbols: 256 combinations are all there are
     assert best.tobytes() == max(exact, key=exact.__getitem__)
 
 
 def test_what_cannot_be_proven_is_not():
     """Forty symbols at even odds: 2^40 sets are equally likely."""
-    odds = np.stack([np.full(40, 1e-3), np.full(40, 9.0)])
-    _, is_proven = proven(leaf(), lambda path, children, models: odds[models], 2)
-    assert is_proven.tolist() == [False, True]
-
-
-@pytest.mark.parametrize("width", [1, 4, 16])
-def test_many_models_at_once_are_each_alone(width):
-    """Models of one tree that come upon different child sets: every hypothesis is the same."""
-    graphs = [graph_of(seed, size=3) for seed in range(7)]
-    tree = graphs[0][0]
-
-    def odds(path, children, models):
-        return np.stack([graphs[m][1](path, children) for m in models])
-
-    beams = search(tree, odds, len(graphs), width=width)
-    for model, (_, alone) in enumerate(graphs):
-        same(beams.of(model), search(tree, of_one(alone), 1, width=width).of(0))
-
-
-def same(found, wanted):
-    """Compare hypotheses and all below them; rounding of sums aside."""
-    assert len(found) == len(wanted)
-    for one, other in zip(found, wanted, strict=True):
-        np.testing.assert_array_equal(one.expressed, other.expressed)
-        assert one.log_probability == pytest.approx(other.log_probability, abs=1e-12)
-        same(one.children, other.children)
-
-
-def test_a_symbol_that_is_excluded_is_so_for_many_models():
-    odds = np.array([[0.1, -np.inf, -0.2, 3.0], [2.0, -np.inf, 0.5, 0.4]])
-    beams = search(leaf(), lambda path, children, models: odds[models], 2, width=8)
-    for model in range(2):
-        same(beams.of(model), beam_of(odds[model], 8))
-
-
-def test_many_models_are_proven_as_each_alone():
-    rng = np.random.default_rng(4)
-    odds = rng.normal(0, 3, (12, 9)) * rng.choice([0.02, 1.0], (12, 1))
-    best, is_proven = proven(leaf(), lambda path, children, models: odds[models], len(odds))
-    assert 0 < is_proven.sum() < len(odds)
-    for row, one, is_sure in zip(odds, best, is_proven, strict=True):
-        alone, sure = proven(leaf(), of_one(lambda path, children, row=row: row))
-        np.testing.assert_array_equal(one, alone[0])
-        assert is_sure == sure[0]
+    for odds, wanted in ((1e-3, False), (9.0, True)):
+        assert proven(leaf(), lambda *_, odds=odds: np.full(40, odds))[1] is wanted
 
 
 # ---------------------------------------------------------------- symbol spaces and factor graphs

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation import add_up, describe_annotation
+from jaxlangnav.grounding.annotation import describe_annotation
 from jaxlangnav.grounding.form import Form, FormCommand, FormReading, read_form
 from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
@@ -23,6 +23,7 @@ from jaxlangnav.grounding.readings import (
     in_order,
     pad_readings,
 )
+from jaxlangnav.grounding.search import add_up
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
 from jaxlangnav.inputs.object_types import MOST_LABELS
 from jaxlangnav.language.lexicon import load_lexicon

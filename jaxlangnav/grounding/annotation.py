@@ -8,16 +8,14 @@ two things, and whether "the thing" that lies there is called by no type (``ANYT
 
 import dataclasses
 import itertools
-import operator
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.properties import Annotations
-from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis
+from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, add_up
 from jaxlangnav.grounding.symbols import (
     OBJECT,
     REGION,
@@ -37,19 +35,6 @@ RankedAnnotations = tuple[tuple[Annotation, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
 _MAX_SYMBOLS = 12
 """Annotations of one clause beyond which further ones are not read (untrained weights)."""
-
-
-Key = TypeVar("Key", bound=Hashable)
-
-
-def add_up(
-    shares: Iterable[tuple[Key, float]], add: Callable[[float, float], Any] = operator.add
-) -> list[tuple[Key, float]]:
-    """Sum the shares of equal keys, or add their logarithms by ``np.logaddexp``; largest first."""
-    total: dict[Key, float] = {}
-    for key, share in shares:
-        total[key] = float(add(total[key], share)) if key in total else share
-    return sorted(total.items(), key=lambda item: -item[1])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,7 +178,7 @@ def infer_annotations(
     for clause, root in enumerate(parse.clauses):
         tree = graph.weigh(root, None, clause)
         beam = tree.search(width)
-        chances = {path: of_models[0] for path, of_models in tree.log_ranks().items()}
+        chances = tree.log_ranks()
         rank |= {path: int(np.argmax(one)) for path, one in chances.items()}
         silent |= {path for path, one in beam[0].walk((clause,)) if not one.expressed.any()}
         sets = _clause_sets(space.symbols_in(None), beam, root, clause, chances)

@@ -14,22 +14,12 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.search import (
-    BEAM_WIDTH,
-    Beams,
-    Children,
-    Hypothesis,
-    identify,
-    search,
-    search_exactly,
-)
+from jaxlangnav.grounding.search import BEAM_WIDTH, Children, Hypothesis, search
 from jaxlangnav.grounding.symbols import Path, Symbols, bottom_up
 from jaxlangnav.language.phrase import Phrase, Word
 
 KIND, RANK = "symbol", "rank"
 """Names of blocks of weights: of symbols that are all of one kind, and of ranks."""
-MANY = 64
-"""Symbols of a phrase from which on equal ones are joined at once."""
 AnyWorld = TypeVar("AnyWorld")
 World_contra = TypeVar("World_contra", contravariant=True)
 
@@ -103,102 +93,74 @@ class PhraseBelief:
         return self.path[:-1] or None
 
 
-class WeighedTree(Generic[AnyWorld]):
-    """A tree in a world, its words contracted with the weights of K models: once, for all below."""
+class DescribedTree(Generic[AnyWorld]):
+    """A tree in a world, and what is seen of its symbols: described once, for any models."""
 
     def __init__(
-        self,
-        space: SymbolSpace[AnyWorld],
-        coefficients: Callable[[Phrase], Mapping[str, np.ndarray]],
-        root: Phrase,
-        world: AnyWorld,
-        clause: int = 0,
+        self, space: SymbolSpace[AnyWorld], root: Phrase, world: AnyWorld, clause: int = 0
     ) -> None:
-        """Let the words of a clause meet the weights.
-
-        ``coefficients`` takes a phrase to kind → f32[F] of a model, or f32[K, F] of K models.
-        """
+        """Describe the phrases of a clause."""
         self.root, self.path, self.symbols = root, (clause,), space.symbols_in(world)
-        self._phrases = {
-            node.path: (
-                {kind: np.atleast_2d(c) for kind, c in coefficients(node.phrase).items()},
-                space.describe(node.phrase, node.path, world),
-            )
-            for node in bottom_up(root, clause)
+        nodes = bottom_up(root, clause)
+        self.phrases = {node.path: node.phrase for node in nodes}
+        self.described = {
+            node.path: space.describe(node.phrase, node.path, world) for node in nodes
         }
-        first, _ = self._phrases[self.path]
-        self.num_models = len(next(iter(first.values())))
-        self._tables: dict[tuple, list[tuple]] = {}
-        self._known: dict[int, Beams] = {}
+        self._blocks: dict[tuple, Mapping[str, Block]] = {}
 
-    def log_odds(self, path: Path, children: Children, models: np.ndarray) -> np.ndarray:
+    def blocks(self, path: Path, children: Children) -> Mapping[str, Block]:
+        """Describe the symbols of a phrase, by kind, given bool[S] that each child expresses."""
+        key = path, *(child.tobytes() for child in children)
+        if key not in self._blocks:
+            self._blocks[key] = self.described[path].given(children)
+        return self._blocks[key]
+
+
+class WeighedTree:
+    """A tree whose words have been contracted with the weights of a model: once, for all below."""
+
+    def __init__(self, tree: DescribedTree, model: CorrespondenceModel) -> None:
+        """Let the words of a clause meet the weights."""
+        self.tree, self.symbols = tree, tree.symbols
+        self._coefficients = {path: model.coefficients(one) for path, one in tree.phrases.items()}
+
+    def log_odds(self, path: Path, children: Children) -> np.ndarray:
         """Compute how likely a phrase expresses each symbol, given bool[S] that each child does.
 
-        f64[M, S] by models i[M]; −inf for symbols that it cannot express.
+        f64[S]; −inf for symbols that it cannot express.
         """
-        coefficients, described = self._phrases[path]
-        key = path, *(child.tobytes() for child in children)
-        if key not in self._tables:
-            self._tables[key] = []
-            for kind, (places, distinct) in described.given(children).items():
-                alike = slice(None)
-                if self.num_models > 1 and len(distinct) >= MANY:  # it pays to join equal symbols
-                    first, alike = identify(distinct)
-                    distinct = distinct[first]
-                self._tables[key].append((kind, places, distinct, alike))
-        odds = np.full((len(models), self.symbols.size), -np.inf)
-        for kind, places, distinct, alike in self._tables[key]:
-            odds[:, places] = (coefficients[kind][models] @ distinct.T)[:, alike]
+        odds = np.full(self.symbols.size, -np.inf)
+        for kind, (places, properties) in self.tree.blocks(path, children).items():
+            odds[places] = self._coefficients[path][kind] @ properties.T
         return odds
 
-    def beams(self, width: int = BEAM_WIDTH, models: np.ndarray | None = None) -> Beams:
-        """Infer what the root expresses by each model, or by i[M] of them; see ``search``."""
-        is_part = models is not None and len(models) < self.num_models
-        if not is_part and width in self._known:
-            return self._known[width]
-        which = models if models is not None and is_part else np.arange(self.num_models)
-        found = search(
-            self.root,
-            lambda path, children, rows: self.log_odds(path, children, which[rows]),
-            len(which),
-            width=width,
-            path=self.path,
-        )
-        if not is_part:
-            self._known[width] = found
-        return found
-
     def search(self, width: int = BEAM_WIDTH) -> list[Hypothesis]:
-        """Infer what the root expresses by the first model."""
-        return self.beams(width).of(0)
-
-    def search_exactly(self) -> tuple[np.ndarray, np.ndarray]:
-        """Find the likeliest of all sets by each model, bool[K, S], and what is proven, bool[K]."""
-        return search_exactly(self.beams, self.num_models)
+        """Infer what the root expresses, best first."""
+        return search(self.tree.root, self.log_odds, width=width, path=self.tree.path)
 
     def log_ranks(self) -> dict[Path, np.ndarray]:
-        """Infer the rank of each phrase that may give one: f64[K, 1 + R] log-probabilities."""
+        """Infer the rank of each phrase that may give one: f64[1 + R] log-probabilities."""
         found = {}
-        for path, (coefficients, described) in self._phrases.items():
+        for path, described in self.tree.described.items():
             if described.ranks is not None:
-                odds = coefficients[RANK] @ described.ranks.T
-                scores = np.pad(odds.astype(float), ((0, 0), (1, 0)))
-                found[path] = scores - np.logaddexp.reduce(scores, axis=1, keepdims=True)
+                odds = self._coefficients[path][RANK] @ described.ranks.T
+                scores = np.append(0.0, odds.astype(float))
+                found[path] = scores - np.logaddexp.reduce(scores)
         return found
 
     def beliefs(self) -> list[PhraseBelief]:
         """Compute for every phrase how probable each symbol is, parents first.
 
-        Each phrase is given what its children express in the likeliest reading of the first model.
+        Each phrase is given what its children express in the likeliest reading.
         """
-        ranks = {path: int(np.argmax(chances[0])) for path, chances in self.log_ranks().items()}
-        phrases = {node.path: node.phrase for node in bottom_up(self.root, *self.path)}
-        found = []
-        for path, best in self.search()[0].walk(self.path):
-            children = tuple(child.expressed for child in best.children)
-            chance = np.exp(-np.logaddexp(0.0, -self.log_odds(path, children, np.array([0]))[0]))
+        ranks, found = self.log_ranks(), []
+        for path, best in self.search()[0].walk(self.tree.path):
+            odds = self.log_odds(path, tuple(child.expressed for child in best.children))
             one = PhraseBelief(
-                phrase=phrases[path], path=path, probability=chance, rank=ranks.get(path, 0)
+                phrase=self.tree.phrases[path],
+                path=path,
+                probability=np.exp(-np.logaddexp(0.0, -odds)),
+                rank=int(np.argmax(ranks.get(path, 0))),
             )
             found.append(one)
         return found
@@ -211,9 +173,9 @@ class CorrespondenceGraph(Generic[AnyWorld]):
     space: SymbolSpace[AnyWorld]
     model: CorrespondenceModel
 
-    def weigh(self, root: Phrase, world: AnyWorld, clause: int = 0) -> WeighedTree[AnyWorld]:
+    def weigh(self, root: Phrase, world: AnyWorld, clause: int = 0) -> WeighedTree:
         """Let the words of a clause meet the weights."""
-        return WeighedTree(self.space, self.model.coefficients, root, world, clause)
+        return WeighedTree(DescribedTree(self.space, root, world, clause), self.model)
 
     def ground(self, root: Phrase, world: AnyWorld, width: int = BEAM_WIDTH) -> list[SymbolSet]:
         """Infer what a tree means in a world: up to ``width`` sets of symbols, likeliest first."""

@@ -13,7 +13,8 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from jaxlangnav.grounding.annotation import Belief, RankedAnnotations, add_up
+from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
+from jaxlangnav.grounding.search import add_up
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.inputs.sanitize import shown

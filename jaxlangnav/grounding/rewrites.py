@@ -19,11 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.annotation import add_up
 from jaxlangnav.grounding.asked import Asked, asked
 from jaxlangnav.grounding.form import quote
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, OtherTypes
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
+from jaxlangnav.grounding.search import add_up
 from jaxlangnav.inputs.documents import naming, parse_json, read_lines
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.pytree import pytree, replace

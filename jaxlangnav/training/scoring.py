@@ -3,23 +3,29 @@
 A sentence counts as right when the likeliest sets of symbols at the roots of its clauses are the
 gold ones, whatever the ranks. Confidence is the probability of those sets.
 
-The splits of a hold-out differ in their weights alone. So a sentence is described once, and
-searched by all models that have not seen it together (``search``).
+The splits of a hold-out differ in their weights alone. So a sentence is described once for all
+models that have not seen it.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import chex
 import numpy as np
 
-from jaxlangnav.grounding.correspondence import AnyWorld, Labelled, SymbolSpace, WeighedTree
-from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
+from jaxlangnav.grounding.correspondence import (
+    AnyWorld,
+    DescribedTree,
+    Labelled,
+    SymbolSpace,
+    WeighedTree,
+)
+from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.properties import Annotations, Behaviors
-from jaxlangnav.grounding.search import BEAM_WIDTH
+from jaxlangnav.grounding.search import BEAM_WIDTH, search_exactly
 from jaxlangnav.grounding.symbols import Path
-from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.training.examples import LabelledInstruction
 
 LOG_FLOOR = -12.0
@@ -58,35 +64,13 @@ class Results(NamedTuple):
     exact: list[ExactScores]  # K scores; empty where the exact search was left out
 
 
-@dataclasses.dataclass(frozen=True)
-class Models:
-    """K models of one vocabulary side by side."""
-
-    vocabulary: Vocabulary
-    weights: dict[str, np.ndarray]  # kind → f32[K, W, F]
-    temperature: np.ndarray  # f32[K]
+class Models(tuple[CorrespondenceModel, ...]):
+    """K models side by side."""
 
     @classmethod
-    def of(cls, models: Sequence[CorrespondenceModel]) -> "Models":
-        """Stack models of one vocabulary."""
-        stacked = {kind: np.stack([m.weights[kind] for m in models]) for kind in models[0].weights}
-        temperature = np.array([model.temperature for model in models], np.float32)
-        return cls(models[0].vocabulary, stacked, temperature)
-
-    def take(self, which: np.ndarray) -> "Models":
-        """Choose models, i[M]."""
-        chosen = {kind: weight[which] for kind, weight in self.weights.items()}
-        return Models(self.vocabulary, chosen, self.temperature[which])
-
-    def coefficients(self, phrase: Phrase) -> dict[str, np.ndarray]:
-        """Contract a phrase's words, f32[K, F] a kind; see ``CorrespondenceModel.coefficients``."""
-        vector = self.vocabulary.vector(phrase)
-        on = np.flatnonzero(vector)
-        values = vector[on] / self.temperature[:, None]
-        return {
-            kind: np.einsum("kw,kwf->kf", values, weight[:, on])
-            for kind, weight in self.weights.items()
-        }
+    def of(cls, models: Iterable[CorrespondenceModel]) -> "Models":
+        """Take models in order."""
+        return cls(models)
 
 
 class _Tally:
@@ -96,6 +80,24 @@ class _Tally:
         """Begin with none."""
         self.rows = {width: [[] for _ in range(num_models)] for width in widths}
         self.exact = [[] for _ in range(num_models)] if is_exact else []
+
+    def count(self, index: int, model: CorrespondenceModel, clauses: "Clauses") -> None:
+        """Compare what a model infers of the clauses of a sentence with the gold sets."""
+        trees = [(WeighedTree(described, model), gold) for described, gold in clauses]
+        for width, rows in self.rows.items():
+            right, confidence, log_gold = True, 1.0, 0.0
+            for tree, gold in trees:
+                beam = tree.search(width)
+                is_gold = [bool((one.expressed == gold).all()) for one in beam]
+                right &= is_gold[0]
+                confidence *= np.exp(beam[0].log_probability)
+                gold_ones = itertools.compress(beam, is_gold)
+                log_gold += next((one.log_probability for one in gold_ones), LOG_FLOOR)
+            rows[index].append((right, confidence, max(log_gold, LOG_FLOOR)))
+        if self.exact:
+            best = [(*search_exactly(tree.search), gold) for tree, gold in trees]
+            right = all((found == gold).all() for found, _, gold in best)
+            self.exact[index].append((right, all(is_proven for _, is_proven, _ in best)))
 
     def results(self) -> Results:
         """Stack what has come in."""
@@ -108,6 +110,16 @@ class _Tally:
             {width: [scores(rows) for rows in models] for width, models in self.rows.items()},
             [ExactScores(*np.array(rows, bool).reshape(-1, 2).T) for rows in self.exact],
         )
+
+
+Clauses = Sequence[tuple[DescribedTree, np.ndarray]]
+"""The clauses of a sentence in a world, each with the gold set bool[S]."""
+
+
+def _described(space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]) -> Clauses:
+    trees = [DescribedTree(space, one.root, one.world, one.clause) for one in labelled]
+    gold = [one.expressed[-1] for one in labelled]
+    return [(tree, tree.symbols.mask(own)) for tree, own in zip(trees, gold, strict=True)]
 
 
 def _tested(
@@ -149,22 +161,12 @@ def score_annotations(
         is_exact: also find the likeliest of all sets.
         on_sentence: called after each sentence.
     """
-    tally = _Tally(num := len(models.temperature), widths, is_exact)
-    for labelled, which in _tested(instructions, is_tested, num, on_sentence):
-        _count(tally, which, models.take(which), Annotations(type_names), labelled.annotated)
+    tally = _Tally(len(models), widths, is_exact)
+    for labelled, which in _tested(instructions, is_tested, len(models), on_sentence):
+        clauses = _described(Annotations(type_names), labelled.annotated)
+        for index in which:
+            tally.count(index, models[index], clauses)
     return tally.results()
-
-
-def _by_rank(
-    labelled: LabelledInstruction, annotation: Models, type_names: tuple[str, ...]
-) -> Iterator[tuple[np.ndarray, dict[Path, int]]]:
-    """Group models by the ranks they infer: i[M] models, and rank by phrase."""
-    ranks: dict[Path, np.ndarray] = {}  # i[M] each
-    for tree in _weighed(annotation, Annotations(type_names), labelled.annotated):
-        ranks |= {path: chances.argmax(1) for path, chances in tree.log_ranks().items()}
-    rows, which = np.unique(np.stack([*ranks.values()], axis=1), axis=0, return_inverse=True)
-    for group, row in enumerate(rows.tolist()):
-        yield np.flatnonzero(which.ravel() == group), dict(zip(ranks, row, strict=True))
 
 
 def score_behaviors(
@@ -183,55 +185,22 @@ def score_behaviors(
     Of K behavior models, and K annotation models for ranks ("the second"); the rest as in
     ``score_annotations``.
     """
-    chex.assert_equal_shape([annotation.temperature, behavior.temperature])
-    tally = _Tally(num := len(behavior.temperature), widths, is_exact)
-    for labelled, which in _tested(instructions, is_tested, num, on_sentence):
-        for group, rank in _by_rank(labelled, annotation.take(which), type_names):
-            own, space = behavior.take(which[group]), Behaviors(type_names, rank)
-            for trees in labelled.behaving:
-                _count(tally, which[group], own, space, trees)
+    chex.assert_equal(len(annotation), len(behavior))
+    tally = _Tally(len(behavior), widths, is_exact)
+    for labelled, which in _tested(instructions, is_tested, len(behavior), on_sentence):
+        said = _described(Annotations(type_names), labelled.annotated)
+        worlds: dict[tuple[int, ...], list[Clauses]] = {}  # by the ranks that a model infers
+        for index in which:
+            rank: dict[Path, int] = {}
+            for described, _ in said:
+                found = WeighedTree(described, annotation[index]).log_ranks()
+                rank |= {path: int(np.argmax(chances)) for path, chances in found.items()}
+            if (key := tuple(rank.values())) not in worlds:
+                space = Behaviors(type_names, rank)
+                worlds[key] = [_described(space, trees) for trees in labelled.behaving]
+            for clauses in worlds[key]:
+                tally.count(index, behavior[index], clauses)
     return tally.results()
-
-
-def _weighed(
-    models: Models, space: SymbolSpace[AnyWorld], trees: Sequence[Labelled[AnyWorld]]
-) -> list[WeighedTree[AnyWorld]]:
-    return [
-        WeighedTree(space, models.coefficients, one.root, one.world, one.clause) for one in trees
-    ]
-
-
-def _count(
-    tally: _Tally,
-    which: np.ndarray,
-    models: Models,
-    space: SymbolSpace[AnyWorld],
-    labelled: Sequence[Labelled[AnyWorld]],
-) -> None:
-    """Compare what models, i[M] of all, infer of the clauses of a sentence with the gold sets."""
-    trees = _weighed(models, space, labelled)
-    gold = [tree.symbols.mask(one.expressed[-1]) for tree, one in zip(trees, labelled, strict=True)]
-    for width, rows in tally.rows.items():
-        right, confidence = np.ones(len(which), bool), np.ones(len(which))
-        log_gold = np.zeros(len(which))
-        for tree, own in zip(trees, gold, strict=True):
-            beams = tree.beams(width)
-            log_probability = beams.log_probability
-            is_gold = (beams.sets == own).all(1)[beams.index] & np.isfinite(log_probability)
-            right &= is_gold[:, 0]
-            confidence *= np.exp(log_probability[:, 0])
-            found = np.take_along_axis(log_probability, is_gold.argmax(1)[:, None], 1)[:, 0]
-            log_gold += np.where(is_gold.any(1), found, LOG_FLOOR)
-        log_gold = np.maximum(log_gold, LOG_FLOOR)
-        for model, *row in zip(which, right, confidence, log_gold, strict=True):
-            rows[model].append(tuple(row))
-    if tally.exact:
-        right = proven = np.ones(len(which), bool)
-        for tree, own in zip(trees, gold, strict=True):
-            best, is_sure = tree.search_exactly()
-            right, proven = right & (best == own).all(1), proven & is_sure
-        for model, *row in zip(which, right, proven, strict=True):
-            tally.exact[model].append(tuple(row))
 
 
 def calibration_error(scores: Scores, num_bins: int = 10) -> float:
