@@ -6,7 +6,7 @@ sets, and of the combinations of its children's, the best ``width`` are kept.
 """
 
 import dataclasses
-import functools
+import heapq
 import itertools
 import operator
 from collections.abc import Callable, Hashable, Iterable, Iterator
@@ -40,52 +40,25 @@ class Hypothesis:
             yield from child.walk((*path, i))
 
 
-@functools.lru_cache
-def _flips(width: int) -> np.ndarray:
-    """List every choice of factors that may be among the k cheapest to flip, bool[P, k] by cost."""
-    # A choice cannot be where as many others are never dearer: those that flip, from the dearest
-    # on, no more factors and none of higher cost.
-    found, layer = [()], [(0,)] if width > 1 else []
-    while layer:
-        found += layer
-        grown = {(*one, one[-1] + 1) for one in layer} | {(*one[:-1], one[-1] + 1) for one in layer}
-        layer = sorted(one for one in grown if _num_below(one) < width)
-    found.sort(key=lambda one: (one[-1:], one))
-    table = np.zeros((len(found), width), bool)
-    for row, one in zip(table, found, strict=True):
-        row[list(one)] = True
-    return table
-
-
-def _num_below(choice: tuple[int, ...]) -> int:
-    """Count the other choices that are never dearer than this one."""
-    ways = np.array([1])  # by how many factors have been chosen, from the dearest down
-    for factor in range(choice[-1], -1, -1):
-        room = sum(one >= factor for one in choice)
-        longer = np.zeros(room + 1, int)
-        longer[: len(ways)] += ways
-        upper = ways[:room]
-        longer[1 : 1 + len(upper)] += upper
-        ways = longer
-    return int(ways.sum()) - 1
-
-
 def _best_sets(log_odds: np.ndarray, width: int) -> Iterator[tuple[np.ndarray, float]]:
     """Yield the k likeliest sets of factors f64[S] and their log-probabilities, best first."""
     # Each set is the best one with some factors flipped; a flip costs its margin.
     best, margins = log_odds > 0, np.abs(log_odds)
     top = -np.logaddexp(0.0, -margins).sum()
     order = np.argsort(margins, kind="stable")[:width]
-    table = _flips(width)[:, : len(order)]
-    table = table[~_flips(width)[:, len(order) :].any(1)]
-    is_free = np.isfinite(margins[order])
-    cost = table @ np.where(is_free, margins[order], 0.0)
-    cost[table[:, ~is_free].any(1)] = np.inf
-    for choice in np.argsort(cost, kind="stable")[:width]:
-        if np.isfinite(cost[choice]):
-            expressed = best.copy()
-            expressed[order[table[choice]]] ^= True
-            yield expressed, float(top - cost[choice])
+    order = order[np.isfinite(margins[order])]
+    choices: list[tuple[float, int, tuple[int, ...]]] = [(0.0, -1, ())]
+    for _ in range(width):
+        if not choices:
+            return
+        cost, last, choice = heapq.heappop(choices)
+        expressed = best.copy()
+        expressed[order[list(choice)]] ^= True
+        yield expressed, float(top - cost)
+        if last + 1 < len(order):  # dearer: one factor more, or the next one for the last
+            for dearer in {(*choice, last + 1), (*choice[:-1], last + 1)}:
+                total = float(margins[order[list(dearer)]].sum())
+                heapq.heappush(choices, (total, last + 1, dearer))
 
 
 def search(
