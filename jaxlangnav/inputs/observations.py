@@ -6,6 +6,7 @@ compiled, a mistake is named: degrees for radians, millimetres for metres, perce
 """
 
 import difflib
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -22,7 +23,7 @@ from jaxlangnav.inputs.limits import (
     number,
 )
 from jaxlangnav.inputs.object_types import ATTRIBUTES, attributes, group_of
-from jaxlangnav.inputs.sanitize import listed, quoted
+from jaxlangnav.inputs.sanitize import quoted
 
 SLOTS = (8, 16, 32, 64)
 """Sizes to which detections are padded: each has a compiled program of its own."""
@@ -114,7 +115,7 @@ def detected(
         ValueError: names the detection, the value, the limit and the remedy.
     """
     range_max, field_of_view, _, noise, *_ = (float(one) for one in sensor)
-    rows = listed(detections, SLOTS[-1] + 1)
+    rows = _listed(detections, SLOTS[-1] + 1)
     if rows is None:
         raise ValueError(
             f"detections is {quoted(detections)}, but must be a list of (type, range, bearing)"
@@ -190,8 +191,17 @@ def sensor_numbers(
 _NEAR = "give metres from the map's origin"
 
 
+def _listed(values: Any, most: int) -> list[Any] | None:
+    """Read a list as far as it may go, for it may have no end; None of what is no list."""
+    try:
+        is_list = not isinstance(values, str | bytes | Mapping)
+        return list(itertools.islice(iter(values), most)) if is_list else None
+    except TypeError:
+        return None
+
+
 def _parts(values: Any, number_of: int, what: str, remedy: str) -> list[Any]:
-    parts = listed(values, number_of + 1)
+    parts = _listed(values, number_of + 1)
     if parts is None or len(parts) != number_of:
         raise ValueError(f"{what} is {quoted(values)}, but must be {remedy}")
     return parts

@@ -7,7 +7,7 @@ that forge a line of ours. ``printable`` stands at every door where text leaves 
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -89,22 +89,16 @@ def fault_of_name(text: str, *, longest: int = LONGEST_NAME) -> str | None:
     return f"has the control character U+{ord(text[odd]):04X} at place {odd + 1}: remove it"
 
 
-def listed(values: Any, most: int) -> list[Any] | None:
-    """Read a list as far as it may go, for it may have no end; None of what is no list."""
-    try:
-        is_list = not isinstance(values, str | bytes | Mapping)
-        return list(itertools.islice(iter(values), most)) if is_list else None
-    except TypeError:
-        return None
-
-
 def names_in(names: Iterable[str], what: str, *, at_most: int) -> tuple[str, ...]:
     """Take names one by one, so many at most, and refuse what is none with a ValueError."""
-    rows = listed(names, at_most)
+    try:
+        rows = None if isinstance(names, str | bytes) else iter(names)
+    except TypeError:
+        rows = None
     if rows is None:
         raise ValueError(f"{what} is {quoted(names)}, but must be a list of names")
     found: list[str] = []
-    for place, name in enumerate(rows):
+    for place, name in enumerate(itertools.islice(rows, at_most)):
         if not isinstance(name, str):
             raise ValueError(f"{what}[{place}] is {quoted(name)}, but must be a name (a text)")
         if fault := fault_of_name(name):

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.scipy.linalg import solve_triangular
+from scipy.linalg import orth
 
 from jaxlangnav.grounding.correspondence import AnyWorld, CorrespondenceGraph, Labelled, SymbolSpace
 from jaxlangnav.grounding.model import (
@@ -71,8 +72,8 @@ def factorise(design: Design) -> Factored:
     words = _basis(design.words)
     properties = _basis(design.properties.reshape(-1, design.properties.shape[2]))
     return Factored(
-        jnp.asarray(_rotated(design.words, words)),
-        jnp.asarray(_rotated(design.properties, properties)),
+        jnp.asarray(design.words @ words, jnp.float32),
+        jnp.asarray(design.properties @ properties, jnp.float32),
         jnp.asarray(words, jnp.float32),
         jnp.asarray(properties, jnp.float32),
     )
@@ -169,32 +170,12 @@ def build_design(
     return vocabulary, pool(*flatten(examples, kinds, vocabulary), num_instructions)
 
 
-def _rotated(rows: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Write rows f32[..., D] in a basis f64[D, rank], f32[..., rank]."""
-    if np.array_equal(basis, np.eye(len(basis))):
-        return rows
-    return (rows @ basis).astype(np.float32)
-
-
 def _basis(rows: np.ndarray) -> np.ndarray:
     """Build an orthonormal basis of the span of rows f32[N, D], f64[D, rank ≤ D]."""
-    size = rows.shape[1]
-    is_wide = rows.shape[0] < size
-    # Where a sample of tall rows has full rank, so have all, and there is nothing to gain.
-    sample = rows[:: max(rows.shape[0] // (8 * size), 1)].astype(np.float64)
-    if not is_wide and _spectrum(sample.T @ sample)[0].all():
-        return np.eye(size)
     rows = rows.astype(np.float64)
-    is_kept, value, vector = _spectrum(rows @ rows.T if is_wide else rows.T @ rows)
-    if is_wide:
-        return rows.T @ (vector[:, is_kept] / np.sqrt(value[is_kept]))
-    return vector[:, is_kept]
-
-
-def _spectrum(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decompose a matrix of inner products; which eigenvalues are not zero, values, vectors."""
-    value, vector = np.linalg.eigh(gram)
-    return value > 1e-10 * value[-1], value, vector
+    if rows.shape[0] < rows.shape[1]:
+        return orth(rows.T, rcond=1e-5)
+    return orth(rows.T @ rows, rcond=1e-10)
 
 
 def fit(
