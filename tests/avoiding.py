@@ -105,7 +105,7 @@ class Score(NamedTuple):
     arrives: np.ndarray
     arrives_freely: np.ndarray  # without the constraint
     ratio: np.ndarray  # way to the shortest one that keeps the berth; NaN where it does not arrive
-    to_free: np.ndarray  # way to that without the constraint
+    to_free: np.ndarray  # way to that without the constraint and as much longer as the shortest is
 
     def line(self) -> str:
         """Report on one line."""
@@ -115,8 +115,11 @@ class Score(NamedTuple):
             f"all, least {self.nearest.min():.2f}, 1 % {np.quantile(self.nearest, 0.01):.2f}; "
             f"arrives {self.arrives.mean():.3f} (freely {self.arrives_freely.mean():.3f}); way "
             f"{np.nanmean(self.ratio):.3f} of the shortest that keeps it (95 % "
-            f"{np.nanquantile(self.ratio, 0.95):.2f}), {np.nanmean(self.to_free):.3f} of the free"
+            f"{np.nanquantile(self.ratio, 0.95):.2f}), {np.nanmean(self.to_free):.3f} of the free "
+            f"way and the detour that this one takes; {self.steps.mean():.1f} steps"
         )
+
+    steps: np.ndarray
 
 
 def measure(number: int, num_avoided: int, *, sight: float) -> Score:
@@ -129,7 +132,10 @@ def measure(number: int, num_avoided: int, *, sight: float) -> Score:
     )
     metres, own = (np.array([one.metres for one in some]) for some in (rides, free))
     nearest = np.array([one.nearest(place[1:]) for place, one in zip(places, rides, strict=True)])
-    length = np.array([shortest_way(np.zeros(2), place[0], place[1:], AREA) for place in places])
+    length, straight = (
+        np.array([shortest_way(np.zeros(2), place[0], place[first:], AREA) for place in places])
+        for first in (1, len(SENTENCES))
+    )
     return Score(
         nearest=nearest,
         is_kept=nearest >= KEPT,
@@ -137,7 +143,8 @@ def measure(number: int, num_avoided: int, *, sight: float) -> Score:
         arrives=arrives,
         arrives_freely=freely,
         ratio=np.where(arrives & np.isfinite(length), metres / length, np.nan),
-        to_free=np.where(arrives & freely, metres / own, np.nan),
+        to_free=np.where(arrives & freely, metres / (own + length - straight), np.nan),
+        steps=np.array([len(one.path) - 1 for one in rides]),
     )
 
 

@@ -12,11 +12,13 @@ from situations import CHOOSE, RANGE, nodes_at, seen_goal, situation
 from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.planner.constraints import (
     BERTH,
+    CLOSE,
     MOST_FORBIDDEN,
     RADIUS,
     Forbidden,
     keep_out,
     price_along,
+    safe_share,
 )
 from jaxlangnav.planner.detours import Detours, detours
 from jaxlangnav.planner.faithful import no_waypoint
@@ -172,6 +174,36 @@ def test_stops_are_put_out_of_the_berth_where_one_sees_in() -> None:
         np.testing.assert_array_equal(same, [x, y])
     beside = keep_out(x, y, things, jnp.float32(4.0), area.at[1].set(1.5))
     np.testing.assert_allclose(beside[0][0], -RADIUS, atol=1e-5)
+
+
+@pytest.mark.parametrize("opening", [2.0 * np.pi, 1.5])
+def test_steps_leave_time_to_see_what_is_forbidden(opening: float) -> None:
+    """Against a loop over cells: nothing one more look would show is close after the step."""
+    draw = np.random.default_rng(2)
+    belief = by_hand.begin(config=CONFIG, area=(-6.0, 6.0, -6.0, 6.0))
+    mentioned = jnp.zeros(belief.particles.is_mentioned.shape, bool).at[1, : P // 2].set(True)
+    particles = replace(belief.particles, is_mentioned=mentioned)
+    forbidden = jnp.zeros((7, 3 + len(mentioned) + 1, P)).at[6, 4].set(1.0)
+    sensor, choose = by_hand.sensor(4.0, opening), jax.jit(safe_share)
+    found = []
+    for risk in (1e-3, 3e-3, 1e-2, 0.1):
+        miss = 0.05 ** draw.integers(0, 3, (24, 24))
+        belief = replace(by_hand.with_coverage(belief, np.log(miss)), particles=particles)
+        robot, step = draw.uniform(-3.0, 3.0, (2, 2))
+        given = belief, forbidden, tuple(map(jnp.float32, robot)), jnp.asarray(step, jnp.float32)
+        found.append(float(choose(*given, sensor, jnp.float32(risk))))
+        centres = np.stack(np.meshgrid(*[-5.75 + 0.5 * np.arange(24)] * 2), -1) - robot
+        away = np.hypot(*centres.T).T
+        ahead = centres @ step >= np.cos(0.5 * opening) * away * np.hypot(*step)
+        for share in (1.0, 0.5, 0.25):
+            after = np.hypot(*(centres - share * step).T).T
+            is_close = (after < CLOSE) & (after < away) & (away <= 4.0) & (ahead | (opening > 6.0))
+            if 0.5 * 0.95 * miss[is_close].sum() / miss.sum() <= risk:
+                break
+        assert found[-1] == share
+        seen = replace(belief, particles=replace(particles, is_mentioned=mentioned & False))
+        assert choose(seen, *given[1:], sensor, jnp.float32(0.0)) == 1.0
+    assert len(set(found)) > 1
 
 
 def test_a_batch_is_as_one_by_one() -> None:

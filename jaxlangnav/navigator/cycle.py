@@ -148,7 +148,7 @@ def step(
     task = _infer(state, fault, params)
     state, choice = _decide(key, state, task, sensor, filter_info.is_news, params, config)
     after = update_task_state(state, task, choice, params=params, config=config)
-    action = make_action(after, task, choice, params=params)
+    action = make_action(after, task, choice, sensor, params=params)
     info = NavigatorInfo(
         filter=filter_info,
         fault=fault,

@@ -33,7 +33,7 @@ _NUMBERS = {
 nowhere 81 m (49, 86: 1.35, 0.1)."""
 _KINDS = (
     (LENGTH, "step_length kernel superlative_softness reach visit_spacing"),
-    (SHARE, "odometry_noise misleading resample_threshold prior_share give_up absent"),
+    (SHARE, "odometry_noise misleading resample_threshold prior_share give_up absent unseen_risk"),
     (
         Quantity(kind="share", high=1.0, is_low_open=True),
         "detection_probability discount stop_probability frontier_miss",

@@ -9,10 +9,11 @@ from jax import Array
 
 from jaxlangnav.dialogue import Conversation
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import Action, Behavior, Status
+from jaxlangnav.messages import Action, Behavior, SensorParams, Status
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import ProgressMonitor
 from jaxlangnav.planner.config import PlannerConfig
+from jaxlangnav.planner.constraints import safe_share
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
 from jaxlangnav.planner.policy import Policy
@@ -163,7 +164,12 @@ def _status(
 
 
 def make_action(
-    state: NavigatorState, task: InferredTask, choice: policy.Decision, *, params: NavigatorParams
+    state: NavigatorState,
+    task: InferredTask,
+    choice: policy.Decision,
+    sensor: SensorParams,
+    *,
+    params: NavigatorParams,
 ) -> Action:
     """Turn the choice into a step in the manner asked for: quickly, carefully.
 
@@ -187,13 +193,15 @@ def make_action(
     length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
     is_idle = state.instruction.num_clauses == 0
     step_x, step_y = next_x - here[0], next_y - here[1]
+    step, constraint = jnp.stack([step_x, step_y]) / distance * length, task.behavior.constraint
+    share = safe_share(task.belief, constraint, here, step, sensor, params.planner.unseen_risk)
     drift = mean_drift(state.belief)
     if drift is not None:
         step_x, step_y = rotated(step_x, step_y, -drift)
     status = jnp.where(is_idle, int(Status.IDLE), state.status)
     return Action(
         waypoint=waypoint,
-        step=jnp.stack([step_x, step_y]) / distance * length,
+        step=jnp.stack([step_x, step_y]) / distance * (length * share),
         is_stop=state.is_done & ~state.is_halted & (task.fault == 0),
         status=jnp.where(state.is_halted, int(Status.HALTED), status),
         speed=speed,

@@ -5,7 +5,8 @@ metres more as it is deep in it:
 
     c Σ_k p_k max(0, 1 − d_k / B)²
 
-``detours`` finds the cheapest ways; stops of tours are put outside (``keep_out``).
+``detours`` finds the cheapest ways; stops of tours are put outside (``keep_out``). Before what is
+forbidden has been seen, steps are as short as it takes to see it in time (``safe_share``).
 """
 
 import jax
@@ -13,11 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.messages import SensorParams
+from jaxlangnav.numerics.batching import skip_unless_any
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.coverage import cell_centres
+from jaxlangnav.terrain import Eye
 
-BERTH = 2.25
-"""Metres around an object that a constraint forbids: two, and what its place may be out by."""
+CLOSE = 2.0
+"""Metres around an object that a constraint forbids."""
+BERTH = CLOSE + 0.25
+"""The same, and what its place may be out by."""
 MOST_FORBIDDEN = 6
 """Forbidden objects that count, the nearest ones."""
 NUM_TURNS = 12
@@ -25,6 +32,7 @@ NUM_TURNS = 12
 RADIUS = float(BERTH / np.cos(np.pi / NUM_TURNS))
 """Metres from an object to these corners."""
 _LEAST = 0.05  # probability from which on an object counts as forbidden
+_SHARES = np.float32([1.0, 0.5, 0.25])  # of a step
 
 
 @pytree
@@ -124,3 +132,48 @@ def keep_out(
         x = jnp.where(is_inside, at_x + side * out_x, x)
         y = jnp.where(is_inside, at_y + side * out_y, y)
     return jnp.clip(x, area[0], area[1]), jnp.clip(y, area[2], area[3])
+
+
+def safe_share(
+    belief: ParticleBelief,
+    constraint: Array,
+    robot: tuple[Array, Array],
+    step: Array,
+    sensor: SensorParams,
+    risk: Array,
+) -> Array:
+    """Choose the share of a step that leaves time to see what is forbidden, f32[].
+
+    It is the longest of ``_SHARES`` that brings the robot within ``CLOSE`` of something forbidden
+    which one more look would have shown with a probability of at most ``risk``, else the shortest.
+    Where such a thing may stand the coverage tells: with probability s m(c) / Σ m in cell c, with s
+    the share of maps in which it is forbidden and not yet seen, and m what all looks have missed.
+
+    Limits: 1 where all that is forbidden has been seen; nothing is computed then.
+
+    Args:
+        belief: after the present look.
+        constraint: f32[R, N + 1, P], as for ``forbidden_objects``.
+        robot: f32[] x and y, believed position, metres, map frame.
+        step: f32[2], metres; the robot looks where it goes.
+        sensor: range, opening angle, probability of detection.
+        risk: f32[].
+    """
+    particles, (robot_x, robot_y) = belief.particles, robot
+    first = particles.object_type.shape[0]
+    hidden = jnp.where(particles.is_hypothesised, jnp.max(constraint, axis=0)[first:-1], 0.0)
+    hidden = jnp.sum(jnp.max(hidden, axis=0) * jnp.exp(belief.log_weight))
+    eye = Eye(*robot, sensor.range_max, jnp.arctan2(step[1], step[0]), sensor.field_of_view)
+
+    def shown(share: Array, log_miss: Array, x: Array, y: Array) -> Array:
+        """Compute what one more look would show of what is close then and not now, f32[]."""
+        x, y, miss = x[None], y[:, None], jnp.exp(log_miss)
+        close = jnp.hypot(x - robot_x - share * step[0], y - robot_y - share * step[1])
+        is_close = (close < CLOSE) & (close < jnp.hypot(x - robot_x, y - robot_y))
+        seen = jnp.where(is_close & belief.terrain.view.sees(eye, x, y), miss, 0.0)
+        return hidden * sensor.detection_probability * jnp.sum(seen) / jnp.sum(miss)
+
+    each, shares = jax.vmap(shown, in_axes=(0, None, None, None)), jnp.asarray(_SHARES)
+    given = shares, belief.coverage.log_miss, *cell_centres(belief.coverage)
+    is_safe = skip_unless_any(hidden > _LEAST, lambda records: each(*records), given) <= risk
+    return jnp.max(jnp.where(is_safe, _SHARES, _SHARES[-1]))

@@ -47,6 +47,11 @@ class PlannerParams:
         "metres of detour rather than a metre of way beside a thing to be kept away from",
         default=100.0,
     )
+    unseen_risk: Array = field(
+        "probability that one more look would show a thing to be kept away from within two metres "
+        "of the next place, above which the step to it is shorter",
+        default=2e-5,
+    )
     question_cost: Array = field(
         "what a question costs, in probability of success; inf: never ask", default=math.inf
     )
