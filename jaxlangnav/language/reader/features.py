@@ -31,7 +31,7 @@ _LONGEST_NAME = 4
 _JOINTS = frozenset({"and", "then", "so", "but", "because", "since", "cause"})
 _SAME = {"mid": _RELATION, "sup_robot": "sup_adj"}
 """Classes that differ for the grammar alone."""
-_LEFT_OUT = ("type", "foreign", "nmod", "pair", "stop_tail")
+_LEFT_OUT = ("type", "foreign", "nmod", "pair", "stop_tail", "count", "from_side")
 """Classes that tell nothing beside the others."""
 _ORDERS = frozenset({"v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid"})
 _ENDINGS = ("ly", "ing", "ed", "s")
