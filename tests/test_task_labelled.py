@@ -128,7 +128,7 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
         ("seventh", 81, 1),
         ("eighth", 116, 5),
         ("ninth dev", 134, 1),
-        ("ninth test", 99, 4),
+        ("ninth test", 100, 5),
         ("tenth", 84, 2),
     ],
 )
