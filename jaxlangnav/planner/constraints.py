@@ -32,7 +32,7 @@ NUM_TURNS = 12
 RADIUS = float(BERTH / np.cos(np.pi / NUM_TURNS))
 """Metres from an object to these corners."""
 _LEAST = 0.05  # probability from which on an object counts as forbidden
-_SHARES = np.float32([1.0, 0.5, 0.25])  # of a step
+_SHARES = np.array([1.0, 0.5, 0.25], np.float32)  # of a step
 
 
 @pytree
