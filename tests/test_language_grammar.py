@@ -226,7 +226,7 @@ def test_the_parser_reads_what_the_grammar_makes() -> None:
         except LanguageError as error:
             refused.append((text, str(error)))
     assert [one for one in refused if not OF_MEANING.search(one[1])] == []
-    assert read >= 48
+    assert read >= 45
 
 
 def test_nothing_calls_itself_first() -> None:
