@@ -128,11 +128,12 @@ def test_opencvs_own_detector_sees_the_same_tags(husky: PhysicsRobot) -> None:
 def test_what_is_out_of_the_gates_is_not_used(husky: PhysicsRobot, gates: tags.Gates) -> None:
     husky.detections()
     wide = tags.Gates(range=9.0, field_of_view=6.0, view_angle=1.5)
-    every = tags.to_detections(husky.last_tags, husky.camera, wide, 8)
-    kept = tags.to_detections(husky.last_tags, husky.camera, gates, 8)
+    every = tags.to_detections(husky.last_tags, husky.camera, wide)
+    kept = tags.to_detections(husky.last_tags, husky.camera, gates)
     assert len(every) == 2
     assert len(kept) < len(every)
-    assert tags.to_detections(husky.last_tags, husky.camera, wide, num_types=0) == []
+    strangers = [dataclasses.replace(one, number=8 * 16) for one in husky.last_tags]
+    assert tags.to_detections(strangers, husky.camera, wide) == []
 
 
 def test_a_covered_tag_is_not_seen_and_a_turned_cube_is() -> None:

@@ -54,9 +54,9 @@ def keep_compiled_programs() -> None:
 
 
 @contextlib.contextmanager
-def waiting(what: str, output: Output, *, seconds: float = 5.0) -> Iterator[None]:
+def waiting(what: str, output: Output) -> Iterator[None]:
     """Show that something without steps to count is under way; elsewhere a late note says it."""
-    timer = threading.Timer(seconds, output.note, [what])
+    timer = threading.Timer(5.0, output.note, [what])
     timer.daemon = True
     if not sys.stderr.isatty():
         timer.start()

@@ -23,7 +23,7 @@ from jaxlangnav.experiments.tasks import (
     take_tasks,
 )
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
+from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 from jaxlangnav.world.templates import TABLE_2
@@ -92,13 +92,12 @@ def measure_parts(
     *,
     params: NavigatorParams,
     repetitions: int,
-    config: NavigatorConfig | None = None,
 ) -> list[Part]:
     """Measure a cycle in one batch of lanes, its sensor, its filter, behavior in every particle.
 
-    ``tasks``, leaves [E ≥ lanes, …]; ``instructions``, leaves [I, …]; ``config``: as the tables.
+    ``tasks``, leaves [E ≥ lanes, …]; ``instructions``, leaves [I, …].
     """
-    config = navigator_config(POLICY) if config is None else config
+    config = navigator_config(POLICY)
 
     def sense_and_filter(progress: EpisodeState) -> Any:
         state = progress.navigator
@@ -161,7 +160,7 @@ def _part(name: str, part: Any, progress: EpisodeState, repetitions: int) -> Par
     )
 
 
-def cycle_parts(*, params: NavigatorParams, repetitions: int = 3) -> dict[str, Any]:
+def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
     """Measure the parts of a cycle, in a batch of episodes of all rows.
 
     ``cycle_us`` and ``parts_us`` by name, microseconds of one cycle of one episode; ``machine``,
@@ -178,9 +177,7 @@ def cycle_parts(*, params: NavigatorParams, repetitions: int = 3) -> dict[str, A
     tasks = concatenate([make_tasks(one) for one in cells])
     mixed = np.random.default_rng(0).permutation(number * len(TABLE_2))
     instructions = ground_sentences(list(SENTENCES.values())).instructions
-    measured = measure_parts(
-        take_tasks(tasks, mixed), instructions, params=params, repetitions=repetitions
-    )
+    measured = measure_parts(take_tasks(tasks, mixed), instructions, params=params, repetitions=3)
     return {
         "experiment": "time",
         "cycle_us": 1e6 * measured[0].seconds,

@@ -175,14 +175,13 @@ class KinematicRobot(SimulatedRobot):
         *,
         seed: int,
         sensor: SensorParams | None = None,
-        body: BodyLimits = BODY,
         steering: Steering | None = None,
         slip: Slip | None = None,
     ) -> None:
         """Put the robot at the start of a place; ``seed`` is of all noise, and steering pursuit."""
         self._slip = Slip() if slip is None else slip
         super().__init__(
-            Mover(body, Pursuit() if steering is None else steering),
+            Mover(BODY, Pursuit() if steering is None else steering),
             scenario,
             sensor=default_sensor() if sensor is None else sensor,
             seed=seed,

@@ -135,7 +135,6 @@ def record_drive(
     *,
     navigator: Navigator,
     key: Array,
-    max_seconds: float = 300.0,
 ) -> tuple[Drive, Recording]:
     """Let a robot, at its start, follow a sentence, and record it; see ``drive``.
 
@@ -143,5 +142,5 @@ def record_drive(
         How it ended, and the recording: ``viz.html.write_html`` makes a page of it.
     """
     kept = DriveRecorder(robot, navigator, text)
-    ended = drive(navigator, robot, text, key=key, max_seconds=max_seconds, on_step=kept.on_step)
+    ended = drive(navigator, robot, text, key=key, on_step=kept.on_step)
     return ended, kept.recording(ended)

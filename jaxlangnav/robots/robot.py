@@ -142,24 +142,21 @@ def start_pose(pose: np.ndarray) -> tuple[float, float, float]:
     return x, y, math.remainder(heading, math.tau)
 
 
-def observe(
-    pose: np.ndarray, found: Sequence[Detection], sensor: SensorParams, size: int = NUM_DETECTIONS
-) -> Observation:
+def observe(pose: np.ndarray, found: Sequence[Detection], sensor: SensorParams) -> Observation:
     """Build the navigator's observation from a robot's report.
 
     Args:
         pose: f64[3], x, y, heading by dead reckoning.
-        found: what has been detected; of more than ``size`` the nearest are kept.
+        found: what has been detected; of more than ``NUM_DETECTIONS`` the nearest are kept.
         sensor: the detector's specification.
-        size: D, slots of the observation.
     """
-    kept = sorted(found, key=lambda one: one.range)[:size]
-    empty = size - len(kept)
+    kept = sorted(found, key=lambda one: one.range)[:NUM_DETECTIONS]
+    empty = NUM_DETECTIONS - len(kept)
     return Observation(
         pose=jnp.asarray(pose, jnp.float32),
         detection_type=jnp.array([one.object_type for one in kept] + [NONE] * empty, jnp.int32),
         detection_range=jnp.array([one.range for one in kept] + [0.0] * empty, jnp.float32),
         detection_bearing=jnp.array([one.bearing for one in kept] + [0.0] * empty, jnp.float32),
-        is_detection=jnp.arange(size) < len(kept),
+        is_detection=jnp.arange(NUM_DETECTIONS) < len(kept),
         sensor=sensor,
     )

@@ -82,9 +82,7 @@ def _draw_world(axes: "Axes", world: Scenario) -> "list[PathCollection]":
     return marks
 
 
-def draw_hypotheses(
-    axes: "Axes", frame: Frame, *, filled: bool = True, scale: float = 1.0
-) -> "list[PathCollection]":
+def draw_hypotheses(axes: "Axes", frame: Frame, *, filled: bool = True) -> "list[PathCollection]":
     """Draw hypothesised objects, the heavier the stronger: dots, or empty marks, by type."""
     from matplotlib.colors import to_rgb
 
@@ -96,7 +94,7 @@ def draw_hypotheses(
         relative, color = weight[chosen] / full, to_rgb(style.type_color(int(kind)))
         colors = [(*color, float(one)) for one in np.minimum(0.15 + 0.5 * relative, 1.0)]
         marks = axes.scatter(
-            frame.hypothesis_x[chosen], frame.hypothesis_y[chosen], s=scale * (5 + 9 * relative),
+            frame.hypothesis_x[chosen], frame.hypothesis_y[chosen], s=5 + 9 * relative,
             marker=style.type_marker(int(kind)), facecolors=colors if filled else "none",
             edgecolors="none" if filled else colors, linewidths=0.6, zorder=3,
         )  # fmt: skip

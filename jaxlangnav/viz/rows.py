@@ -173,8 +173,8 @@ def _draw_reliability(
         axes.grid()
 
 
-def time_figure(parts: Mapping[str, float], *, what: str = "one decision cycle") -> "Figure":
-    """Draw where the time of ``what`` goes: a bar for each part, microseconds, longest first."""
+def time_figure(parts: Mapping[str, float]) -> "Figure":
+    """Draw where a decision cycle's time goes: a bar for each part, microseconds, longest first."""
     total = sum(parts.values())
     if not parts or total <= 0.0:
         raise ValueError("no time was measured, so there is nothing to draw")
@@ -195,5 +195,5 @@ def time_figure(parts: Mapping[str, float], *, what: str = "one decision cycle")
         axes.set_xlim(0, 1.12 * max(values))
         axes.set_xlabel("time (µs)")
         axes.tick_params(axis="y", length=0)
-        style.title(figure, "Where the time goes", f"{what}: {total:.4g} µs")
+        style.title(figure, "Where the time goes", f"one decision cycle: {total:.4g} µs")
     return figure

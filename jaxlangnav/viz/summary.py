@@ -13,6 +13,7 @@ from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
 
 _LEAST_SHARE = 0.02  # objects that fewer particles believe in than this are left out of pictures
+_PEAK_RADIUS = 1.5  # metres
 SAME_PLACE = 0.25  # metres within which two nodes are one place to a person
 
 
@@ -78,13 +79,11 @@ def _goals(frames: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return x, y, mass
 
 
-def peaks(
-    frame: Frame, *, radius: float = 1.5, number: int = 2, least: float = 0.15
-) -> list[tuple[float, float, float]]:
-    """Find where the unseen goal is likeliest to be: at most ``number`` places, the best first.
+def peaks(frame: Frame) -> list[tuple[float, float, float]]:
+    """Find where the unseen goal is likeliest to be: at most two places, the best first.
 
-    Each is x, y in metres, map frame, and the share of the unseen goal's mass within ``radius``
-    metres; peaks that hold less than ``least`` of it are left out.
+    Each is x, y in metres, map frame, and the share of the unseen goal's mass within 1.5 metres;
+    peaks that hold less than 15 % of it are left out.
     """
     mass = np.asarray(frame.hypothesis_goal_mass, float)
     held = np.flatnonzero(mass > 0.0)
@@ -95,16 +94,16 @@ def peaks(
     y = np.asarray(frame.hypothesis_goal_y, float)[held]
     left = mass[held] / total
     squared = (x[:, None] - x[None, :]) ** 2 + (y[:, None] - y[None, :]) ** 2
-    near = squared <= radius * radius
+    near = squared <= _PEAK_RADIUS**2
     found = []
-    for _ in range(number):
+    for _ in range(2):
         around = near @ left
         best = int(np.argmax(around))
-        if around[best] < least:
+        if around[best] < 0.15:
             break
         share = np.where(near[best], left, 0.0) / around[best]
         found.append((float(share @ x), float(share @ y), float(around[best])))
-        left = np.where(squared[best] <= 4 * radius * radius, 0.0, left)
+        left = np.where(squared[best] <= 4 * _PEAK_RADIUS**2, 0.0, left)
     return found
 
 

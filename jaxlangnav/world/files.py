@@ -65,12 +65,8 @@ LARGEST_WORLD_FILE = 256 * 1024
 """Bytes of a world file; one of sixty-four objects takes eight thousand."""
 
 
-def load_world(path: str | Path, *, num_slots: int | None = None) -> WorldFile:
-    """Read and check a world file.
-
-    Args:
-        path: a .toml or .json file.
-        num_slots: O, object slots of the scenario; as many as its objects need if None.
+def load_world(path: str | Path) -> WorldFile:
+    """Read and check a world file, .toml or .json.
 
     Raises:
         WorldFileError: unreadable, or anything in it is wrong; one line that says what to do.
@@ -83,7 +79,7 @@ def load_world(path: str | Path, *, num_slots: int | None = None) -> WorldFile:
         table = read_document(path, at_most=LARGEST_WORLD_FILE)
     except ValueError as error:
         raise WorldFileError(str(error)) from None
-    return world_from_dict(table, file=path.name, num_slots=num_slots)
+    return world_from_dict(table, file=path.name)
 
 
 def shipped_worlds() -> tuple[str, ...]:
@@ -92,23 +88,22 @@ def shipped_worlds() -> tuple[str, ...]:
     return tuple(sorted(Path(entry.name).stem for entry in data.iterdir()))
 
 
-def open_world(text: str, *, num_slots: int | None = None) -> Template | WorldFile:
+def open_world(text: str) -> Template | WorldFile:
     """Find what a person means by a world: a template to sample from, a shipped world, or a file.
 
     Args:
         text: "2H1C", the name of a shipped world, or the path of a .toml or .json file.
-        num_slots: O, object slots of a scenario read from a file; as needed if None.
 
     Raises:
         ValueError: none of the three, or the file is wrong.
     """
     if text in shipped_worlds():
-        table = parse_toml(read_shipped("world", f"{text}.toml"))
-        return world_from_dict(table, file=f"{text}.toml", num_slots=num_slots)
+        name = f"{text}.toml"
+        return world_from_dict(parse_toml(read_shipped("world", name)), file=name)
     is_path = "/" in text or Path(text).suffix.lower() in (".toml", ".json")
     # Unlike Path.is_file, it takes a name that is too long for one as no file.
     if is_path or os.path.isfile(text):
-        return load_world(text, num_slots=num_slots)
+        return load_world(text)
     if text.strip()[:1].isdigit():
         return parse_template(text)
     shipped = ", ".join(shipped_worlds())
@@ -128,9 +123,11 @@ def save_world(world: WorldFile, path: str | Path) -> None:
         WorldFileError: the name ends in neither, or the file cannot be written.
     """
     path, table = _check_name(path), world_to_dict(world)
-    is_json = path.suffix.lower() == ".json"
+    text = json.dumps(table, indent=2)
+    if path.suffix.lower() == ".toml":
+        text = _to_toml(table)
     try:
-        write_text(json.dumps(table, indent=2) + "\n" if is_json else _to_toml(table), path)
+        write_text(text + "\n", path)
     except OSError as error:
         raise WorldFileError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -151,4 +148,4 @@ def _to_toml(table: dict[str, Any]) -> str:
                 lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
             pairs = part if isinstance(part, dict) else {key: part}
             lines += [f"{name} = {json.dumps(one)}" for name, one in pairs.items()]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

@@ -61,13 +61,12 @@ class PlaceLaw:
     is_invented: Array  # bool[T] types that false detections take
 
 
-def draw_place(key: Array, law: PlaceLaw, *, num_slots: int = NUM_THINGS) -> Scenario:
+def draw_place(key: Array, law: PlaceLaw) -> Scenario:
     """Draw one place.
 
     Args:
         key: random key.
-        law: what to draw; traced.
-        num_slots: O; a law of more things makes the place invalid.
+        law: what to draw; traced. One of more than ``NUM_THINGS`` things makes it invalid.
 
     Returns:
         The place; ``is_valid`` is False where something found no room. Without a goal
@@ -76,15 +75,15 @@ def draw_place(key: Array, law: PlaceLaw, *, num_slots: int = NUM_THINGS) -> Sce
     pair_key, kind_key, thing_key, haunt_key = jax.random.split(key, 4)
     goal, cone, is_met = _draw_pair(pair_key, law)
     # Types by slot, goal and cone first, and which slots are used.
-    slots, paired = jnp.arange(num_slots), 2 + 2 * law.num_pairs
+    slots, paired = jnp.arange(NUM_THINGS), 2 + 2 * law.num_pairs
     pair = jnp.where(slots % 2 == 0, HYDRANT, CONE)
-    others = jax.random.randint(kind_key, (num_slots,), 2, NUM_TYPES)
+    others = jax.random.randint(kind_key, (NUM_THINGS,), 2, NUM_TYPES)
     kind = jnp.where(slots < paired, pair, others).astype(jnp.int32)
     number = paired + law.num_bystanders
     is_object = (slots < number) & ((slots != 0) | law.has_goal) & ((slots != 1) | law.has_cone)
     first = jnp.stack([goal, cone], axis=1)
-    placed = jnp.pad(first, ((0, 0), (0, num_slots - 2)))
-    tried = _anywhere(thing_key, law.area, (num_slots, _NUM_CANDIDATES))
+    placed = jnp.pad(first, ((0, 0), (0, NUM_THINGS - 2)))
+    tried = _anywhere(thing_key, law.area, (NUM_THINGS, _NUM_CANDIDATES))
 
     def put(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         placed, is_met = carry
@@ -93,7 +92,7 @@ def draw_place(key: Array, law: PlaceLaw, *, num_slots: int = NUM_THINGS) -> Sce
         chosen = tried[:, index, jnp.argmax(is_fit)]
         return placed.at[:, index].set(chosen), is_met & (jnp.any(is_fit) | ~is_object[index])
 
-    placed, is_met = jax.lax.fori_loop(2, num_slots, put, (placed, is_met))
+    placed, is_met = jax.lax.fori_loop(2, NUM_THINGS, put, (placed, is_met))
     return Scenario(
         object_type=jnp.where(is_object, kind, NONE),
         object_x=jnp.where(is_object, placed[0], 0.0),
@@ -103,7 +102,7 @@ def draw_place(key: Array, law: PlaceLaw, *, num_slots: int = NUM_THINGS) -> Sce
         goal_index=jnp.where(law.has_goal, 0, NONE).astype(jnp.int32),
         start=jnp.zeros(3, jnp.float32),
         area=law.area,
-        is_valid=is_met & (number <= num_slots),
+        is_valid=is_met & (number <= NUM_THINGS),
         errors=_errors(haunt_key, law),
     )
 

@@ -174,31 +174,30 @@ class WorldFile:
     """What the detector reports of things besides their type: groups of ``ATTRIBUTES``."""
 
 
-def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> WorldFile:
+def world_from_dict(table: Any, *, file: str) -> WorldFile:
     """Check tables of the world format and build the world.
+
+    Its scenario has the least of ``observations.SLOTS`` that holds the objects, so that worlds of
+    like sizes share their compiled programs.
 
     Args:
         table: the tables, as read.
         file: the file's name, for messages.
-        num_slots: O, object slots of the scenario; if None the least of ``observations.SLOTS``
-            that holds its objects, so that worlds of like sizes share their compiled programs.
 
     Raises:
         WorldFileError: anything is missing, unknown or outside its limits.
     """
     file = cut(printable(file), LONGEST_NAME)
     try:
-        return _to_world(convert(table, _World), Path(file).stem, num_slots)
+        return _to_world(convert(table, _World), Path(file).stem)
     except ValueError as error:
         raise WorldFileError(f"{file}: {error}") from None
 
 
-def _to_world(world: _World, stem: str, num_slots: int | None) -> WorldFile:
+def _to_world(world: _World, stem: str) -> WorldFile:
     """Check what the parts of a world have to do with one another, and build it."""
     number, start = len(world.objects), world.start or _Start()
-    if number > (num_slots or number):
-        raise ValueError(f"objects has {number} entries, but must have 1 to {num_slots}: remove")
-    num_slots = num_slots or next(size for size in SLOTS if size >= number)
+    num_slots = next(size for size in SLOTS if size >= number)
     if world.start is None and not (
         world.area.x_min <= 0.0 <= world.area.x_max and world.area.y_min <= 0.0 <= world.area.y_max
     ):

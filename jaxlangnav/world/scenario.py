@@ -18,7 +18,6 @@ hydrants alone is right one time in the number of hydrants.
 A null world has the geometry of "behind", as the paper issues both commands in one environment.
 """
 
-import functools
 import math
 
 import jax
@@ -29,7 +28,7 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import batching
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import to_map, viewer_frame
-from jaxlangnav.world.state import CONE, HYDRANT, NUM_SLOTS, Scenario
+from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 from jaxlangnav.world.templates import (
     MAX_CONES,
     MAX_HYDRANTS,
@@ -231,41 +230,30 @@ def scenario_law(*, template: str | Template, relation: str) -> ScenarioLaw:
     )
 
 
-def sample_scenario(
-    key: Array, *, template: str | Template, relation: str, num_slots: int = NUM_SLOTS
-) -> Scenario:
+def sample_scenario(key: Array, *, template: str | Template, relation: str) -> Scenario:
     """Draw one world of a template; ``vmap`` over keys draws many.
 
     Args:
         key: random key.
         template: a template or its name, such as "2H1C".
         relation: "null", "behind" or "nearest": what the command will say of the goal.
-        num_slots: O, object slots of the scenario.
 
     Returns:
         The world. ``is_valid`` is False where no candidate met the law: count such worlds.
 
     Raises:
-        ValueError: unknown template or relation, or more objects than slots.
+        ValueError: unknown template or relation.
     """
-    record = parse_template(template) if isinstance(template, str) else template
-    num_objects = record.num_hydrants + record.num_cones
-    if num_objects > num_slots:
-        raise ValueError(
-            f"world template {record.name!r} has {num_objects} objects but num_slots is "
-            f"{num_slots}: choose a smaller template or at least {num_objects} slots"
-        )
-    return draw_scenario(key, scenario_law(template=record, relation=relation), num_slots=num_slots)
+    return draw_scenario(key, scenario_law(template=template, relation=relation))
 
 
-@functools.partial(jax.jit, static_argnames="num_slots")
-def draw_scenario(key: Array, law: ScenarioLaw, *, num_slots: int = NUM_SLOTS) -> Scenario:
+@jax.jit
+def draw_scenario(key: Array, law: ScenarioLaw) -> Scenario:
     """Draw one world of a law: the first of a fixed number of attempts that meets it.
 
     Args:
         key: random key.
         law: what to draw; traced.
-        num_slots: O, object slots; a law of more objects makes the world invalid.
 
     Returns:
         The world; where no attempt meets the law, the first attempt with ``is_valid`` False.
@@ -285,8 +273,7 @@ def draw_scenario(key: Array, law: ScenarioLaw, *, num_slots: int = NUM_SLOTS) -
         [jnp.arange(MAX_HYDRANTS) < law.num_hydrants, jnp.arange(MAX_CONES) < law.num_cones]
     )
     order = jnp.argsort(~is_object, stable=True)
-    order = jnp.pad(order, (0, max(0, num_slots - order.size)))[:num_slots]
-    is_slot = (jnp.arange(num_slots) < is_object.size) & is_object[order]
+    is_slot = is_object[order]
     far = _area_depth(law)
     side = far / math.sqrt(2.0)
     return Scenario(
@@ -298,5 +285,5 @@ def draw_scenario(key: Array, law: ScenarioLaw, *, num_slots: int = NUM_SLOTS) -
         goal_index=goal_index,
         start=jnp.zeros(3, jnp.float32),
         area=jnp.stack([jnp.zeros_like(far), far, -side, side]),
-        is_valid=chosen.is_met & (law.num_hydrants + law.num_cones <= num_slots),
+        is_valid=chosen.is_met,
     )

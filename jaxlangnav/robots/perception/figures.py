@@ -6,7 +6,7 @@ are things, after all gates but that of range.
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,10 +42,7 @@ def measure_detector(
     *,
     looks: int = 6,
     ranges: Sequence[float] = MEASURED_RANGES,
-    turns: Sequence[float] = MEASURED_TURNS,
     pictures: Sequence[str] = tuple(PICTURES),
-    seed: int = 0,
-    on_progress: Callable[[int], None] = lambda done: None,
 ) -> list[Figure]:
     """Measure the detector of the Husky: a figure for each picture, range and turn.
 
@@ -54,21 +51,17 @@ def measure_detector(
     Args:
         looks: of each kind, at bearings drawn within the gate.
         ranges: metres.
-        turns: degrees.
         pictures: names in ``PICTURES``.
-        seed: of noise and bearings.
-        on_progress: is told how many figures have just been measured.
     """
     scenario = placed([(HYDRANT, OUT_OF_SIGHT[0], 0.0)])
     found = []
     for picture in pictures:
         grain, blur = PICTURES[picture]
         wear, gates = Wear(grain=grain, blur=blur), Gates(range=_FARTHEST)
-        robot = PhysicsRobot("husky", scenario, seed=seed, gates=gates, wear=wear)
-        random = np.random.default_rng(seed)
-        for away, turned in itertools.product(ranges, turns):
+        robot = PhysicsRobot("husky", scenario, seed=0, gates=gates, wear=wear)
+        random = np.random.default_rng(0)
+        for away, turned in itertools.product(ranges, MEASURED_TURNS):
             found.append(_look(robot, random, picture, away, turned, looks))
-            on_progress(1)
         robot.close()
     return found
 

@@ -19,6 +19,7 @@ from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.robot import Detection
+from jaxlangnav.world.places import NUM_TYPES
 
 FAMILY = "tag36h11"
 TAG_SIDE = 0.32
@@ -146,17 +147,15 @@ def middle_of(tag: Tag, camera: Camera) -> np.ndarray:
     return np.array([ahead + camera.ahead, -right])
 
 
-def to_detections(
-    tags: Sequence[Tag], camera: Camera, gates: Gates, num_types: int
-) -> list[Detection]:
+def to_detections(tags: Sequence[Tag], camera: Camera, gates: Gates) -> list[Detection]:
     """Turn tags of one picture into the things within the gates, one for all sides of a thing.
 
     Each is at the mean of its sides, which weigh by how straight on they are seen. Tags of further
-    types than ``num_types`` are nobody's.
+    types than ``NUM_TYPES`` are nobody's.
     """
     things: dict[int, list[tuple[np.ndarray, float]]] = {}
     for tag in tags:
-        if tag.number // TAGS_PER_TYPE < num_types and tag.view_angle <= gates.view_angle:
+        if tag.number // TAGS_PER_TYPE < NUM_TYPES and tag.view_angle <= gates.view_angle:
             weight = np.cos(tag.view_angle) ** 2
             things.setdefault(tag.number, []).append((middle_of(tag, camera), weight))
     found = []

@@ -9,7 +9,6 @@ import dataclasses
 
 import numpy as np
 
-from jaxlangnav.messages import SensorParams
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.kinematic import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, Mover
@@ -116,10 +115,7 @@ class PhysicsRobot(SimulatedRobot):
         *,
         seed: int,
         gates: Gates,
-        sensor: SensorParams | None = None,
-        num_types: int = 8,
         wear: Wear | None = None,
-        steering: Steering | None = None,
     ) -> None:
         """Put a robot at the start of a place.
 
@@ -127,17 +123,14 @@ class PhysicsRobot(SimulatedRobot):
             machine: "husky" or "wheelchair".
             scenario: the truth.
             seed: of all noise.
-            gates: which tags are used.
-            sensor: what the belief is told of that; ``as_told`` if None.
-            num_types: object types of the navigator.
+            gates: which tags are used; the belief is told of them ``as_told``.
             wear: how its sensors err; the default if None.
-            steering: how it follows a way; the machine's own if None.
         """
         self.machine, self._wear = MACHINES[machine], wear or Wear()
         super().__init__(
-            Mover(self.machine.body, steering or self.machine.steering),
+            Mover(self.machine.body, self.machine.steering),
             scenario,
-            sensor=as_told(gates) if sensor is None else sensor,
+            sensor=as_told(gates),
             seed=seed,
             scale=self._wear.wheel_scale,
             bias=self._wear.gyro_bias,
@@ -147,7 +140,7 @@ class PhysicsRobot(SimulatedRobot):
         self.last_picture: np.ndarray | None = None
         """u8[H, W, 3] of the last look, red, green, blue, and its tags: to be shown."""
         self.last_tags: list[Tag] = []
-        self._gates, self._num_types = gates, num_types
+        self._gates = gates
         self.scene = compile_scene(machine, scenario, seed=seed)
         model = self.scene.model
         names = [model.actuator(index).name for index in range(model.nu)]
@@ -204,7 +197,7 @@ class PhysicsRobot(SimulatedRobot):
 
     def is_used(self, tag: Tag) -> bool:
         """Tell whether a tag is within what the navigator is told of."""
-        return bool(to_detections([tag], self.camera, self._gates, self._num_types))
+        return bool(to_detections([tag], self.camera, self._gates))
 
     def _look(self) -> list[Detection]:
         self.last_picture = self.picture()
@@ -212,7 +205,7 @@ class PhysicsRobot(SimulatedRobot):
         grey = cv2.cvtColor(self.last_picture, cv2.COLOR_RGB2GRAY)
         grey = degrade(grey, self._random, noise=self._wear.grain, blur=self._wear.blur)
         self.last_tags = find_tags(grey, self.camera)
-        return to_detections(self.last_tags, self.camera, self._gates, self._num_types)
+        return to_detections(self.last_tags, self.camera, self._gates)
 
     def _scan(self) -> np.ndarray:
         bearing = BEAMS + self.true_pose[2]

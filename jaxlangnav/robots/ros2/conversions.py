@@ -18,6 +18,7 @@ _UNIT = 0.01  # by how much the length of a quaternion may differ from one
 _ONE_THING = 0.6  # metres within which tags of one type are on one thing
 _LABELLED = (("x", 7), ("y", 7), ("z", 7), ("label", 6))
 """Names and types (float32 7, uint32 6) of the fields of a cloud of PointXYZL."""
+LEAST_SCORE = 0.5
 _LONGEST_POINT = 65_536  # bytes of one point of a cloud, beyond which it is none
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u4")])
 """One point of a cloud as ``to_cloud`` packs it, 16 bytes."""
@@ -187,21 +188,19 @@ class Scribe:
         return self._find("geometry_msgs/msg/Pose")(position=place, orientation=turned)
 
 
-def detections_of_boxes(
-    boxes: Any, type_names: Sequence[str], *, least_score: float = 0.5
-) -> list[Detection]:
+def detections_of_boxes(boxes: Any, type_names: Sequence[str]) -> list[Detection]:
     """Read a look from a vision_msgs/Detection3DArray, base frame.
 
     Args:
         boxes: the message. A thing is what its best hypothesis says, where its box has its middle.
-        type_names: the navigator's; a thing of another class is left out.
-        least_score: hypotheses below are left out.
+        type_names: the navigator's; a thing of another class is left out, as are hypotheses of a
+            score below ``LEAST_SCORE``.
     """
     found = []
     for one in boxes.detections:
         guesses = [guess.hypothesis for guess in one.results]
         best = max(guesses, key=lambda guess: guess.score, default=None)
-        if best is None or best.score < least_score or best.class_id not in type_names:
+        if best is None or best.score < LEAST_SCORE or best.class_id not in type_names:
             continue
         middle = one.bbox.center.position
         found.append(_detection_at(type_names.index(best.class_id), middle.x, middle.y))
