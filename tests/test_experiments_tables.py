@@ -176,7 +176,7 @@ TABLE_TABLE = Table(
         ["1H1C", "limit", "≤ 100", "", ""],
         ["2H|1C", "ours", "4", "", ""],
     ],
-    firsts=[True, False, True],
+    group=1,
     faint=[False, True, False],
 )
 
@@ -256,11 +256,7 @@ def test_pictures_stand_in_the_page_and_nothing_is_fetched(picture: Path) -> Non
 
 
 def test_tables_and_how_they_were_made(picture: Path) -> None:
-    table = Table(
-        headings=["World", "paper"],
-        rows=[["1H1C", "93.9"], ["2H<1C", "54.4"]],
-        firsts=[True, False],
-    )
+    table = Table(headings=["World", "paper"], rows=[["1H1C", "93.9"], ["2H<1C", "54.4"]])
     made = {"command": "jaxlangnav reproduce table2", "nothing": ""}
     page = read(Section(title="T", lead="words", tables=[table], notes=["noise 2 %"], made=made))
     assert page.cells == ["World", "paper", "1H1C", "93.9", "2H<1C", "54.4"]

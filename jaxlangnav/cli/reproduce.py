@@ -11,9 +11,6 @@ from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import apply, read_settings
 
 _EPISODES = {"robustness": 500}
-_PARTICLES, _PARTICLES_DRAWN = 64, 256
-_SEED_UNKNOWNS = 3000  # of worlds of its own, none that a table or a tuning has used
-_TRIALS = 10  # of each row of Table 3, as in the paper
 _TAKES = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
 _TAKES |= {"robustness": ("params",), "table3": ()}
 """Groups of settings that mean something to an experiment; the others take all of them."""
@@ -107,20 +104,15 @@ class Reproduce:
                 episodes=self.episodes or _EPISODES.get(self.what, 100),
                 policies=policies,
                 seed=self.seed or 0,
-                num_particles=self.particles or _PARTICLES,
+                num_particles=self.particles or 64,
                 params=params,
                 sensor=apply(default_sensor(), values, "sensor"),
                 motion=apply(default_motion(), values, "motion"),
             ),
             params=params,
-            seed_unknowns=_SEED_UNKNOWNS if self.seed is None else self.seed,
-            trials=self.trials or _TRIALS,
-            extra=self.extra,
             ranges=ranges,
-            particles_drawn=self.particles or _PARTICLES_DRAWN,
             values=values,
-            out=self.out,
-            command=self._command,
+            asked=self,
         )
         is_all = self.what == "all"
         reproduction.check_sizes(reproduction.REPORTED if is_all else [self.what], settings)
@@ -165,7 +157,7 @@ class Reproduce:
         if unread:
             raise UsageError(f"--{unread[0]} changes nothing in {self.what}: leave it out")
 
-    def _command(self, what: str) -> str:
+    def command(self, what: str) -> str:
         """Write the command that runs an experiment again."""
         words = ["jaxlangnav reproduce", what]
         for field in dataclasses.fields(self):

@@ -48,7 +48,7 @@ _CURVES = {
 
 GRIDS: dict[str, Callable[[Settings], tuple[Experiment, Options]]] = {
     "table2": lambda settings: (
-        paper.table_2(extra=settings.extra, ranges=settings.ranges),
+        paper.table_2(extra=settings.asked.extra, ranges=settings.ranges),
         settings.options,
     ),
     "fig5": lambda settings: (paper.figure_5(ranges=settings.ranges), settings.options),
@@ -83,7 +83,7 @@ def _episodes(name: str, settings: Settings) -> Study:
     def run(settings: Settings, output: Output) -> Found:
         total = experiment.total_episodes(options)
         with progress_bar("episodes", total) as advance:
-            document = experiment.run(options, out=settings.out, on_progress=advance)
+            document = experiment.run(options, out=settings.asked.out, on_progress=advance)
         output.say(experiment.render(document))
         wall, compiling = document["wall_s"], document["compile_s"]
         output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
@@ -135,9 +135,9 @@ def _table3(settings: Settings, output: Output) -> Found:
     check_libraries()
     from jaxlangnav.robots.trials import TABLE3, TrialPlan, reproduce_table3, trials_table
 
-    policies, given = list(settings.options.policies), settings.options
+    asked, policies = settings.asked, settings.options.policies
     policy = policies[0] if len(policies) == 1 else "informed"
-    plan = TrialPlan(trials=settings.trials, seed=given.seed, policy=policy, out=settings.out)
+    plan = TrialPlan(trials=asked.trials or 10, seed=asked.seed or 0, policy=policy, out=asked.out)
     total = len(TABLE3) * (plan.trials + 1)
     output.note(f"{total} runs of two robots, two at a time")
     with progress_bar("runs", total) as advance:
@@ -259,8 +259,8 @@ def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, An
     begin = time.perf_counter()
     document, write = study.run(settings, output)
     document |= {"wall_s": time.perf_counter() - begin, "files": []} | document
-    if settings.out is not None:
-        document["files"] += [str(path) for path in write(settings.out)]
+    if settings.asked.out is not None:
+        document["files"] += [str(path) for path in write(settings.asked.out)]
     for path in document["files"]:
         output.say(f"Wrote {path}")
     return document, study
@@ -274,15 +274,15 @@ def run_all(settings: Settings, output: Output) -> Document:
     for place, name in enumerate(REPORTED, start=1):
         output.note(f"{name} ({place} of {len(REPORTED)})")
         documents[name], study = run_one(name, settings, output)
-        sections.append(study.section(documents[name], settings.command(name)))
+        sections.append(study.section(documents[name], settings.asked.command(name)))
     documents["report"] = None
-    if settings.out is not None:
+    if settings.asked.out is not None:
         made = manifest({}, models=load_shipped())
         device, machine = made["device"], made["machine"]
         libraries = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())
         values = settings.values.items()
         facts = {
-            "command": settings.command("all"),
+            "command": settings.asked.command("all"),
             "versions": f"jaxlangnav {__version__}, Python {made['python']}, {libraries}",
             "models": f"as shipped, SHA-256 {made['models_sha256']}",
             "seed": f"{settings.options.seed}; {settings.seed_unknowns} in the study of the "
@@ -295,7 +295,7 @@ def run_all(settings: Settings, output: Output) -> Document:
             "the paper": _PAPER,
         }
         title = "Following commands in unknown places: ours beside the paper's"
-        path = write_report(title, sections, settings.out / "report.html", made=facts)
+        path = write_report(title, sections, settings.asked.out / "report.html", made=facts)
         documents["report"] = str(path)
         output.say(f"Wrote {path}")
     return documents

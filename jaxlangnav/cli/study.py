@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.reproduce import Reproduce
 from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import SettingPath, equip
-from jaxlangnav.episode.recording import Recording
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.policies import navigator_config
@@ -38,16 +38,21 @@ class Settings:
     options: Options
     """Of the experiments made of episodes; the sensing range is a matter of each row."""
     params: NavigatorParams
-    seed_unknowns: int  # of the study of the paper's unknowns
-    trials: int  # of each row of Table 3
-    extra: bool  # whether Table 2 has rows that the paper lacks
     ranges: tuple[float, ...]
     """Metres, in place of those of Table 2's rows and of Figure 5; none for their own."""
-    particles_drawn: int  # P of the episodes that are drawn
     values: Mapping[SettingPath, Any]
     """Numbers of engine, detector and motion that are not the defaults."""
-    out: Path | None
-    command: Callable[[str], str]  # writes the command that runs an experiment again
+    asked: Reproduce  # the other options, and how to run an experiment again
+
+    @property
+    def seed_unknowns(self) -> int:
+        """Seed of worlds of their own, none that a table or a tuning has used."""
+        return 3000 if self.asked.seed is None else self.asked.seed
+
+    @property
+    def particles_drawn(self) -> int:
+        """P of the episodes that are drawn."""
+        return self.asked.particles or 256
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -93,8 +98,16 @@ def _figure(
     """Build the study of a figure of one episode; ``name`` is of its world and of the files."""
 
     def run(settings: Settings, output: Output) -> Found:
+        # All policies by default: then the paper's, whose figure it is.
+        named = [one for one in settings.options.policies if one in POLICIES]
+        policy = named[0] if len(named) == 1 else "faithful"
+        config = navigator_config(policy, settings.particles_drawn)
         with CompileClock() as clock, waiting(f"an episode in {name}", output):
-            policy, recording = _record(name, settings)
+            understood = understand_parse(parse(TEXT), load(None))
+            prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
+            prepared, params = equip(prepared, settings.values, params=settings.params)
+            given: dict[str, Any] = {"text": TEXT, "params": params, "config": config}
+            recording = record_episode(understood, prepared, **given)
         steps = pick_moments(recording, num_panels)
         output.tell(narrate(recording))
         scene, result = recording.scene, recording.result
@@ -168,18 +181,6 @@ FIGURE_4 = _figure(
     "The same scene: values γ^d of every waypoint over the distribution of the goal "
     "(equations 11 and 12); the table says where the unseen goal is believed to be.",
 )
-
-
-def _record(name: str, settings: Settings) -> tuple[str, Recording]:
-    """Run the episode of a figure; with which policy."""
-    # All policies by default: then the paper's, whose figure it is.
-    named = [one for one in settings.options.policies if one in POLICIES]
-    policy = named[0] if len(named) == 1 else "faithful"
-    understood = understand_parse(parse(TEXT), load(None))
-    prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
-    prepared, params = equip(prepared, settings.values, params=settings.params)
-    config = navigator_config(policy, settings.particles_drawn)
-    return policy, record_episode(understood, prepared, text=TEXT, params=params, config=config)
 
 
 def _count_factors(_: Settings, output: Output) -> Found:

@@ -132,7 +132,7 @@ class Summarize:
         from jaxlangnav.experiments.summary import summary_markdown
         from jaxlangnav.inputs.whole_files import write_text
 
-        paths = [write_text(summary_markdown(dict(document)), out / "summary.md")]
+        paths = [write_text(summary_markdown(document), out / "summary.md")]
         if importlib.util.find_spec("matplotlib") is None:
             output.note('note: no figure without matplotlib: pip install "jaxlangnav[viz]"')
             return paths

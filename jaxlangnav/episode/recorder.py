@@ -7,7 +7,7 @@ keeps them all as NumPy arrays.
 import dataclasses
 from collections import ChainMap
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,22 +27,6 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, WorldState
-
-
-class UtteranceSource(Protocol):
-    """What a robot hears while an episode runs."""
-
-    def begin(self, progress: EpisodeState) -> EpisodeState:
-        """Prepare the state, before the first step, for what may be said."""
-        ...
-
-    def hear(self, step: int, progress: EpisodeState) -> EpisodeState:
-        """Take in what is said before the decision of a step."""
-        ...
-
-    def expects(self, progress: EpisodeState) -> bool:
-        """Tell whether more may be said to a robot that stands still until it hears something."""
-        ...
 
 
 def scene_of(
@@ -86,13 +70,13 @@ def play(
     params: NavigatorParams,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
-    ear: UtteranceSource | None = None,
+    ear: Any = None,
 ) -> Iterator[tuple[Frame, EpisodeResult]]:
     """Run an episode step by step: each step, and how it would be judged if it ended with it.
 
     The same ``task.key`` gives the same episode as ``episode.run``. The episode goes on for
     ``max_steps`` cycles (at least 1) or until it ends, or as long as its ``ear`` expects more to be
-    said.
+    said (``task.talk.Earshot``: it begins with a state, hears before each step).
 
     Raises:
         ValueError: ``max_steps`` is less than 1.

@@ -272,15 +272,11 @@ def scores(tally: Tally, stage: int | None = None) -> dict[str, float | None]:
     steps, covered = part.steps.sum(axis=1), part.covered.sum(axis=1)
     number = max(1.0, float(steps.sum()))
     share = float(covered.sum()) / number
-    ece, ece_floor, brier = _error(part.planner)
-    ece_map, ece_map_floor, brier_map = _error(part.map)
-    return {
-        "ece": ece,
-        "ece_floor": ece_floor,
-        "brier": brier,
-        "ece_map": ece_map,
-        "ece_map_floor": ece_map_floor,
-        "brier_map": brier_map,
+    errors: dict[str, float | None] = {}
+    for events, of in ((part.planner, ""), (part.map, "_map")):
+        names = f"ece{of}", f"ece{of}_floor", f"brier{of}"
+        errors |= dict(zip(names, _error(events), strict=True))
+    return errors | {
         "coverage90": 100.0 * share,
         "coverage90_se": 100.0 * float(np.sqrt(((covered - share * steps) ** 2).sum())) / number,
         "nll": float(part.negative_log_likelihood.sum()) / number,

@@ -6,6 +6,7 @@ Figure 5 states no numbers: where Table 2 prints a row of the same world, relati
 in ``paper``.
 """
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -113,11 +114,9 @@ def least_distance(bound: Mapping[str, Any]) -> float:
 def results_table(document: Document, *, fold: str = "") -> Table:
     """Lay out all lines of a table: every row's policies, then its limits; a row is a block."""
     limits = {row_key(bound): bound for bound in document.get("bounds", [])}
-    firsts: list[bool] = []
-    wide, small = Table.of([], _COLUMNS), Table.of([], _SCREEN)
     lines: list[list[Sequence[str]]] = [[], []]
     for key, mine in itertools.groupby(_beside_paper(document), key=row_key):
-        rows, begun = list(mine), len(lines[0])
+        rows = list(mine)
         for into, columns, distance in zip(lines, (_COLUMNS, _SCREEN), (6, 7), strict=True):
             into += Table.of(rows, columns).rows
             if bound := limits.get(key):
@@ -127,15 +126,10 @@ def results_table(document: Document, *, fold: str = "") -> Table:
                 line += [""] * (len(columns) - len(line))
                 line[distance] = f"≥ {least_distance(bound):.2f}"
                 into.append(line)
-        firsts += [place == 0 for place in range(len(lines[0]) - begun)]
-    return Table(
-        headings=wide.headings,
-        rows=lines[0],
-        firsts=firsts,
-        faint=[line[3] == "limit" for line in lines[0]],
-        fold=fold,
-        screen=Table(headings=small.headings, rows=lines[1]),
-    )
+    faint = [line[3] == "limit" for line in lines[0]]
+    small = dataclasses.replace(Table.of([], _SCREEN), rows=lines[1])
+    wide = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), faint=faint, fold=fold, screen=small)
+    return dataclasses.replace(wide, rows=lines[0])
 
 
 def caption(document: Document) -> list[str]:
@@ -198,21 +192,6 @@ _DEVIATIONS: TableColumns = (
 )  # fmt: skip
 
 
-def deviations_table(document: Document) -> Table:
-    """Say for each row that the paper prints how far ``faithful`` lies from it."""
-    rows = [
-        row
-        | {
-            "far": deviations(row, row["paper"]),
-            "success": row["success_rate"] - row["paper"]["success_rate"],
-            "distance": row["distance_mean"] - row["paper"]["distance_mean"],
-        }
-        for row in _beside_paper(document)
-        if row["policy"] == "faithful" and row["paper"]
-    ]
-    return Table.of(rows, _DEVIATIONS)
-
-
 def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
     """Build the figure: rows by relation, then by range (metres; the paper's if none is given)."""
     specs = [
@@ -235,9 +214,18 @@ def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
 
 
 def _tables(document: Document, *, fold: str = "") -> list[Table]:
-    """Lay out the results, and how far our reading of the paper's method lies from its rows."""
-    compared = deviations_table(document)
-    return [results_table(document, fold=fold), *([compared] if compared.rows else [])]
+    """Lay out the results, and how far ``faithful`` lies from the rows that the paper prints."""
+    rows = [
+        row
+        | {
+            "far": deviations(row, row["paper"]),
+            "success": row["success_rate"] - row["paper"]["success_rate"],
+            "distance": row["distance_mean"] - row["paper"]["distance_mean"],
+        }
+        for row in _beside_paper(document)
+        if row["policy"] == "faithful" and row["paper"]
+    ]
+    return [results_table(document, fold=fold), *([Table.of(rows, _DEVIATIONS)] if rows else [])]
 
 
 def _falls(rows: Sequence[Row]) -> list[Row]:

@@ -69,8 +69,7 @@ def _measure(row: Row, spec: RowSpec, results: EpisodeResult, _: EpisodeResult) 
         "other_ends": int((stopped & ~np.isin(ending, named)).sum()),
         "overflow_episodes": int((np.asarray(results.overflow)[valid] > 0).sum()),
     }
-    if not isinstance(spec, PlaceSpec):
-        return mine
+    assert isinstance(spec, PlaceSpec)
     mine |= {"is_told": spec.is_told, "target": None, "is_met": None, "is_calibrated": None}
     if spec.ending == "not_found":
         right, number = row["not_found"], row["episodes"]
@@ -109,16 +108,11 @@ def _describe_missed(document: Document) -> list[str]:
         return []
     lines = []
     for what, form in (("success", ".1f"), ("ece", ".3f")):
-        listed = [
-            f"{one['scenario']} ({one['is']:{form}}, target {one['target']:g}"
-            + (
-                f"; {one['distance']:.1f} m, at most {one['longest']:g})"
-                if one.get("longest")
-                else ")"
-            )
-            for one in document["missed"]
-            if one["what"] == what
-        ]
+        listed = []
+        for one in (one for one in document["missed"] if one["what"] == what):
+            way = "; {distance:.1f} m, at most {longest:g}" if one.get("longest") else ""
+            told = f"{one['is']:{form}}, target {one['target']:g}{way.format_map(one)}"
+            listed.append(f"{one['scenario']} ({told})")
         lines.append(f"Targets of informed missed, {what}: {'; '.join(listed) or 'none'}.")
     return lines
 
@@ -174,10 +168,8 @@ def _tables(document: Document) -> list[Table]:
     """Lay out the rows by scenario, then by policy, and what each scenario is."""
     order = [one["scenario"] for one in document["scenarios"]]
     rows = sorted(document["rows"], key=lambda row: order.index(row["scenario"]))
-    before = ["", *(row["scenario"] for row in rows[:-1])]
-    firsts = [row["scenario"] != above for row, above in zip(rows, before, strict=True)]
     return [
-        Table.of(rows, _COLUMNS, firsts=firsts, screen=Table.of(rows, _SCREEN)),
+        Table.of(rows, _COLUMNS, group=1, screen=Table.of(rows, _SCREEN)),
         Table.of(document["scenarios"], _SCENARIO, fold="What each scenario is"),
     ]
 

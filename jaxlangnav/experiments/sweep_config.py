@@ -130,18 +130,17 @@ def read_config(
 def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> SweepConfig:
     """Check a configuration as ``read_config``; world files are relative to ``folder``."""
     given = convert(table, _Sweep)
-    worlds = tuple(_listed(given.worlds))
-    own, hashes = _open_worlds(worlds, folder)
+    listed = {name: tuple(_listed(value)) for name, value in msgspec.structs.asdict(given).items()}
+    own, hashes = _open_worlds(listed["worlds"], folder)
+    same: dict[str, Any] = {
+        one: getattr(given, one) for one in ("name", "episodes", "environments")
+    }
+    same |= {name: listed[name] for name in ("seeds", "worlds", "particles")}
     config = SweepConfig(
-        name=given.name,
-        episodes=given.episodes,
-        environments=given.environments,
-        seeds=tuple(_listed(given.seeds)),
-        worlds=worlds,
-        commands=tuple(map(_command, _listed(given.commands))),
-        ranges=tuple(LENGTH.read(one, "ranges") for one in _listed(given.ranges)),
-        policies=check_policies(tuple(_listed(given.policies))),
-        particles=tuple(_listed(given.particles)),
+        **same,
+        commands=tuple(map(_command, listed["commands"])),
+        ranges=tuple(LENGTH.read(one, "ranges") for one in listed["ranges"]),
+        policies=check_policies(listed["policies"]),
         params={name: _params(getattr(given, name), name) for name in FIELDS},
         own_worlds=own,
         world_hashes=hashes,

@@ -104,10 +104,6 @@ class SweepPlan:
         """Count the files."""
         return len(self.grid.arms) * self.files_of_arm
 
-    def episodes(self) -> int:
-        """Count the rows of all files."""
-        return len(self.grid.arms) * self.episodes_of_arm
-
     def files(self, shard: str) -> range:
         """List the files of a shard "i/n" by their numbers."""
         part, parts = parse_shard(shard)

@@ -4,7 +4,7 @@ import base64
 import dataclasses
 import html
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,9 +33,9 @@ class Table:
     rows: Sequence[Sequence[str]]
     title: str = ""
     caption: str = ""
-    firsts: Sequence[bool] = ()
-    """Which rows begin a block; none by default. The others do not repeat what they share with the
-    row above in the leading columns, but for Markdown, in which a row is read alone."""
+    group: int = 0
+    """Leading columns by which rows are of one block. Only its first row shows what they hold, but
+    for Markdown, in which a row is read alone."""
     faint: Sequence[bool] = ()
     """Which rows the terminal draws dim; none by default. So are columns of the paper's."""
     fold: str = ""  # what to click on a page to see it; it is open where empty
@@ -72,8 +72,8 @@ class Table:
             justify = "right" if self._is_numeric(place) else "left"
             style = "dim" if heading.startswith("paper") else None
             drawn.add_column(heading, justify=justify, style=style, no_wrap=justify == "right")
-        for place, row in enumerate(self._blocks()):
-            if place and self.firsts and self.firsts[place]:
+        for place, (is_first, row) in enumerate(self._blocks()):
+            if place and is_first:
                 drawn.add_section()
             drawn.add_row(*row, style="dim" if self.faint and self.faint[place] else None)
         return drawn
@@ -85,9 +85,8 @@ class Table:
         align = {place: " class=number" if self._is_numeric(place) else "" for place in used}
         head = "".join(f"<th{align[at]}>{_html_text(self.headings[at])}</th>" for at in used)
         lines = []
-        for place, row in enumerate(self._blocks()):
+        for is_first, row in self._blocks():
             cells = "".join(f"<td{align[at]}>{_html_text(row[at])}</td>" for at in used)
-            is_first = bool(self.firsts) and self.firsts[place]
             lines.append(f"<tr{' class=first' if is_first else ''}>{cells}</tr>")
         body = "\n".join(lines)
         whole = f"<table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table>"
@@ -98,17 +97,13 @@ class Table:
     def _is_numeric(self, place: int) -> bool:
         return all(_NUMBER.match(row[place]) for row in self.rows if row[place])
 
-    def _blocks(self) -> list[list[str]]:
-        """Blank the leading cells that a row has in common with the one above in its block."""
-        told, above = [], [""] * len(self.headings)
-        for place, row in enumerate(self.rows):
-            same = 0
-            if self.firsts and not self.firsts[place]:
-                pairs = zip(above, row, strict=True)
-                same = next((at for at, (one, two) in enumerate(pairs) if one != two), len(row))
-            told.append([*[""] * same, *row[same:]])
-            above = list(row)
-        return told
+    def _blocks(self) -> Iterator[tuple[bool, list[str]]]:
+        """Tell which rows begin a block, and blank what the others share with it."""
+        above: list[str] = []
+        for row in self.rows:
+            head, is_first = list(row[: self.group]), above != list(row[: self.group])
+            yield is_first, [*(head if is_first else [""] * self.group), *row[self.group :]]
+            above = head
 
 
 def _html_text(value: object) -> str:
