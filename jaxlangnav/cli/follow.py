@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from jaxlangnav.cli import checks, speech
-from jaxlangnav.cli.ground import is_template, parse_text
+from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
-from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
+from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import SettingPath, apply, equip, read_settings
 
 if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
-    from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
-    from jaxlangnav.language.phrase import Parse
     from jaxlangnav.task.opening import Prepared
 
 
@@ -84,21 +82,22 @@ class Follow:
     def run(self, output: Output) -> Document:
         """Run the episode, tell it, and draw it where a folder is given."""
         script = self._check()
-        # The words of a template are known; a world of somebody's own brings its own.
-        parsed = parse_text(self.text, output) if is_template(self.world) else None
-        keep_compiled_programs()
+        understood, models, detector = understand_text(
+            self.text, output, world=self.world, weights=self.weights
+        )
+        understood.check_task()
         values = read_settings(self.settings, self.SETTINGS)
         sizes = self._sizes(values)
-        understood, grounder = self._understand(parsed, output)
-        from jaxlangnav.task.opening import refuse_what_it_lacks, slots_of
-
-        refuse_what_it_lacks(self.world, understood)
         from jaxlangnav.experiments.policies import without_compass
+        from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import alone, rehearse
+        from jaxlangnav.task.opening import refuse_what_it_lacks, slots_of
         from jaxlangnav.task.talk import roomy
 
+        refuse_what_it_lacks(self.world, understood)
         heard = None
         if script or self.ask or self.talk or self.person:
+            grounder = GraphGrounder.of_detector(models, detector)
             speech.check_script(script, grounder, understood)
             understood = roomy(understood)
             heard = {"script": script, "grounder": grounder, "first": understood}
@@ -147,26 +146,6 @@ class Follow:
             check(params, policy=config.planner.chosen)
         check_recording(config, self.max_steps)
         return {"params": params, "config": config}
-
-    def _understand(
-        self, parsed: "Parse | None", output: Output
-    ) -> "tuple[Understanding, Grounder]":
-        """Understand the sentence, which has to ask for something."""
-        from jaxlangnav.grounding import GraphGrounder
-        from jaxlangnav.grounding.instruction import understand_parse
-        from jaxlangnav.grounding.weights import load
-        from jaxlangnav.language.lexicon import load_lexicon
-        from jaxlangnav.task.opening import detector_of
-
-        # Before anything is compiled: a world that cannot be opened is refused at once.
-        detector = detector_of(self.world, load_lexicon().type_names)
-        parsed = parsed or parse_text(self.text, output, detector.plain_labels)
-        models = load(self.weights)
-        understood = understand_parse(parsed, models, detector)
-        for note in understood.notes:
-            output.note(f"note: {note}")
-        understood.check_task()
-        return understood, GraphGrounder.of_detector(models, detector)
 
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
         """Open a world in which the sentence can be followed."""

@@ -5,6 +5,7 @@ Sections 3.1 and 3.3 of the paper.
 
 import dataclasses
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
@@ -17,7 +18,8 @@ from jaxlangnav.experiments.table import Table, TableColumns
 if TYPE_CHECKING:
     from rich.tree import Tree
 
-    from jaxlangnav.grounding.instruction import Understanding
+    from jaxlangnav.grounding.binding import Detector
+    from jaxlangnav.grounding.instruction import GroundingModel, Understanding
     from jaxlangnav.language.phrase import Parse as ParsedSentence
 
 PAPER_NUM_OBJECTS = 7  # of the behavior graph that is counted where no world is given
@@ -42,9 +44,28 @@ def parse_text(text: str, output: Output, labels: Collection[str] = ()) -> "Pars
     return parsed
 
 
-def is_template(world: str) -> bool:
-    """Tell whether a world's name is that of a template, 2H1C: no file has to be read."""
-    return world.strip()[:1].isdigit() and "/" not in world and "." not in world
+def understand_text(
+    text: str, output: Output, *, world: str, weights: Path | None
+) -> "tuple[Understanding, GroundingModel, Detector]":
+    """Understand a sentence as the detector of a world knows things; with which models and which.
+
+    The words of a template, 2H1C, are known, so that bad ones are refused at once; a world of
+    somebody's own brings its own.
+    """
+    is_template = world.strip()[:1].isdigit() and "/" not in world and "." not in world
+    parsed = parse_text(text, output) if is_template else None
+    keep_compiled_programs()
+    from jaxlangnav.grounding.instruction import understand_parse
+    from jaxlangnav.grounding.weights import load
+    from jaxlangnav.task.opening import detector_of
+
+    models = load(weights)
+    detector = detector_of(world, models.type_names)
+    parsed = parsed or parse_text(text, output, detector.plain_labels)
+    understood = understand_parse(parsed, models, detector)
+    for note in understood.notes:
+        output.note(f"note: {note}")
+    return understood, models, detector
 
 
 def _draw_tree(phrase: Mapping[str, Any], branch: "Tree | None" = None) -> "Tree":
@@ -133,23 +154,13 @@ class Ground:
         check_folder("--out", self.out)
         if self.out is not None:
             check_extra("--out draws a picture and needs", "matplotlib", "viz")
-        is_own = self.world is not None and not is_template(self.world)
-        parsed = None if is_own else parse_text(self.text, output)
-        keep_compiled_programs()
+        understood, model, _ = understand_text(
+            self.text, output, world=self.world or "1H1C", weights=self.weights
+        )
         from rich.text import Text
 
         from jaxlangnav.grounding.asked import list_commands
-        from jaxlangnav.grounding.instruction import understand_parse
-        from jaxlangnav.grounding.weights import load
-        from jaxlangnav.task.opening import detector_of
 
-        model = load(self.weights)
-        detector = detector_of(self.world, model.type_names) if self.world else None
-        labels = detector.plain_labels if detector else ()
-        parsed = parsed or parse_text(self.text, output, labels)
-        understood = understand_parse(parsed, model, detector)
-        for note in understood.notes:
-            output.note(f"note: {note}")
         document: dict[str, Any] = {
             "instruction": self.text,
             "annotations": understood.annotations,
