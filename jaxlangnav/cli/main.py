@@ -4,6 +4,7 @@ Exit codes: 0 done; 1 a failure of ours; 2 bad input, said in one line; 130 inte
 Nothing heavy is imported before a command runs, so help and errors are instant.
 """
 
+import contextlib
 import io
 import os
 import sys
@@ -78,7 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(command: Runnable) -> int:
     """Run a command; under ``--json`` print its document, and only that, on standard output."""
-    with output.standard_output_kept(for_json=command.json):
+    # Stray prints go to standard error where a script reads the document.
+    with contextlib.redirect_stdout(sys.stderr if command.json else sys.stdout):
         document = command.run(output.Output(is_json=command.json))
     if command.json:
         output.write_document(document)

@@ -3,7 +3,6 @@
 What cannot be done is said in one line on standard error.
 """
 
-import contextlib
 import difflib
 import json
 import math
@@ -12,7 +11,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxlangnav.experiments.table import Document as Document
@@ -42,16 +41,10 @@ class Output:
         """
         if not self.is_json:
             from rich.console import Console
-            from rich.measure import Measurement
 
-            console = Console(
-                file=sys.stdout, highlight=False, soft_wrap=True, markup=False, emoji=False
-            )
+            plain: dict[str, Any] = dict.fromkeys(("highlight", "markup", "emoji"), False)
             # A table that is too wide for the screen is better wrapped by it than cut by us.
-            tables = [part for part in parts if not isinstance(part, str)]
-            room = console.options.update(max_width=_WIDEST)
-            widths = [Measurement.get(console, room, part).maximum for part in tables]
-            console.width = max([console.width, *widths])
+            console = Console(file=sys.stdout, width=_WIDEST, soft_wrap=True, **plain)
             console.print(
                 *(printable(one) if isinstance(one, str) else Plain(one) for one in parts)
             )
@@ -81,9 +74,7 @@ def write_document(document: Document) -> None:
     text = json.dumps(to_json(document), ensure_ascii=not is_unicode, indent=2)
     # JSON lets a text hold what would steer a terminal; written as an escape it is the same text.
     escaped = (one if is_plain(one) or one == "\n" else json.dumps(one)[1:-1] for one in text)
-    sys.stdout.write(text if text.isprintable() else "".join(escaped))
-    sys.stdout.write("\n")
-    sys.stdout.flush()
+    sys.stdout.write("".join(escaped) + "\n")
 
 
 def document_text(document: Document) -> str:
@@ -104,16 +95,6 @@ def to_json(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | str):
         return value
     return str(value)
-
-
-@contextlib.contextmanager
-def standard_output_kept(*, for_json: bool) -> Iterator[None]:
-    """Send stray prints to standard error where a script reads one document and nothing else."""
-    if not for_json:
-        yield
-        return
-    with contextlib.redirect_stdout(sys.stderr):
-        yield
 
 
 class UsageError(ValueError):

@@ -6,9 +6,9 @@ what it is told, but for slip; its detector is that of the worlds (``world.senso
 """
 
 import abc
+import bisect
 import dataclasses
-import heapq
-import itertools
+import operator
 from collections.abc import Callable
 from typing import Self
 
@@ -66,8 +66,7 @@ class SimulatedRobot(abc.ABC):
         self._random = np.random.default_rng(seed)
         self._scale = 1.0 + scale * self._random.standard_normal()
         self._bias = bias * self._random.standard_normal()
-        self._count = itertools.count()
-        self._events: list[tuple[float, int, Callable[[Self], None]]] = []
+        self._events: list[tuple[float, Callable[[Self], None]]] = []
 
     @property
     @abc.abstractmethod
@@ -88,7 +87,7 @@ class SimulatedRobot(abc.ABC):
 
     def at(self, seconds: float, event: Callable[[Self], None]) -> None:
         """Let something happen to the robot, a fault or a person, at seconds of its clock."""
-        heapq.heappush(self._events, (seconds, next(self._count), event))
+        bisect.insort(self._events, (seconds, event), key=operator.itemgetter(0))
 
     @property
     def world_state(self) -> WorldState:
@@ -121,7 +120,7 @@ class SimulatedRobot(abc.ABC):
         """Let time pass, see ``Robot.wait``."""
         for _ in range(max(1, round(seconds / TICK))):
             while self._events and self._events[0][0] <= self.seconds:
-                heapq.heappop(self._events)[2](self)
+                self._events.pop(0)[1](self)
             discs = to_discs(self._scan(), BEAMS, self._odometry)
             before = self.true_pose
             ahead, turned = self._move(self.mover.tick(self._odometry, discs))

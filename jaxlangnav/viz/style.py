@@ -62,7 +62,6 @@ POLICY_LOOKS = {
 """Colour, marker and name of each policy."""
 _BOLD_WIDTH, _PLAIN_WIDTH = 0.69, 0.6
 """Mean width of a character over the size of its type, on the safe side."""
-_RAMP = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 class MissingExtraError(ValueError):
@@ -133,9 +132,7 @@ def value_colormap() -> "LinearSegmentedColormap":
     """Build the colour map of the value function."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list(
-        "jaxlangnav-value", list(zip(_RAMP, VALUE_STOPS, strict=True))
-    )
+    return LinearSegmentedColormap.from_list("jaxlangnav-value", VALUE_STOPS)
 
 
 def rc() -> dict[str, Any]:

@@ -5,11 +5,11 @@ when no goal has come for a while; what it sends can be lost, doubled and late o
 truly is is said on standard output as it ends.
 """
 
+import bisect
 import contextlib
 import dataclasses
-import heapq
-import itertools
 import math
+import operator
 import time
 from collections.abc import Iterator
 from typing import Any, Literal
@@ -40,8 +40,7 @@ class UnrulyChannel:
             raise ValueError(f"a share of {share:g} of messages cannot be lost: give 0 to 0.3")
         self._share = share
         self._random = np.random.default_rng(seed)
-        self._count = itertools.count()
-        self._under_way: list[tuple[float, int, Any]] = []
+        self._under_way: list[tuple[float, Any]] = []
 
     def put(self, message: Any, now: float) -> None:
         """Send a message at seconds."""
@@ -50,13 +49,14 @@ class UnrulyChannel:
             return
         late = self._random.uniform(0.0, _LONGEST) if draw > 2.0 and draw < 3.0 else 0.0
         for delay in (0.0, 0.1) if draw < 2.0 else (late,):
-            heapq.heappush(self._under_way, (now + delay, next(self._count), message))
+            later = now + delay, message
+            bisect.insort(self._under_way, later, key=operator.itemgetter(0))
 
     def take(self, now: float) -> list[Any]:
         """Receive what has come by now, in the order in which it comes."""
         come = []
         while self._under_way and self._under_way[0][0] <= now:
-            come.append(heapq.heappop(self._under_way)[2])
+            come.append(self._under_way.pop(0)[1])
         return come
 
 
