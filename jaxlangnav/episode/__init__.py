@@ -164,25 +164,6 @@ def finish(progress: EpisodeState) -> EpisodeResult:
     )
 
 
-def complete(
-    task: Task,
-    instructions: Instruction,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    max_steps: int,
-) -> EpisodeState:
-    """Run an episode until it stops or its time is out; arguments as ``run``'s."""
-
-    def is_running(progress: EpisodeState) -> Array:
-        return ~progress.navigator.is_done & (progress.steps < max_steps)
-
-    def body(progress: EpisodeState) -> EpisodeState:
-        return advance(progress, params=params, config=config)[0]
-
-    return jax.lax.while_loop(is_running, body, begin(task, instructions, config=config))
-
-
 @functools.partial(jax.jit, static_argnames=("config", "max_steps"))
 def run(
     task: Task,
@@ -197,4 +178,12 @@ def run(
     ``task``: key, scenario, sentence (one of ``instructions``, leaves [I, …]), sensor and odometry;
     ``max_steps``: cycles until a time-out.
     """
-    return finish(complete(task, instructions, params=params, config=config, max_steps=max_steps))
+
+    def is_running(progress: EpisodeState) -> Array:
+        return ~progress.navigator.is_done & (progress.steps < max_steps)
+
+    def body(progress: EpisodeState) -> EpisodeState:
+        return advance(progress, params=params, config=config)[0]
+
+    start = begin(task, instructions, config=config)
+    return finish(jax.lax.while_loop(is_running, body, start))

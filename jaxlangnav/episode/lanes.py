@@ -51,14 +51,6 @@ class _Lanes:
     results: Any  # of the course; leaves [E, …]
 
 
-def _where(mask: Array, new: Array, old: Array) -> Array:
-    """Choose whole lanes; typed keys go through their data."""
-    if jnp.issubdtype(new.dtype, jax.dtypes.prng_key):
-        chosen = _where(mask, jax.random.key_data(new), jax.random.key_data(old))
-        return jax.random.wrap_key_data(chosen, impl=jax.random.key_impl(new))
-    return jnp.where(mask.reshape(mask.shape + (1,) * (new.ndim - 1)), new, old)
-
-
 def run_batch(
     tasks: Task,
     instructions: Any,
@@ -140,9 +132,12 @@ def _run_batch(
         )
         order = lanes.next_episode + jnp.cumsum(is_over) - 1
         episode = jnp.where(is_over, jnp.minimum(order, number), lanes.episode)
-        fresh = jax.vmap(load)(episode)
+
+        def take(is_new: Array, new: Any, old: Any) -> Any:
+            return jax.tree.map(functools.partial(jnp.where, is_new), new, old)
+
         return _Lanes(
-            state=jax.tree.map(lambda new, old: _where(is_over, new, old), fresh, state),
+            state=jax.vmap(take)(is_over, jax.vmap(load)(episode), state),
             episode=episode.astype(jnp.int32),
             next_episode=lanes.next_episode + jnp.sum(is_over),
             results=results,

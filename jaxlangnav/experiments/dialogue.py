@@ -4,6 +4,7 @@ The person (``world.person``) is shown what the robot says of itself and speaks 
 decisions, through ``speech_acts``; the words of a statement are joined once for all lanes.
 """
 
+import functools
 import operator
 
 import jax
@@ -102,11 +103,7 @@ def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -
         Says.FALSEHOOD: speech_acts.tell(state, sentence.falsehood, pose, how=How.INFORM),
     }
     for kind, after in outcomes.items():
-
-        def choose(old: Array, new: Array, kind: Says = kind) -> Array:
-            return jnp.where(said == kind, new, old).astype(old.dtype)
-
-        state = jax.tree.map(choose, state, after)
+        state = jax.tree.map(functools.partial(jnp.where, said == kind), after, state)
     return state
 
 

@@ -56,13 +56,9 @@ _Found = Sequence[Detection]
 def _is_seen(goal: GoalPoint, info: NavigatorInfo, found: _Found, pose: np.ndarray) -> bool:
     """Tell whether one of the detections of a look is of the goal."""
     kind, *place = goal
-    for one in found:
-        bearing = pose[2] + one.bearing
-        ahead = one.range * np.array([np.cos(bearing), np.sin(bearing)])
-        off = np.asarray(info.robot, float) + ahead - place
-        if one.object_type == kind and np.hypot(*off) <= SAME_THING:
-            return True
-    return False
+    here = np.asarray(info.robot, float) - place
+    alike = (one for one in found if one.object_type == kind)
+    return any(np.hypot(*(here + one.offset(pose[2]))) <= SAME_THING for one in alike)
 
 
 CYCLE = 1.5

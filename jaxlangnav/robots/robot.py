@@ -42,6 +42,11 @@ class Detection:
     bearing: float
     """Radians, robot frame, counter-clockwise from straight ahead."""
 
+    def offset(self, heading: float = 0.0) -> np.ndarray:
+        """Place it to the robot, f64[2], metres, in the axes that a robot's heading is of."""
+        angle = heading + self.bearing
+        return np.array([self.range * math.cos(angle), self.range * math.sin(angle)])
+
 
 @runtime_checkable
 class Robot(Protocol):

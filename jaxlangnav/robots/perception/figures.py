@@ -88,9 +88,7 @@ def _look(
         seen = robot.detections() or []
         false += sum(tag.number != HYDRANT * TAGS_PER_TYPE for tag in robot.last_tags)
         for one in seen[:1]:
-            seen_at = heading + one.bearing
-            measured = np.array([x, y]) + one.range * np.array([np.cos(seen_at), np.sin(seen_at)])
-            errors.append(measured - place)
+            errors.append(np.array([x, y]) + one.offset(heading) - place)
             biases.append(one.range - away)
     return Figure(
         picture=picture,

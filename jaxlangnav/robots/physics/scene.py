@@ -33,19 +33,17 @@ class PhysicsScene:
     data: Any
     """A ``mujoco.MjData``."""
 
-    def body(self, name: str) -> int:
-        """Look up the number of a body."""
-        return int(self.model.body(name).id)
+    def _moved(self, name: str) -> int:
+        """Look up the number of what can be put elsewhere."""
+        return int(self.model.body_mocapid[self.model.body(name).id])
 
     def put(self, name: str, x: float, y: float) -> None:
         """Put a thing, "thing3" for the slot 3, or the "person" somewhere, metres, map frame."""
-        index = int(self.model.body_mocapid[self.body(name)])
-        self.data.mocap_pos[index, :2] = x, y
+        self.data.mocap_pos[self._moved(name), :2] = x, y
 
     def turn(self, name: str, heading: float) -> None:
         """Turn a thing about its upright axis to a heading, radians, map frame."""
-        index = int(self.model.body_mocapid[self.body(name)])
-        self.data.mocap_quat[index] = _upright(heading)
+        self.data.mocap_quat[self._moved(name)] = _upright(heading)
 
     def cover(self, slot: int) -> None:
         """Hang something grey over the tags of a thing."""

@@ -117,8 +117,7 @@ def to_cloud(found: Sequence[Detection]) -> bytes:
     """Pack detections as the data of a cloud of ``POINT``, base frame, 16 bytes each."""
     points = np.zeros(len(found), POINT)
     for point, one in zip(points, found, strict=True):
-        point["x"] = one.range * math.cos(one.bearing)
-        point["y"] = one.range * math.sin(one.bearing)
+        point["x"], point["y"] = one.offset()
         point["label"] = one.object_type
     return points.tobytes()
 
@@ -279,13 +278,8 @@ def inverse(frame: np.ndarray) -> np.ndarray:
 def carried(found: Sequence[Detection], then: np.ndarray, now: np.ndarray) -> list[Detection]:
     """Express what was seen from the pose ``then`` as seen from ``now``, f64[3] in one frame."""
     moved = compose(inverse(now), then)
-    there = []
-    for one in found:
-        bearing = moved[2] + one.bearing
-        x = moved[0] + one.range * math.cos(bearing)
-        y = moved[1] + one.range * math.sin(bearing)
-        there.append(_detection_at(one.object_type, x, y))
-    return there
+    places = [(moved[:2] + one.offset(moved[2])).tolist() for one in found]
+    return [_detection_at(one.object_type, *at) for one, at in zip(found, places, strict=True)]
 
 
 def pose_between(earlier: np.ndarray, later: np.ndarray, share: float) -> np.ndarray:
