@@ -6,6 +6,7 @@ pixels, decisions). The paper gives no geometry: environments are drawn by the l
 ``world.scenario`` so that the known run is as long as printed.
 """
 
+import contextlib
 import dataclasses
 import time
 from pathlib import Path
@@ -122,24 +123,22 @@ def run_trial(
     ``page`` is a file for its recording. What came of it is in JSON's types: a row of the table,
     and the whole drive as ``steps``.
     """
-    begin, robot = time.perf_counter(), make_robot(row, seed, trial)
+    begin = time.perf_counter()
     truth: list[list[float]] = []
     text = SENTENCES[row.relation]
-    kept = None if page is None else DriveRecorder(robot, navigator, text)
-
-    def keep(step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
-        truth.append([round(float(one), 3) for one in robot.true_pose])
-        if kept is not None:
-            kept.on_step(step, state, info)
-
     key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), TABLE3.index(row)), trial)
-    try:
+    with contextlib.closing(make_robot(row, seed, trial)) as robot:
+        kept = None if page is None else DriveRecorder(robot, navigator, text)
+
+        def keep(step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
+            truth.append([round(float(one), 3) for one in robot.true_pose])
+            if kept is not None:
+                kept.on_step(step, state, info)
+
         ended = drive(navigator, robot, text, key=key, max_seconds=MAX_SECONDS, on_step=keep)
         if kept is not None and page is not None:
             write_html(kept.recording(ended), page)
         found = _judged(robot, ended.ending)
-    finally:
-        robot.close()
     wall = time.perf_counter() - begin
     head = {"row": row.name, "trial": trial, "seed": seed, "why": ended.why}
     return {**head, **found, "wall_s": wall, "steps": _told(ended, truth)}
@@ -150,8 +149,8 @@ def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
 
     Returns what came of it as ``run_trial`` does, without steps.
     """
-    begin, robot = time.perf_counter(), make_robot(row, seed, -1)
-    try:
+    begin = time.perf_counter()
+    with contextlib.closing(make_robot(row, seed, -1)) as robot:
         goal = np.asarray(robot.scenario.goal, float)
         robot.go_to(goal[None], speed=1.0, clearance=0.3)
         progress = robot.wait(0.1)
@@ -163,8 +162,6 @@ def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
         robot.wait(1.0)
         is_there = np.hypot(*(robot.pose()[:2] - goal)) <= HALT + 0.2
         found = _judged(robot, Ending.ARRIVED if is_there else Ending.BLOCKED)
-    finally:
-        robot.close()
     wall = time.perf_counter() - begin
     return {"row": row.name, "trial": "known", "seed": seed, "why": "", **found, "wall_s": wall}
 

@@ -75,9 +75,7 @@ def beliefs_figure(
         left = (width - _COLUMN * len(beliefs)) / 2 + 0.32
         places = {one.path: left + _COLUMN * i for i, one in enumerate(beliefs)}
         for one in beliefs:
-            _draw_phrase(axes, one, places[one.path], names, num_symbols)
-            if one.parent is not None:
-                _draw_link(axes, one, places, num_symbols)
+            _draw_phrase(axes, one, places, names, num_symbols)
         x, y = 0.25, 0.16
         axes.plot([x], [y], marker="s", markersize=7, color=style.INK)
         _circle(axes, x + 1.05, y, face=style.LINE)
@@ -107,8 +105,14 @@ def _height_of(rank: int) -> float:
 
 
 def _draw_phrase(
-    axes: "Axes", one: PhraseBelief, x: float, names: Sequence[str], num_symbols: int
+    axes: "Axes",
+    one: PhraseBelief,
+    places: dict[tuple[int, ...], float],
+    names: Sequence[str],
+    num_symbols: int,
 ) -> None:
+    """Draw a phrase with its likeliest symbols, and what its parent's factors have from it."""
+    x = places[one.path]
     order = np.argsort(-one.probability, kind="stable")[:num_symbols]
     top = _height_of(len(order) - 1)
     axes.plot([x, x], [0.95, top], color=style.MUTED, linewidth=0.9, zorder=1)
@@ -133,22 +137,14 @@ def _draw_phrase(
         axes.text(x + 0.78, y, percent(share), fontsize=8, va="center", color=color)
     rest = len(names) - len(order)
     axes.text(x + 0.08, top + 0.36, f"{rest} more", fontsize=7.5, va="bottom", color=style.MUTED)
-
-
-def _draw_link(
-    axes: "Axes", one: PhraseBelief, places: dict[tuple[int, ...], float], num_symbols: int
-) -> None:
-    """Lead what the child phrase expresses to the line on which all factors of its parent hang."""
+    ranks = [rank for rank, index in enumerate(order) if one.probability[index] >= 0.5]
+    if one.parent is None or not ranks:
+        return
     from matplotlib.patches import FancyArrowPatch
 
-    assert one.parent is not None
-    order = np.argsort(-one.probability, kind="stable")[:num_symbols]
-    start, end = places[one.path] + 0.31, places[one.parent]
+    start, end = x + 0.31, places[one.parent]
     # Flatter over a longer way, so that links stay below the factors they pass.
     bend = -0.3 * _COLUMN / (start - end)
-    ranks = [rank for rank, index in enumerate(order) if one.probability[index] >= 0.5]
-    if not ranks:
-        return
     look = {"color": style.SERIES[0], "linewidth": 1.2, "zorder": 2}
     axes.plot([start, start], [_height_of(ranks[0]), _height_of(ranks[-1])], **look)
     arrow = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 5, "shrinkB": 0}

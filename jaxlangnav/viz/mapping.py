@@ -204,16 +204,15 @@ def drive_picture(
     """
     style.require("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     x_min, x_max, y_min, y_max = (float(edge) for edge in scenario.area)
     tall = _HEIGHT - _HEAD - _FOOT
     wide = max(tall * (x_max - x_min) / (y_max - y_min), 2.4)
-    width = wide + 2 * _SIDE
     with style.house_style():
-        figure = Figure(figsize=(width, _HEIGHT), dpi=_DOTS)
+        size, margins = (wide + 2 * _SIDE, _HEIGHT), (_SIDE, _SIDE, _HEAD, _FOOT)
+        figure, ((axes,),) = style.panels(size, 1, 1, margins)
+        figure.set_dpi(_DOTS)
         canvas = FigureCanvasAgg(figure)
-        axes = figure.add_axes((_SIDE / width, _FOOT / _HEIGHT, wide / width, tall / _HEIGHT))
         frame_area(axes, (x_min, x_max, y_min, y_max))
         _draw_world(axes, scenario)
         draw_view(axes, sensor, world)

@@ -143,14 +143,18 @@ def describe_asked(scene: StaticScene) -> list[str]:
 
 def describe_readings(scene: StaticScene, *, least: float = 0.01) -> list[tuple[str, float]]:
     """Say what the sentence may mean with at least some probability, the likeliest claim first."""
-    total: dict[str, float] = {}
-    for index, log_probability in enumerate(scene.readings.log_probability):
-        probability = math.exp(float(log_probability))
-        if probability > 0.0:
-            claim = describe_reading(scene, index)
-            total[claim] = total.get(claim, 0.0) + probability
+    total = _by_claim(scene, np.exp(np.asarray(scene.readings.log_probability, float)))
     ranked = sorted(total.items(), key=lambda item: -item[1])
     return [(claim, probability) for claim, probability in ranked if probability >= least]
+
+
+def _by_claim(scene: StaticScene, shares: np.ndarray) -> dict[str, float]:
+    """Sum up shares of the readings, f64[K]; readings of the same words are one claim."""
+    total: dict[str, float] = {}
+    for index in np.flatnonzero(np.isfinite(scene.readings.log_probability)):
+        claim = describe_reading(scene, index)
+        total[claim] = total.get(claim, 0.0) + float(shares[index])
+    return total
 
 
 def new_objects(moment: Moment) -> list[summary.SeenObject]:
@@ -232,15 +236,9 @@ def reread(moment: Moment) -> str:
 
 
 def claim_shares(scene: StaticScene, frame: Frame) -> dict[str, float]:
-    """Sum up how probable the particles hold each claim; readings of the same words are one."""
+    """Sum up how probable the particles hold each claim."""
     number = len(scene.readings.log_probability)
-    held = np.bincount(frame.reading, weights=frame.weight, minlength=number)
-    shares: dict[str, float] = {}
-    for index in range(number):
-        if np.isfinite(scene.readings.log_probability[index]):
-            claim = describe_reading(scene, index)
-            shares[claim] = shares.get(claim, 0.0) + float(held[index])
-    return shares
+    return _by_claim(scene, np.bincount(frame.reading, frame.weight, minlength=number))
 
 
 def _goal_name(scene: StaticScene, frame: Frame, slot: int) -> str:

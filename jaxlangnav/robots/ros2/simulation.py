@@ -196,7 +196,5 @@ def switched_on(options: RobotOptions, scenario: Scenario) -> Iterator[Simulated
     check_libraries()
     gates = Gates(range=options.range, field_of_view=view)
     robot = PhysicsRobot(options.robot, scenario, seed=options.seed, gates=gates)
-    try:
+    with contextlib.closing(robot):
         yield robot
-    finally:
-        robot.close()
