@@ -12,21 +12,15 @@ import jax
 import numpy as np
 
 from jaxlangnav.episode import EpisodeState, Task, advance, begin, observe
+from jaxlangnav.experiments.experiment import Grid
 from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, usable_cores
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.tasks import (
-    SENTENCES,
-    cell,
-    concatenate,
-    ground_sentences,
-    make_tasks,
-    take_tasks,
-)
+from jaxlangnav.experiments.rows import PRINTED
+from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
-from jaxlangnav.world.templates import TABLE_2
 
 POLICY = "informed"  # the policy that is measured
 _STEPS = 5  # cycles run before the parts are timed: some things are seen, some words are refuted
@@ -169,15 +163,11 @@ def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
     """
     start = time.perf_counter()
     machine = describe_machine()
-    order, number = list(SENTENCES), -(-LANES // len(TABLE_2))
-    cells = [
-        cell(row.world, row.relation, order.index(row.relation), row.range, number, _SEED)
-        for row in TABLE_2
-    ]
-    tasks = concatenate([make_tasks(one) for one in cells])
-    mixed = np.random.default_rng(0).permutation(number * len(TABLE_2))
+    settings, number = [one.setting(seed=_SEED) for one in PRINTED], -(-LANES // len(PRINTED))
+    grid = Grid(settings=settings, arms=(), episodes=number, names=())
+    tasks = grid.draw(np.random.default_rng(0).permutation(number * len(settings)))
     instructions = ground_sentences(list(SENTENCES.values())).instructions
-    measured = measure_parts(take_tasks(tasks, mixed), instructions, params=params, repetitions=3)
+    measured = measure_parts(tasks, instructions, params=params, repetitions=3)
     return {
         "experiment": "time",
         "cycle_us": 1e6 * measured[0].seconds,
