@@ -15,7 +15,6 @@ import numpy as np
 from fuzz import TEXTS, Target
 
 from jaxlangnav.cli import main as cli
-from jaxlangnav.cli.arguments import Runnable
 from jaxlangnav.cli.output import Output, write_document
 from jaxlangnav.experiments.shards import Shard, ShardError, read_shard, write_shard
 from jaxlangnav.experiments.summary import render, summarize_directory, summary_markdown
@@ -277,7 +276,7 @@ class CommandLineError(Exception):
     """The command line refused its arguments, properly or not: its whole standard error."""
 
 
-def _cheaply(command: Runnable) -> int:
+def _cheaply(command: Any) -> int:
     """Do of a command what needs no engine."""
     output = Output(is_json=command.json)
     if type(command).__name__ == "Parse":

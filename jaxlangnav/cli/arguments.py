@@ -13,10 +13,10 @@ import re
 import shutil
 import textwrap
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from jaxlangnav.cli import MODULES, SUMMARIES, settings
-from jaxlangnav.cli.output import Document, Output, UsageError, did_you_mean
+from jaxlangnav.cli.output import UsageError, did_you_mean
 
 PROGRAM = "jaxlangnav"
 _FRAME = " \t│╭╮╰╯"
@@ -24,17 +24,7 @@ _COMFORTABLE = 88  # columns that a paragraph takes at most: longer lines are ha
 _RULE = re.compile(r"^[─-]{8,}")
 
 
-class Runnable(Protocol):
-    """A command: a dataclass of options that can be run."""
-
-    json: bool
-
-    def run(self, output: Output) -> Document:
-        """Do the work, telling people about it through ``output``; return the document."""
-        ...
-
-
-def parse_arguments(arguments: Sequence[str]) -> Runnable:
+def parse_arguments(arguments: Sequence[str]) -> Any:
     """Read a command and its options; ``UsageError`` for bad ones, ``SystemExit`` after help."""
     name, *options = arguments
     if name.startswith("-"):

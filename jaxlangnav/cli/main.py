@@ -9,10 +9,11 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from jaxlangnav import __version__
 from jaxlangnav.cli import SUMMARIES, output
-from jaxlangnav.cli.arguments import PROGRAM, Runnable, parse_arguments
+from jaxlangnav.cli.arguments import PROGRAM, parse_arguments
 from jaxlangnav.inputs.sanitize import printable
 
 DEBUG = "JAXLANGNAV_DEBUG"
@@ -77,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
 
 
-def _run(command: Runnable) -> int:
+def _run(command: Any) -> int:
     """Run a command; under ``--json`` print its document, and only that, on standard output."""
     # Stray prints go to standard error where a script reads the document.
     with contextlib.redirect_stdout(sys.stderr if command.json else sys.stdout):

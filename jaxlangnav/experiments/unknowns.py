@@ -133,8 +133,8 @@ def _turned(tasks: Task, seed: int) -> Task:
 def _measure(row: Row, spec: RowSpec, mine: EpisodeResult, base: EpisodeResult) -> Row:
     """Hold a row against the printed one, and against the first variation's, paired."""
     paper = printed_rows([TABLE_2[PRINTED.index(spec)]])[0]
-    far = deviations(row, paper)
-    near = {name: abs(z) <= AGREEMENT for name, z in far.items()}
+    z = deviations(row, paper)
+    near = {f"is_{name}_near": abs(far) <= AGREEMENT for name, far in z.items()}
     both = np.asarray(mine.is_valid) & np.asarray(base.is_valid)
     paired = None
     if both.any():
@@ -146,10 +146,8 @@ def _measure(row: Row, spec: RowSpec, mine: EpisodeResult, base: EpisodeResult) 
         "distance_se": distance_error(row),
         "paper_success_rate": paper["success_rate"],
         "paper_distance_mean": paper["distance_mean"],
-        "z_success": far["success"],
-        "z_distance": far["distance"],
-        "is_success_near": near["success"],
-        "is_distance_near": near["distance"],
+        **{f"z_{name}": far for name, far in z.items()},
+        **near,
         "is_near": all(near.values()),
         "paired": paired,
     }

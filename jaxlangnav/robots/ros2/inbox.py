@@ -6,6 +6,7 @@ Its side may start anew, its clock and its odometry at zero.
 
 import bisect
 import dataclasses
+import operator
 from collections.abc import Sequence
 
 import numpy as np
@@ -49,8 +50,7 @@ class Track:
     def __init__(self, counts: Counts) -> None:
         """Begin with none; ``counts`` are counted in."""
         self._counts = counts
-        self._stamps: list[float] = []
-        self._poses: list[np.ndarray] = []
+        self._log: list[tuple[float, np.ndarray]] = []
         self.frame = np.zeros(3)
         """Where the robot's present odometry frame is placed in the map frame, f64[3]."""
         self._old: list[tuple[float, np.ndarray]] = []
@@ -58,46 +58,49 @@ class Track:
     @property
     def newest(self) -> float | None:
         """Stamp of the newest pose, seconds of the robot's clock; None if there is none."""
-        return self._stamps[-1] if self._stamps else None
+        return self._log[-1][0] if self._log else None
 
     @property
     def pose(self) -> np.ndarray | None:
         """The newest pose, f64[3], map frame; None if there is none."""
-        return self._poses[-1].copy() if self._poses else None
+        return self._log[-1][1].copy() if self._log else None
 
     def add(self, stamp: float, pose: np.ndarray) -> None:
         """Take in odometry: seconds of the robot's clock, and f64[3], odometry frame."""
-        if self._stamps and stamp < self._stamps[-1] - _LATE:
+        if self.newest is not None and stamp < self.newest - _LATE:
             self._add_old(stamp, pose)
             return
         self._old.clear()
-        place = bisect.bisect_left(self._stamps, stamp)
-        if place < len(self._stamps) and self._stamps[place] == stamp:
+        place = self._place(stamp)
+        if place < len(self._log) and self._log[place][0] == stamp:
             self._counts.doubled += 1
             return
-        if self._stamps and place == len(self._stamps):
+        if self._log and place == len(self._log):
             # It begins anew where the robot cannot have gone in the meantime.
-            seconds = stamp - self._stamps[-1]
-            gone = np.hypot(*(compose(self.frame, pose) - self._poses[-1])[:2])
+            last, former = self._log[-1]
+            seconds = stamp - last
+            gone = np.hypot(*(compose(self.frame, pose) - former)[:2])
             is_zero = seconds > _SILENCE and bool((np.abs(pose) < _ZERO).all())
             if gone > _SPEED * seconds + _JUMP or (is_zero and self._is_elsewhere(pose)):
                 self._restart(pose)
-        self._stamps.insert(place, stamp)
-        self._poses.insert(place, compose(self.frame, pose))
-        first = bisect.bisect_left(self._stamps, self._stamps[-1] - _KEPT)
-        del self._stamps[:first], self._poses[:first]
+        self._log.insert(place, (stamp, compose(self.frame, pose)))
+        del self._log[: self._place(self._log[-1][0] - _KEPT)]
+
+    def _place(self, stamp: float) -> int:
+        """Find the first pose that is not before a stamp."""
+        return bisect.bisect_left(self._log, stamp, key=operator.itemgetter(0))
 
     def at(self, stamp: float) -> np.ndarray | None:
         """Tell where the robot was at a stamp, f64[3], map frame; None if no odometry is near."""
-        if not self._stamps:
+        if not self._log:
             return None
-        after = bisect.bisect_left(self._stamps, stamp)
-        first, last = max(after - 1, 0), min(after, len(self._stamps) - 1)
-        if min(abs(self._stamps[first] - stamp), abs(self._stamps[last] - stamp)) > _GAP:
+        after = self._place(stamp)
+        near = self._log[max(after - 1, 0) : after + 1]
+        (begin, first), (end, last) = near[0], near[-1]
+        if min(abs(begin - stamp), abs(end - stamp)) > _GAP:
             return None
-        span = self._stamps[last] - self._stamps[first]
-        share = (stamp - self._stamps[first]) / span if span > 0.0 else 0.0
-        return pose_between(self._poses[first], self._poses[last], share)
+        share = (stamp - begin) / (end - begin) if end > begin else 0.0
+        return pose_between(first, last, share)
 
     def _add_old(self, stamp: float, pose: np.ndarray) -> None:
         """Hold what is too late for use, until it is plain that the clock began anew."""
@@ -115,15 +118,14 @@ class Track:
 
     def _is_elsewhere(self, pose: np.ndarray) -> bool:
         """Tell whether a pose, odometry frame, is not where the robot last was."""
-        off = compose(self.frame, pose) - self._poses[-1]
+        off = compose(self.frame, pose) - self._log[-1][1]
         return bool(np.hypot(*off[:2]) > _JUMP or abs(wrap(float(off[2]))) > _JUMP)
 
     def _restart(self, pose: np.ndarray) -> None:
         """Place the robot's new odometry frame so that it stands where it last was."""
         if self._is_elsewhere(pose):
-            self.frame = compose(self._poses[-1], inverse(pose))
-        self._stamps.clear()
-        self._poses.clear()
+            self.frame = compose(self._log[-1][1], inverse(pose))
+        self._log.clear()
         self._counts.restarts += 1
 
 
