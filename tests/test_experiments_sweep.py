@@ -123,7 +123,7 @@ def test_the_plan_holds_every_episode_once() -> None:
     }  # fmt: skip
     plan = make_plan(config_from_dict(table))
     # Settings 2·2·2·2·2 = 32 of 70 episodes; informed in 2·3 arms, the baseline in one.
-    assert plan.episodes() == 32 * 70 * 7
+    assert plan.episodes_of("1/1") == 32 * 70 * 7
     # The example: 3 worlds, 2 commands, 2 ranges, 2 detectors, 50 episodes, 3 policies.
     example = read_config(Path(__file__).parent.parent / "examples" / "grid.toml")
     assert make_plan(example).episodes() == 24 * 50 * 3
@@ -132,13 +132,13 @@ def test_the_plan_holds_every_episode_once() -> None:
         columns = plan.grid._labels(plan.arm(index), plan.places(index))
         assert {len(values) for values in columns.values()} == {plan.size(index)}
         rows |= set(zip(*columns.values(), strict=True))
-    assert len(rows) == plan.episodes()
+    assert len(rows) == plan.episodes_of("1/1")
 
 
 def test_a_part_of_a_billion_episodes_is_a_part() -> None:
     config = config_from_dict(SMALL | {"episodes": 10**8, "seeds": list(range(10))})
     plan = make_plan(config)
-    assert plan.episodes() == 10**9 * len(plan.grid.arms) * len(plan.grid.settings) // 10
+    assert plan.episodes_of("1/1") == 10**9 * len(plan.grid.arms) * len(plan.grid.settings) // 10
     parts = [plan.episodes_of(f"{i}/1000") for i in (1, 500, 1000)]
     assert max(parts) - min(parts) <= 1024
     last = plan.files("7/1000")[-1]
@@ -146,7 +146,7 @@ def test_a_part_of_a_billion_episodes_is_a_part() -> None:
     columns = plan.grid._labels(plan.arm(last), plan.places(last))
     assert columns["episode"][0] == first % 10**8
     assert columns["seed"][0] == first // 10**8
-    assert sum(plan.episodes_of(f"{i}/7") for i in range(1, 8)) == plan.episodes()
+    assert sum(plan.episodes_of(f"{i}/7") for i in range(1, 8)) == plan.episodes_of("1/1")
 
 
 @pytest.mark.parametrize(

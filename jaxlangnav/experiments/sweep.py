@@ -88,8 +88,8 @@ def _claim_folder(
     folder: Path, plan: SweepPlan, mine: Sequence[int], models: Any, *, is_resumed: bool
 ) -> str:
     """Write the manifest, or see that the one that is there is ours; the sweep's identity."""
-    rows = len(plan.grid.arms) * plan.episodes_of_arm
-    sizes = {"chunk": CHUNK, "lanes": LANES, "files": plan.num_files, "rows": rows}
+    sizes = {"chunk": CHUNK, "lanes": LANES, "files": plan.num_files}
+    sizes["rows"] = plan.episodes_of("1/1")
     settings = plan.config.document() | sizes
     ours = json.loads(json.dumps(manifest(settings, models=models)))
     path = folder / MANIFEST
