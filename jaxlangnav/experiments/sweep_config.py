@@ -41,7 +41,7 @@ from msgspec import Meta, field
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
-from jaxlangnav.inputs.documents import read_document
+from jaxlangnav.inputs.documents import naming, read_document
 from jaxlangnav.inputs.limits import LENGTH
 from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, unknown_key
@@ -121,10 +121,8 @@ def read_config(
     for name, keys in (overrides or {}).items():
         if isinstance(table.setdefault(name, {}), dict):
             table[name] |= keys
-    try:
+    with naming(path):
         return config_from_dict(table, folder=path.parent)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> SweepConfig:
