@@ -24,14 +24,6 @@ from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.robot import Drive, Ending, Step, observe
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
-_STATUS = {
-    Ending.ARRIVED: Status.ARRIVED,
-    Ending.NOT_FOUND: Status.NOT_FOUND,
-    Ending.WHICH_ONE: Status.WHICH_ONE,
-    Ending.HALTED: Status.HALTED,
-    Ending.IDLE: Status.IDLE,
-}
-"""Of the other endings no status tells."""
 _frame_of = jax.jit(frame_of)
 
 
@@ -110,7 +102,8 @@ class DriveRecorder:
         faults = np.array([int(frame.fault) for frame in self._frames])
         samples = [float(frame.effective_sample_size) for frame in self._frames]
         is_success = ended.ending is Ending.ARRIVED and away <= SUCCESS_RADIUS
-        status = _STATUS.get(ended.ending, Status(int(ended.state.status)))
+        # Of some endings no status tells.
+        status = Status.__members__.get(ended.ending.name, int(ended.state.status))
         numbers = {
             "is_success": is_success,
             "is_stopped": ended.ending is not Ending.OUT_OF_TIME,

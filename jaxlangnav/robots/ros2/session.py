@@ -133,7 +133,7 @@ class Session:
         found = step.detections
         self._tell(
             {
-                "status": step.status.name.lower(),
+                "status": step.status.word,
                 "pose": [round(one, 3) for one in step.pose],
                 "target": None if step.target is None else [round(one, 3) for one in step.target],
                 "progress": step.progress.value,
