@@ -126,7 +126,7 @@ def test_the_plan_holds_every_episode_once() -> None:
     assert plan.episodes_of("1/1") == 32 * 70 * 7
     # The example: 3 worlds, 2 commands, 2 ranges, 2 detectors, 50 episodes, 3 policies.
     example = read_config(Path(__file__).parent.parent / "examples" / "grid.toml")
-    assert make_plan(example).episodes() == 24 * 50 * 3
+    assert make_plan(example).episodes_of("1/1") == 24 * 50 * 3
     rows = set()
     for index in range(plan.num_files):
         columns = plan.grid._labels(plan.arm(index), plan.places(index))
