@@ -63,10 +63,7 @@ class Follow:
     ask: bool = False
     """Let the robot ask which one is meant: you answer on the terminal, or --person does. A
     question costs 0.1 of a success unless --params.planner.question-cost says otherwise."""
-    person: Annotated[
-        Literal["attentive", "slow", "careless", "patient"] | None,
-        tyro.conf.arg(metavar="NAME", help_behavior_hint=""),
-    ] = None
+    person: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """A simulated person who knows the goal, watches, corrects and answers: attentive, slow (waits
     5 steps), careless (errs in 10 %) or patient (corrects up to 5 times)."""
     talk: bool = False

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.cli.output import Output, UsageError
+from jaxlangnav.cli.output import Output, UsageError, did_you_mean
 from jaxlangnav.inputs.sanitize import cut, printable
 
 if TYPE_CHECKING:
@@ -47,7 +47,12 @@ def read_script(hear: Iterable[str], max_steps: int) -> dict[int, list[str]]:
 
 
 def check_speakers(*, ask: bool, talk: bool, person: str | None) -> None:
-    """Refuse a question or a talk with nobody to type."""
+    """Refuse a person that nobody is, and a question or a talk with nobody to type."""
+    from jaxlangnav.world.person import PERSONS
+
+    if person is not None and person not in PERSONS:
+        known = f"{', '.join(PERSONS)}{did_you_mean(person, PERSONS)}"
+        raise UsageError(f'--person is "{cut(person)}", but must be one of {known}')
     if person is not None and talk:
         raise UsageError("--person speaks for you: leave out --talk")
     for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):
