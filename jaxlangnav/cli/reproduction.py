@@ -21,7 +21,7 @@ from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_recording
-from jaxlangnav.experiments.table import write_report
+from jaxlangnav.experiments.table import Told, write_report
 from jaxlangnav.experiments.table1 import evaluate, table_1
 from jaxlangnav.experiments.timing import cycle_parts
 from jaxlangnav.grounding.weights import load_shipped
@@ -89,8 +89,8 @@ def _episodes(name: str, settings: Settings) -> Study:
         output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
         return document, lambda out: _draw(experiment.name, document, out, output)
 
-    return Study.of(
-        experiment,
+    return Study(
+        **{one.name: getattr(experiment, one.name) for one in dataclasses.fields(Told)},
         run=run,
         made=lambda document: {
             "episodes": f"{document['episodes']} a row and arm, seed {document['seed']}, "
@@ -235,7 +235,7 @@ STUDIES = {
             "CPU time of all threads.".format_map(document["machine"])
         ],
     ),
-    "conversation": Study.of(spoken.CONVERSATION, run=_conversation),
+    "conversation": Study(title=spoken.CONVERSATION.title, run=_conversation),
     "table3": Study(title=_TITLE3, run=_table3),
 }
 """The other experiments."""

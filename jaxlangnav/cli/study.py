@@ -63,11 +63,6 @@ class Study(Told):
     made: Callable[[Document], Mapping[str, str]] = lambda _: {}
     """What else there is to say of how it was made."""
 
-    @classmethod
-    def of(cls, told: Told, **own: Any) -> "Study":
-        """Take over how an experiment is told."""
-        return cls(**{one.name: getattr(told, one.name) for one in dataclasses.fields(Told)}, **own)
-
     def section(self, document: Document, command: str) -> Section:
         """Put what was found into the report; SVG pictures are shown, sharp at any size."""
         wall, files = document["wall_s"], [Path(path) for path in document["files"]]
