@@ -151,7 +151,7 @@ def describe_readings(scene: StaticScene, *, least: float = 0.01) -> list[tuple[
 def _by_claim(scene: StaticScene, shares: np.ndarray) -> dict[str, float]:
     """Sum up shares of the readings, f64[K]; readings of the same words are one claim."""
     total: dict[str, float] = {}
-    for index in np.flatnonzero(np.isfinite(scene.readings.log_probability)):
+    for index in np.flatnonzero(np.isfinite(scene.readings.log_probability)).tolist():
         claim = describe_reading(scene, index)
         total[claim] = total.get(claim, 0.0) + float(shares[index])
     return total
