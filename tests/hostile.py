@@ -39,29 +39,16 @@ def _seen(draw: Draw, look: Observation) -> tuple[Observation, int]:
     return _with(look, "is_detection", slot, True), slot
 
 
-def pose(draw: Draw, look: Observation) -> Observation:
-    choices = [*NOT_FINITE, *HUGE, 500.0, -500.0]
-    return _with(look, "pose", int(draw.integers(2)), draw.choice(choices))
+def one_of(field: str, values: tuple, slots: tuple[int, ...] = ()) -> Mutation:
+    """Put one of some values into a field: into one of some slots, or into a detection."""
 
+    def mutate(draw: Draw, look: Observation) -> Observation:
+        if slots:
+            return _with(look, field, int(draw.choice(slots)), draw.choice(values))
+        look, slot = _seen(draw, look)
+        return _with(look, field, slot, draw.choice(values))
 
-def heading(draw: Draw, look: Observation) -> Observation:
-    return _with(look, "pose", 2, draw.choice([*NOT_FINITE, *HUGE]))
-
-
-def object_type(draw: Draw, look: Observation) -> Observation:
-    look, slot = _seen(draw, look)
-    return _with(look, "detection_type", slot, int(draw.choice(INTEGERS)))
-
-
-def distance(draw: Draw, look: Observation) -> Observation:
-    look, slot = _seen(draw, look)
-    beyond = float(look.sensor.range_max) + 2.0
-    return _with(look, "detection_range", slot, draw.choice([*NOT_FINITE, *HUGE, -1.0, beyond]))
-
-
-def bearing(draw: Draw, look: Observation) -> Observation:
-    look, slot = _seen(draw, look)
-    return _with(look, "detection_bearing", slot, draw.choice([*NOT_FINITE, *HUGE, 90.0, -720.0]))
+    return mutate
 
 
 def mask(draw: Draw, look: Observation) -> Observation:
@@ -95,15 +82,19 @@ def specification(field: str) -> Mutation:
 
 
 MUTATIONS: dict[str, tuple[Mutation, Fault]] = {
-    "pose": (pose, Fault.POSE),
-    "heading": (heading, Fault.POSE),
-    "detection_type": (object_type, Fault.DETECTION),
-    "detection_range": (distance, Fault.DETECTION),
-    "detection_bearing": (bearing, Fault.DETECTION),
+    "pose": (one_of("pose", (*NOT_FINITE, *HUGE, 500.0, -500.0), slots=(0, 1)), Fault.POSE),
+    "heading": (one_of("pose", (*NOT_FINITE, *HUGE), slots=(2,)), Fault.POSE),
+    "detection_type": (one_of("detection_type", INTEGERS), Fault.DETECTION),
+    "detection_range": (
+        one_of("detection_range", (*NOT_FINITE, *HUGE, -1.0, 20.0)), Fault.DETECTION,
+    ),
+    "detection_bearing": (
+        one_of("detection_bearing", (*NOT_FINITE, *HUGE, 90.0, -720.0)), Fault.DETECTION,
+    ),
     "is_detection": (mask, Fault.DETECTION),
     "contradiction": (contradiction, Fault.CONTRADICTION),
     **{name: (specification(name), Fault.SENSOR) for name in SPECIFICATIONS},
-}
+}  # fmt: skip
 """Every field of an observation, how it is broken, and what has to be said of it."""
 
 

@@ -27,13 +27,13 @@ ANSI = "\x1b[31mred\x1b]0;title\x07\u202e\x9b2J"
 MARKUP = "[red]x[/red] [link=https://example.org]y[/link] :skull:"
 
 
-def refused(words: list[str], capsys: pytest.CaptureFixture[str], *, lines: int = 1) -> str:
-    """Run, and return the one line of the refusal, the last where there are notes before it."""
+def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Run, and return the one line of the refusal; there may be notes before it."""
     assert cli.main(words) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.count("\n") == lines
-    line = captured.err.splitlines()[-1]
+    *notes, line = captured.err.splitlines()
+    assert all(note.startswith(("note: ", "reading the corpus")) for note in notes), notes
     assert line.startswith("jaxlangnav: ")
     assert "internal" not in line
     assert line.isprintable()
@@ -47,25 +47,6 @@ def document(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, 
     return json.loads(capsys.readouterr().out)
 
 
-def test_escape_sequences_of_a_sentence_are_shown_not_sent(capsys):
-    refused(["parse", f"go to the {ANSI}"], capsys)
-    refused([ANSI], capsys)
-    refused(["parse", "x", f"--{ANSI}"], capsys)
-    refused(["follow", "go to the cone", "--world", ANSI], capsys)
-    refused(["follow", "go to the cone", "--policy", ANSI], capsys)
-
-
-def test_a_value_of_any_length_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
-    refused(["follow", "go to the cone", "--world", "x" * 100_000], capsys)
-    refused(["follow", "go to the cone", "--world", "x/" * 100_000], capsys)
-    refused(["follow", "go to the cone", "--world", "9" * 5000 + "H1C"], capsys)
-    refused(["follow", "go to the cone", "--seed", "9" * 5000], capsys)
-    line = refused(["ground", "go to the cone", "--world", "x" * 5000 + ".toml"], capsys)
-    assert "xxx" in line
-    # The reason is not pushed out.
-    assert "shipped worlds are" in line or "too long" in line.lower()
-
-
 GO, TABLE_2 = ["follow", "go to the hydrant"], ["reproduce", "table2"]
 HUGE = "1000000000000"
 REFUSED: list[tuple[list[str], str]] = [
@@ -75,6 +56,14 @@ REFUSED: list[tuple[list[str], str]] = [
     (["follow", "go to the car"], "world 1H1C has no car, only 1 hydrant and 1 cone"),
     (["follow", "the hydrant is behind the cone"], "asks for nothing to be done"),
     (["follow", "go past the cone"], "past"),
+    # Signs that steer a terminal, and values of any length, whose reason is not pushed out.
+    *((words, "") for words in (
+        ["parse", f"go to the {ANSI}"], [ANSI], ["parse", "x", f"--{ANSI}"],
+        [*GO, "--world", ANSI], [*GO, "--policy", ANSI], [*GO, "--world", "x" * 100_000],
+        [*GO, "--world", "x/" * 100_000], [*GO, "--world", "9" * 5000 + "H1C"],
+        [*GO, "--seed", "9" * 5000],
+    )),
+    (["ground", "go to the cone", "--world", "x" * 5000 + ".toml"], "no such file; shipped worlds are"),
     # Options of their own.
     *(([*GO, "--range", far], "--range is") for far in ("1e39", "1e400", "nan", "-1", "1e-46")),
     ([*GO, "--range", "0.005"], "--range is 0.005, but must be between 0.01 m"),
@@ -168,13 +157,7 @@ def test_what_is_wrong_is_one_line_and_nothing_is_begun(words, why, tmp_path, mo
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
     for begins in ("jaxlangnav.task.follow.rehearse", "jaxlangnav.episode.recorder.play"):
         monkeypatch.setattr(begins, lambda *_, **__: pytest.fail("begun"))
-    assert cli.main([*words, "--json"]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    *notes, line = captured.err.splitlines()
-    assert all(note.startswith(("note: ", "reading the corpus")) for note in notes), notes
-    assert line.startswith("jaxlangnav: ")
-    assert why in line
+    assert why in refused([*words, "--json"], capsys)
     assert not list(tmp_path.iterdir())
 
 

@@ -63,8 +63,8 @@ def test_a_shared_folder_named_for_jax_is_left_to_jax(shared, home, tmp_path, ca
 
 
 def test_where_others_can_write_nothing_is_kept_and_that_is_said_once(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    home, tmp_path, monkeypatch, capsys
+):
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared").chmod(0o777)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "shared"))

@@ -143,9 +143,7 @@ def test_order_of_tasks_does_not_matter(in_lanes: EpisodeResult, tasks, instruct
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 64])
-def test_number_of_lanes_does_not_matter(
-    lanes: int, in_lanes: EpisodeResult, tasks, instructions
-) -> None:
+def test_number_of_lanes_does_not_matter(lanes, in_lanes, tasks, instructions):
     assert_same(batch(tasks, instructions, lanes), in_lanes)
 
 

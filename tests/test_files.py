@@ -2,11 +2,8 @@
 
 import io
 import os
-import signal
 import socket
 import stat
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,16 +16,6 @@ from jaxlangnav.inputs.arrays import faults_as_values, parse_floats
 from jaxlangnav.inputs.documents import DEEPEST, DocumentError, parse_json, parse_toml, read_text
 from jaxlangnav.inputs.whole_files import own_folder, read_file, read_own_file, write_own_file
 from jaxlangnav.planner import prior
-
-WRITER = """
-import sys
-from pathlib import Path
-from jaxlangnav.inputs.whole_files import replacing
-with replacing(Path(sys.argv[1])) as temporary:
-    temporary.write_text("half")
-    print("writing", flush=True)
-    sys.stdin.read()
-"""
 
 
 def fail(path: Path) -> None:
@@ -45,9 +32,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_file_and_folder_are_forced_to_the_disk_before_the_rename_counts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_file_and_folder_are_forced_to_the_disk_before_the_rename_counts(tmp_path, monkeypatch):
     events: list[tuple[str, str]] = []
     fsync, move = os.fsync, Path.replace
 
@@ -68,24 +53,6 @@ def test_file_and_folder_are_forced_to_the_disk_before_the_rename_counts(
     assert temporary == same
     assert temporary.startswith(".table.partial-")
     assert folder == "out"
-
-
-def test_a_killed_writer_leaves_the_old_file_and_a_hidden_one(tmp_path: Path) -> None:
-    path = whole_files.write_text("old", tmp_path / "table.md")
-    writer = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert writer.stdout is not None
-    assert writer.stdout.readline() == "writing\n"
-    writer.send_signal(signal.SIGKILL)
-    writer.communicate()
-    assert path.read_text() == "old"
-    (left,) = tmp_path.glob(".table.partial-*.md")
-    assert left.read_text() == "half"
-    assert {one.name for one in tmp_path.iterdir()} == {path.name, left.name}
 
 
 def test_of_two_writers_one_wins(tmp_path: Path) -> None:
@@ -251,9 +218,7 @@ def test_what_is_no_file_of_its_own_is_refused(tmp_path: Path) -> None:
             own_folder(path)
 
 
-def test_a_file_that_cannot_be_written_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
     write_own_file(tmp_path / "file", b"content")
 
     def full(*_: object) -> None:
@@ -320,9 +285,7 @@ def test_what_a_library_raises_is_said_in_what_can_be_printed() -> None:
         *(np.full((15, 9), np.nan), ".", "none", "/dev/zero"),
     ],
 )
-def test_a_prior_that_is_no_table_of_densities_is_refused(
-    tmp_path: Path, table: np.ndarray | str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_prior_that_is_no_table_of_densities_is_refused(tmp_path, table, monkeypatch):
     if not isinstance(table, str):
         np.save(tmp_path / "prior.npy", table.astype(np.float32))
     path = tmp_path / (table if isinstance(table, str) else "prior.npy")

@@ -132,22 +132,6 @@ def test_empty_slots_and_spare_phrases_change_nothing(model, text):
     assert got.goal[:, 5 : SLOTS - 1].max() < 1e-6
 
 
-def test_permuting_objects_permutes_the_behavior(model):
-    program = program_of(BEHIND_CONE, model)
-    world = random_topology(np.random.default_rng(4))
-    order = np.append(np.random.default_rng(0).permutation(8), 8)
-    moved = World(
-        world.object_type[order],
-        world.is_object[order],
-        world.is_related[:, order][:, :, order],
-        world.is_ranked[:, :, order][:, :, :, order],
-        world.is_previous[order],
-    )
-    plain = infer(program, to_device(world), num_phrases=program.num_phrases)
-    got = infer(program, to_device(moved), num_phrases=program.num_phrases)
-    np.testing.assert_allclose(got.goal, plain.goal[:, order], atol=1e-5)
-
-
 def test_batches_equal_a_loop(model):
     """Different sentences in one batch of episodes, different worlds in their particles."""
     rng = np.random.default_rng(11)

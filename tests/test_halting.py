@@ -170,9 +170,7 @@ def test_what_is_understood_does_not_halt(robot: Navigator, under_way: Navigator
         ("wrong pallet mate", "'wrong' may begin a correction"),
     ],
 )
-def test_it_says_why_it_halts(
-    robot: Navigator, under_way: NavigatorState, text: str, why: str
-) -> None:
+def test_it_says_why_it_halts(robot, under_way, text, why):
     after, heard = robot.take(under_way, text)
     assert bool(after.is_halted)
     assert why in heard.notes[0]

@@ -110,9 +110,7 @@ def flipped(content: bytes, at: int, bit: int) -> bytes:
     return bytes(changed)
 
 
-def test_no_flipped_bit_is_ever_parsed_or_loaded(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_flipped_bit_is_ever_parsed_or_loaded(folder, monkeypatch):
     another_process()(jax.random.key(3), default_motion())
     (path,) = folder.glob("*.program")
     content = path.read_bytes()
@@ -301,9 +299,7 @@ def test_threads_wait_for_one_program(folder: Path) -> None:
     assert getattr(jax.config, name) == before
 
 
-def test_where_nothing_can_be_written_it_computes(
-    folder: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_nothing_can_be_written_it_computes(folder, said, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 

@@ -324,9 +324,7 @@ def test_a_new_type_and_a_synonym_are_grounded_without_training(tmp_path: Path) 
         (f"[types]\nlamp = {[f'w{i}' for i in range(2000)]}", "at most 1000 may be added"),
     ],
 )
-def test_a_faulty_file_is_named(
-    text: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_faulty_file_is_named(text, says, tmp_path, monkeypatch):
     path = tmp_path / "words.toml"
     path.write_text(text, "utf-8")
     monkeypatch.setenv(OWN_LEXICON, str(path))
@@ -363,9 +361,7 @@ def test_honest_words_are_taken(text: str) -> None:
     assert read_lexicon(shipped.read_text("utf-8"), text).type_names[0] == "hydrant"
 
 
-def test_what_is_no_file_is_refused_by_name_and_not_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_file_is_refused_by_name_and_not_waited_for(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "large").write_bytes(b"#" * 300_000)
     for path, says in (
