@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.world import state
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import Scenario, WorldState
 
 SIDE = (-20.0, 20.0, -20.0, 20.0)
 
@@ -18,3 +19,15 @@ def placed(
     if goal != NONE:
         more |= {"goal": np.float32(things[goal][1:]), "goal_index": np.int32(goal)}
     return state.placed(things, slots=slots, area=area, is_valid=np.bool_(True), **more)
+
+
+def standing(
+    x: float = 0.0, y: float = 0.0, heading: float = 0.0, *, off: float = 0.0, walked: float = 0.0
+) -> WorldState:
+    """A robot at a place; its odometry has it so much to the upper right of there."""
+    return WorldState(
+        position=jnp.array([x, y]),
+        heading=jnp.float32(heading),
+        odometry=jnp.array([x + off, y + off, heading]),
+        distance=jnp.float32(walked),
+    )

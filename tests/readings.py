@@ -1,7 +1,6 @@
 """Readings, observations and beliefs by hand, and the few compiled programs the tests share.
 
-Every compiled program takes seconds to build, so all tests of the filter share one set of sizes
-and the programs below: S seeds or worlds at once, T steps.
+All tests of the filter share one set of sizes: S seeds or worlds at once, T steps.
 """
 
 import functools
@@ -147,16 +146,14 @@ def begin(
     )
 
 
-def with_objects(
-    belief: ParticleBelief, objects: list[tuple[int, float, float]], variance: float = 1e-6
-) -> ParticleBelief:
+def with_objects(belief: ParticleBelief, objects: list[tuple[int, float, float]]) -> ParticleBelief:
     """Enter objects (type, x, y) into every particle as if seen and known well."""
     particles = belief.particles
     object_type, matrix = np.array(particles.object_type), np.array(particles.covariance)
     mean = np.zeros((2, *particles.mean_x.shape), np.float32)
     mean[:] = np.stack([particles.mean_x, particles.mean_y])
     for slot, (name, x, y) in enumerate(objects):
-        object_type[slot], matrix[slot, slot] = name, variance
+        object_type[slot], matrix[slot, slot] = name, 1e-6
         mean[0, slot], mean[1, slot] = x, y
     return replace(
         belief,
@@ -202,22 +199,11 @@ def run_many(
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run STEPS filter steps in S lanes: leaves [S, ...], observations [S, STEPS, ...]."""
 
-    def one(
-        key: jax.Array, belief: ParticleBelief, sentence: Readings, seen: Observation
-    ) -> tuple[ParticleBelief, FilterInfo]:
-        def body(
-            carry: ParticleBelief, step: tuple[jax.Array, Observation]
-        ) -> tuple[ParticleBelief, FilterInfo]:
-            step_key, look = step
-            return semantic_filter.step(
-                step_key,
-                carry,
-                sentence,
-                look,
-                params=numbers,
-                spoken=spoken,
-                pools_counts=pools_counts,
-            )
+    told = {"params": numbers, "spoken": spoken, "pools_counts": pools_counts}
+
+    def one(key, belief, sentence, seen):
+        def body(now, step):
+            return semantic_filter.step(step[0], now, sentence, step[1], **told)
 
         return jax.lax.scan(body, belief, (jax.random.split(key, STEPS), seen))
 
@@ -232,10 +218,14 @@ def run_lanes(
     *,
     seed: int = 0,
 ) -> tuple[ParticleBelief, FilterInfo]:
-    """Give all lanes the same STEPS looks, each under a key of its own."""
-    keys, start = jax.random.split(jax.random.key(seed), SEEDS), belief or begin()
-    same = (repeat(one, SEEDS) for one in (start, sentence, stack(looks)))
-    return run_many(keys, *same, numbers)
+    """Give all lanes the same looks, STEPS at a time, each lane under a key of its own."""
+    beliefs, sentences, infos = repeat(belief or begin(), SEEDS), repeat(sentence, SEEDS), []
+    for call in range(len(looks) // STEPS):
+        keys = jax.random.split(jax.random.key(seed + call), SEEDS)
+        part = repeat(stack(looks[call * STEPS : (call + 1) * STEPS]), SEEDS)
+        beliefs, info = run_many(keys, beliefs, sentences, part, numbers)
+        infos.append(jax.tree.map(np.asarray, info))
+    return beliefs, jax.tree.map(lambda *leaves: np.concatenate(leaves, 1), *infos)
 
 
 step_one = jax.jit(semantic_filter.step)

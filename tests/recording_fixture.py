@@ -1,11 +1,13 @@
 """A recording made by hand: pictures are tested without running the engine."""
 
+import jax
 import numpy as np
+import readings as by_hand
 from placed import placed
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.episode.recording import Frame, Recording, StaticScene, stack_frames
-from jaxlangnav.messages import AT, BEHIND, NONE, Readings, SensorParams, Status
+from jaxlangnav.messages import AT, BEHIND, NONE, Readings, Status, default_sensor
 from jaxlangnav.planner.config import as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.planner.params import default_planner_params
@@ -19,32 +21,21 @@ SLOTS, MENTIONS, DETECTIONS, CELLS, NODES = 4, 3, 4, 16, 12
 
 def make_readings() -> Readings:
     """Two readings: a hydrant behind a cone (0.8), a hydrant (0.2)."""
-    return Readings(
-        mention_type=np.array([[HYDRANT, CONE, NONE], [HYDRANT, NONE, NONE]], np.int32),
-        figure=np.array([[0, NONE], [0, NONE]], np.int32),
-        relation=np.array([[BEHIND, NONE], [NONE, NONE]], np.int32),
-        landmark=np.array([[1, NONE], [NONE, NONE]], np.int32),
-        rank=np.zeros((2, 2), np.int32),
-        log_probability=np.log(np.array([0.8, 0.2], np.float32)),
-    )
+    relations = [[(0, BEHIND, 1, False)], [(0, NONE, NONE, False)]]
+    told = by_hand.readings([[HYDRANT, CONE], [HYDRANT]], relations, [0.8, 0.2])
+    return jax.tree.map(np.asarray, told)
 
 
 def make_scene(*, policy: str = "faithful", text: str = TEXT) -> StaticScene:
     """A hydrant at (9, 1) behind a cone at (6, 1)."""
     scenario = placed([(HYDRANT, 9.0, 1.0), (CONE, 6.0, 1.0)], slots=3, area=AREA, goal=0)
-    sensor = SensorParams(
-        range_max=np.float32(3.0),
-        field_of_view=np.float32(2 * np.pi),
-        detection_probability=np.float32(0.95),
-        noise=np.float32(0.1),
-    )
     return StaticScene(
         text=text,
         type_names=TYPES,
         policy=policy,
         portrayal=as_policy(policy).portrayal,
         scenario=scenario,
-        sensor=sensor,
+        sensor=default_sensor(3.0),
         readings=make_readings(),
         planner=default_planner_params(),
         num_clauses=1,
@@ -165,10 +156,7 @@ def make_recording(
         steps=np.int32(num_steps),
         final=frames[-1].position,
         goal_distance=np.float32(0.5),
-        overflow=np.int32(0),
-        degenerate=np.int32(0),
-        contradictions=np.int32(0),
-        faults=np.int32(0),
+        **dict.fromkeys(("overflow", "degenerate", "contradictions", "faults"), np.int32(0)),
         mean_effective_sample_size=np.float32(18.0),
         is_valid=np.array(True),
     )

@@ -59,7 +59,7 @@ def forbid(belief, share: float):
 
 def situation(
     belief, nodes: Nodes, goals: Goals, robot=(0.0, 0.0), *, is_news=False, is_find=0.0,
-    stands=False, forbidden: float = 0.0, num_blocks: int = 1,
+    stands=False, forbidden: float = 0.0,
 ) -> Situation:  # fmt: skip
     x, y = jnp.float32(robot[0]), jnp.float32(robot[1])
     params, find, reach = default_planner_params(), jnp.float32(is_find), jnp.float32(RANGE)
@@ -82,5 +82,5 @@ def situation(
         may_stop=may_stop & (not stands),
         params=params,
         map_params=default_map_params(),
-        num_blocks=num_blocks,
+        num_blocks=1,
     )

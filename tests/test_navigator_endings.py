@@ -5,7 +5,7 @@ import logging
 import jax
 import numpy as np
 import pytest
-from test_navigator_step import AREA, CONE, HYDRANT, RANGE, WORLD, assert_arrived, go, see
+from test_navigator_step import AREA, CONE, HYDRANT, RANGE, WORLD, Run, assert_arrived, go, see
 
 from jaxlangnav.language.halting import Act
 from jaxlangnav.language.utterance import Kind
@@ -33,12 +33,22 @@ def advance(robot, run, number: int, state):
         yield state, action, info
 
 
-def test_the_way_to_an_arrival_is_told(robot) -> None:
-    run = go(robot, robot.start(TEXT, area=AREA))
+@pytest.fixture(scope="module")
+def arrived(robot) -> Run:
+    return go(robot, robot.start(TEXT, area=AREA))
+
+
+def test_the_way_to_an_arrival_is_told(robot, arrived) -> None:
+    run = arrived
+    assert_arrived(run, 1)
+    for action in run.actions:
+        assert float(np.hypot(*action.step)) <= 1.0 + 1e-5
+        assert np.isfinite(action.waypoint).all()
+    # Cone, hydrant, decision: believed in the end.
+    assert float(run.infos[-1].choice.stop_mass) >= float(robot.params.planner.stop_probability)
     told = [Status(int(action.status)) for action in run.actions]
     assert told[0] == Status.SEARCHING
     assert told[-2] == Status.APPROACHING
-    assert told[-1] == Status.ARRIVED
     assert Status.ARRIVED not in told[:-1]
     for _, action, _ in advance(robot, run, 3, run.state):
         assert_stands(action, Status.ARRIVED)
@@ -150,10 +160,9 @@ def test_a_batch_is_halted_as_one_is(robot) -> None:
         jax.tree.map(np.testing.assert_array_equal, speech_acts.obey(both, act), twice)
 
 
-def test_a_fault_changes_no_status(robot) -> None:
-    run = go(robot, robot.start(TEXT, area=AREA))
-    broken = replace(see(tuple(run.end), 0.0), pose=np.float32([np.nan, 0.0, 0.0]))
-    _, action, info = robot.step(jax.random.key(0), run.state, broken)
+def test_a_fault_changes_no_status(robot, arrived) -> None:
+    broken = replace(see(tuple(arrived.end), 0.0), pose=np.float32([np.nan, 0.0, 0.0]))
+    _, action, info = robot.step(jax.random.key(0), arrived.state, broken)
     assert int(info.fault) == Fault.POSE
     assert_stands(action, Status.ARRIVED)
     assert not bool(action.is_stop)

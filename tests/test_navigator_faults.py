@@ -10,7 +10,7 @@ from test_navigator_step import AREA, distance, go, see
 from jaxlangnav import navigator
 from jaxlangnav.dialogue import join
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.messages import Fault
+from jaxlangnav.messages import NONE, Fault
 from jaxlangnav.navigator import api, speech_acts
 from jaxlangnav.pytree import replace
 
@@ -69,6 +69,9 @@ def test_hostile_looks_never_stop_or_move_it_and_are_forgotten(robot, number: in
         if index % 50 == 0:
             assert_finite(state)
     assert_finite(state)
+    # Nothing of them is believed: not an object, not a place looked at.
+    assert (np.asarray(state.belief.particles.object_type) == NONE).all()
+    assert (np.asarray(state.belief.coverage.log_miss) == 0.0).all()
     assert_arrives(robot, state)
 
 
@@ -120,31 +123,13 @@ def test_dead_weights_are_said_and_healed(robot) -> None:
         assert_arrives(robot, state, start=place)
 
 
-@pytest.mark.parametrize(
-    ("pose", "area"),
-    [((np.nan, 0.0, 0.0), AREA), ((0.0, 0.0, 0.0), (0.0, np.nan, -5.0, 5.0))],
-)
-def test_a_place_that_cannot_be(robot, pose, area) -> None:
-    """Refused in one line; in a batch, where it is data, the robot never moves and says so."""
-    with pytest.raises(ValueError, match="but must be"):
-        robot.start(TEXT, pose=pose, area=area)
+def test_a_place_that_cannot_be_is_refused(robot) -> None:
+    """In a batch, where it is data, it is a fault (test_semantic_map_robustness)."""
     for broken in ((np.nan, 0.0, 0.0), (1e39, 0.0, 0.0), (0.0,)):
-        with pytest.raises(ValueError, match="pose"):
+        with pytest.raises(ValueError, match=r"^pose.* but must"):
             robot.start(TEXT, pose=broken)
-    sound = begin(robot)  # its shapes are compiled
-    state = navigator.start(
-        sound.instruction,
-        jnp.asarray(pose, jnp.float32),
-        jnp.asarray(area, jnp.float32),
-        config=robot.config,
-        num_types=sound.belief.num_types,
-    )
-    for step in range(3):
-        state, action, info = advance(robot, state, GOOD, step)
-        assert_stands(action, info)
-        assert Fault.PLACE in Fault(int(info.fault))
-        assert_finite(state)
-    assert not bool(state.is_done)
+    with pytest.raises(ValueError, match=r"^area.* but must"):
+        robot.start(TEXT, area=(0.0, np.nan, -5.0, 5.0))
 
 
 def test_a_statement_is_no_beginning_and_ends_nothing(robot) -> None:
@@ -177,6 +162,7 @@ def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) 
 
 LABELS = ("hydrant", "cone")
 SAID = "go to the hydrant"
+STATE = "state is None, but must be what navigator.start, wait, step or hear gave"
 
 
 @pytest.fixture(scope="module")
@@ -209,6 +195,14 @@ def test_a_state_of_another_navigator_is_refused(owner, policy: str, labels, why
             assert "\n" not in str(refusal.value)
 
 
+def test_what_is_no_state_is_refused(owner) -> None:
+    """In one line, by whatever takes one, before anything is compiled."""
+    for door in doors(owner):
+        with pytest.raises(ValueError, match="state is") as refusal:
+            door(None)
+        assert str(refusal.value) == STATE
+
+
 def test_a_state_is_taken_by_a_navigator_alike(owner) -> None:
     """Other numbers are no other navigator, and a state may have been written to a file."""
     like = api.Navigator.pretrained(labels=list(LABELS), reach=2.0)
@@ -229,7 +223,7 @@ def test_a_state_of_the_engine_is_anybodys(owner) -> None:
 
 
 def test_states_are_stacked_and_traced(owner) -> None:
-    states = jax.tree.map(lambda *leaves: jnp.stack(leaves), owner.start(SAID), owner.wait())
+    states = jax.tree.map(lambda *leaves: np.stack(leaves), owner.start(SAID), owner.wait())
     halted = jax.jit(jax.vmap(lambda state: replace(state, is_halted=jnp.asarray(True))))(states)
     first = jax.tree.map(lambda leaf: leaf[0], halted)
     assert owner.spoken(first) == ["hydrant"]

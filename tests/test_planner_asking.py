@@ -25,11 +25,10 @@ PLANNER = default_params().planner
 
 
 class TinyWorld:
-    """Places in a row, of which each holds a thing with one probability; all of it enumerated.
+    """Places in a row, each holding a thing with one probability, all enumerated.
 
-    The goal is drawn among all things in proportion to how well they fit. The robot may guess, ask
-    (the answer names the goal if it has been seen, and otherwise rules out all that has), or look
-    at the next place, a step further on.
+    The goal is drawn in proportion to how well things fit. The robot may guess, ask (it is named
+    if it has been seen, or all that has is ruled out), or look at the next place.
     """
 
     def __init__(self, share: float, step: float, look_cost: float, question_cost: float) -> None:
@@ -98,8 +97,7 @@ def decide(states: list[tuple[Goals, float, float, float]]) -> AskDecision:
 def compare(shares: tuple[float, ...], most: float) -> tuple[np.ndarray, np.ndarray]:
     """Hold the rule against the exact value in all states with at most so many others expected.
 
-    Returns:
-        Whether both ask or neither does; and what is lost by the rule, in probability of success.
+    Whether both ask or neither does; and what is lost by the rule, in probability of success.
     """
     states, exact = [], []
     numbers = itertools.product(shares, STEPS, LOOK_COSTS, QUESTION_COSTS)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import readings as by_hand
 from oracles.detours import shortest_way
-from situations import CHOOSE, RANGE, nodes_at, seen_goal, situation
+from situations import nodes_at, seen_goal, situation
 
-from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.planner.constraints import (
     BERTH,
     CLOSE,
@@ -21,8 +20,6 @@ from jaxlangnav.planner.constraints import (
     safe_share,
 )
 from jaxlangnav.planner.detours import Detours, detours
-from jaxlangnav.planner.faithful import no_waypoint
-from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
 from jaxlangnav.planner.situation import Situation
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
@@ -118,9 +115,7 @@ def test_from_within_the_berth_the_way_leads_out() -> None:
         ([(3.98, 0.53), (5.56, 3.84)], (4.44, 2.3), (5.15, 0.79)),
     ],
 )
-def test_a_goal_in_the_berth_is_reached_from_its_far_side(
-    things: list[tuple[float, float]], start: tuple[float, float], goal: tuple[float, float]
-) -> None:
+def test_a_goal_in_the_berth_is_reached_from_its_far_side(things, start, goal) -> None:
     robot, path = np.array(start), [np.array(start)]
     for _ in range(14):
         way = way_to(things, robot, [goal], spare=1.08)
@@ -215,20 +210,3 @@ def test_a_batch_is_as_one_by_one() -> None:
     for lane, one in enumerate(made):
         own = jax.tree.map(lambda leaf, n=lane: leaf[n], found)
         chex.assert_trees_all_close(own, DETOURS(one, *places), atol=1e-4)
-
-
-def test_a_decision_goes_to_its_waypoint_by_the_first_corner() -> None:
-    """A goal at (6, 0) behind a cone at (3, 0): a corner is no arrival."""
-    aims = seen_goal(0.9, 6.0, 0.0)
-    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), [(by_hand.CONE, 3.0, 0.0)])
-    nodes = nodes_at([1.0, 6.0], [0.0, 0.0], [VISITED, OBJECT_NODE])
-    for forbidden in (0.0, 1.0):
-        made = situation(belief, nodes, aims, (0.0, 0.0), forbidden=forbidden)
-        after, chosen = CHOOSE(SHIPPED["faithful"], jax.random.key(0), no_waypoint(), made)
-        assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (6.0, 0.0)
-        assert (float(after.x), float(after.y)) == (6.0, 0.0)
-        assert bool(chosen.is_approach)
-        assert not bool(chosen.is_stop)
-        assert bool(chosen.turns) == bool(forbidden)
-        assert (np.hypot(chosen.next_x - 3.0, chosen.next_y) < RADIUS + 0.01) == bool(forbidden)
-    assert RANGE > RADIUS

@@ -7,12 +7,14 @@ import pytest
 import readings as by_hand
 from oracles import qmdp as oracle
 
-from jaxlangnav.messages import AT, BEHIND, FAR, LEFT, NEAR, NONE, Behavior
+from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT, Behavior, Readings
 from jaxlangnav.planner import qmdp
-from jaxlangnav.planner.goals import claim, gather, region_offset
+from jaxlangnav.planner.goals import claim, gather
 from jaxlangnav.planner.graph import frontiers, nowhere, unexplored_cells, visit
+from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, groups, has_open_partner
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare
+from jaxlangnav.semantic_map import particle
 from jaxlangnav.semantic_map.coverage import Coverage, cell_centres
 
 OBJECTS = [(0, 6.0, 1.0), (1, 4.0, -2.0), (0, 3.0, 3.0)]
@@ -71,7 +73,7 @@ def behave(goal: np.ndarray) -> Behavior:
     )
 
 
-@pytest.mark.parametrize("region", [AT, BEHIND, LEFT, NEAR])
+@pytest.mark.parametrize("region", range(7))
 @pytest.mark.parametrize("discount", [0.8, 0.97])
 def test_value_equals_the_double_sum(region: int, discount: float) -> None:
     belief, places, weight, is_open = believe()
@@ -90,11 +92,12 @@ def test_value_equals_the_double_sum(region: int, discount: float) -> None:
     np.testing.assert_allclose(ours, truth, rtol=2e-4)
 
 
-def test_value_of_a_goal_beside_the_robot_itself() -> None:
+@pytest.mark.parametrize("region", range(7))
+def test_value_of_a_goal_beside_the_robot_itself(region: int) -> None:
     """ "Move to your left": the robot's slot, in its own frame at the utterance."""
     belief, places, weight, _ = believe()
     goal = np.zeros((P, 7, SLOTS + M + 1))
-    goal[:, LEFT, -1] = 0.9
+    goal[:, region, -1] = 0.9
     truth = oracle.values(NODES, places, weight, goal, np.array(VIEWER), DISTANCE, 0.8)
     ours, goals = value_of(belief, behave(goal), jnp.float32(0.8))
     np.testing.assert_allclose(ours, truth, rtol=2e-4)
@@ -127,10 +130,7 @@ def test_mass_within_reach() -> None:
 
 
 def test_objects_that_fit_equally_are_equally_good() -> None:
-    """Two hydrants and nothing to tell them apart: either is "the hydrant"; a cone is not.
-
-    Which of them is the goal is another question, and each particle has its answer.
-    """
+    """Either of two hydrants is "the hydrant", a cone is not; each particle says which is meant."""
     belief, _, weight, is_open = believe()
     goal = np.zeros((P, 7, SLOTS + M + 1))
     goal[:, AT, 0] = goal[:, AT, 2] = 0.45
@@ -170,9 +170,7 @@ def claimed_by(referent: list[int], mass: list[float]) -> list[float]:
         ([0, NONE], [0.4, 0.0, 0.0, 0.0, 0.0, 0.5], [0.4, 0.0, 0.0, 0.0, 0.0, 0.5]),
     ],
 )
-def test_bystanders_yield_to_what_is_meant(
-    referent: list[int], mass: list[float], expected: list[float]
-) -> None:
+def test_bystanders_yield_to_what_is_meant(referent, mass, expected) -> None:
     np.testing.assert_allclose(claimed_by(referent, mass), expected, atol=1e-6)
 
 
@@ -193,29 +191,6 @@ def test_garbage_in_empty_slots_changes_no_value() -> None:
     theirs, goals = value_of(dirty, behave(goal), jnp.float32(0.8))
     np.testing.assert_array_equal(ours, theirs)
     assert goals.is_object.tolist() == [True] * 3 + [False] * (SLOTS + 1 - 3)
-
-
-@pytest.mark.parametrize("is_robot", [False, True])
-def test_goal_regions_by_hand(is_robot: bool) -> None:
-    """Viewer at the origin facing +x, object (or the robot) four metres ahead."""
-    model = prepare(default_params())
-    viewer = jnp.array([0.0, 0.0, 0.0])
-    place = np.array([0.0, 0.0]) if is_robot else np.array([4.0, 0.0])
-    for region in range(7):
-        x, y = region_offset(
-            model,
-            jnp.int32(region),
-            jnp.float32(place[0]),
-            jnp.float32(place[1]),
-            viewer,
-            jnp.asarray(is_robot),
-            jnp.float32(0.0),
-        )
-        expected = oracle.goal_place(region, place, np.zeros(3), DISTANCE, is_robot) - place
-        np.testing.assert_allclose([x, y], expected, atol=1e-4)
-    # Ahead of the robot is +x; behind an object is further away.
-    assert oracle.goal_place(BEHIND, place, np.zeros(3), DISTANCE, False)[0] > 0
-    assert oracle.goal_place(FAR, np.array([4.0, 0.0]), np.zeros(3), DISTANCE, False)[0] < 4.0
 
 
 # ---------------------------------------------------------------- candidate waypoints (eq. 9)
@@ -275,3 +250,76 @@ def test_visited_places_are_kept_apart_and_the_oldest_goes() -> None:
     assert int(visited.count) == 3
     visited = step(visited, jnp.float32(9.0), jnp.float32(0.0), jnp.float32(1.0))
     np.testing.assert_allclose(visited.x, [9.0, 1.2, 2.4])
+
+
+# ---------------------------------------------------------------- what bears on the goal
+
+HYDRANT, CONE, CAR, BENCH, TREE = range(5)
+
+
+def reading_of(types: list[int], relations: list[tuple[int, int, int]]) -> Readings:
+    """One reading: types of its mentions; figure, relation and landmark of its relations."""
+    edges = [(*one, False) for one in relations]
+    return by_hand.readings([types], [edges], sizes=(1, 6, 4))
+
+
+def sets(readings: Readings) -> list[set[int]]:
+    found = np.asarray(groups(readings))[:, 0]
+    return [{m for m in range(len(found)) if bits >> m & 1} for bits in found]
+
+
+def test_relations_tie_directly_and_along_chains_and_the_robot_ties_nothing() -> None:
+    told = reading_of([HYDRANT, CONE, CAR, BENCH], [(0, BEHIND, 1), (1, NEAR, 2), (3, NONE, NONE)])
+    assert sets(told)[:4] == [{0, 1, 2}, {0, 1, 2}, {0, 1, 2}, {3}]
+    told = reading_of([HYDRANT] * 6, [(0, NEAR, 1), (2, NEAR, 1), (2, NEAR, 3), (4, NEAR, 3)])
+    assert sets(told) == [{0, 1, 2, 3, 4}] * 5 + [{5}]
+    told = reading_of([ROBOT, CONE, CAR], [(1, LEFT, 0), (2, LEFT, 0)])
+    assert sets(told)[1:3] == [{1}, {2}]
+
+
+def map_with(seen: dict[int, int]) -> particle.SemanticMap:
+    """One particle, trailing axis P = 1: four mentions, those in ``seen`` in observed slots."""
+    one = particle.empty(3, 6, jnp.float32(0), jnp.float32(0))
+    referent = np.full(6, NONE, np.int32)
+    for mention, slot in seen.items():
+        referent[mention] = slot
+    one = replace(one, referent=jnp.asarray(referent), is_mentioned=jnp.asarray(np.arange(6) < 4))
+    return jax.tree.map(lambda leaf: leaf[..., None], one)
+
+
+def goal_at(slot: int) -> Behavior:
+    goal = np.zeros((7, 10, 1), np.float32)
+    goal[6, slot] = 1.0
+    nothing = jnp.zeros((2, 1))
+    return Behavior(
+        action=nothing, mode=nothing, goal=jnp.asarray(goal), constraint=jnp.zeros((7, 10, 1))
+    )
+
+
+TOLD = reading_of([HYDRANT, CONE, CAR, BENCH], [(0, BEHIND, 1), (2, NONE, NONE), (3, NONE, NONE)])
+
+
+def test_what_was_said_of_other_things_keeps_no_goal_from_being_confirmed() -> None:
+    """The hydrant and its cone are seen; the car to avoid and the next command's bench are not."""
+    belief = map_with({0: 0, 1: 1})
+    group = believed_groups(TOLD, belief)
+    assert np.asarray(has_open_partner(group, belief))[:4, 0].tolist() == [False, False, True, True]
+    half = map_with({0: 0})
+    group = believed_groups(TOLD, half)
+    assert np.asarray(has_open_partner(group, half))[:2, 0].tolist() == [True, True]
+
+
+def test_only_what_the_goal_is_placed_against_is_looked_for() -> None:
+    belief = map_with({0: 0})
+    group = believed_groups(TOLD, belief)
+    seen = np.asarray(bears_on_goal(group, belief, goal_at(0)))[:4, 0]
+    assert seen.tolist() == [True, True, False, False]
+    hypothesised = np.asarray(bears_on_goal(group, belief, goal_at(3 + 3)))[:4, 0]
+    assert hypothesised.tolist() == [False, False, False, True]
+
+
+def test_where_no_mention_is_the_goal_all_of_them_count() -> None:
+    """ "The other cone" is none that has been named."""
+    belief = map_with({0: 0})
+    group = believed_groups(TOLD, belief)
+    assert np.asarray(bears_on_goal(group, belief, goal_at(2)))[:4, 0].all()

@@ -1,11 +1,10 @@
 """Tours: first sight against brute force, latency by hand, improvement, the learned prior."""
 
-import importlib.util
 import itertools
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import learn_prior
 import numpy as np
 import pytest
 import readings as by_hand
@@ -59,10 +58,7 @@ def search_of(free, hung=None) -> SearchMap:
 
 
 def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * np.pi) -> float:
-    """Walk a tour from (1, 0) by millimetres until (x, y) is within the radius and in view.
-
-    In a narrow view it has to stay for another ``GLANCE`` metres of the line.
-    """
+    """Walk from (1, 0) by millimetres until (x, y) is near and, for ``GLANCE`` metres, in view."""
     walked, at = 0.0, np.array([1.0, 0.0])
     for stop in zip(np.asarray(tour_x, float), np.asarray(tour_y, float), strict=True):
         length = np.hypot(*(np.array(stop) - at))
@@ -91,23 +87,17 @@ def check_first_sight(lines: Tour, places: np.ndarray, *numbers: float) -> tuple
 
 
 def test_first_sight_against_brute_force() -> None:
-    lines = random_tours(6)
+    """All round, and in views ahead."""
+    lines, unseen = random_tours(4, seed=3), []
     # A stop twice over is a stretch of no length: it must see nothing new.
     lines = Tour(x=lines.x.at[0, 2:].set(9.0), y=lines.y.at[0, 2:].set(4.0))
-    places = np.random.default_rng(1).uniform([0, -5], [10, 5], (12, 2))
-    _, length = check_first_sight(lines, places, 1.5)
-    stops = np.stack([np.asarray(lines.x), np.asarray(lines.y)], axis=-1)
-    stops = np.concatenate([np.broadcast_to([1.0, 0.0], (6, 1, 2)), stops], axis=1)
-    np.testing.assert_allclose(length, np.hypot(*np.diff(stops, axis=1).T).sum(0), rtol=1e-4)
-
-
-def test_first_sight_of_a_view_ahead_against_brute_force() -> None:
-    lines = random_tours(4, seed=3)
     places = np.random.default_rng(4).uniform([0, -5], [10, 5], (25, 2))
-    unseen = [
-        np.isinf(check_first_sight(lines, places, 2.0, opening)[0]).sum()
-        for opening in (0.6, 1.5, 2.5, 4.0, 2 * np.pi)
-    ]
+    stops = np.stack([np.asarray(lines.x), np.asarray(lines.y)], axis=-1)
+    stops = np.concatenate([np.broadcast_to([1.0, 0.0], (4, 1, 2)), stops], axis=1)
+    for opening in (0.6, 1.5, 2.5, 4.0, 2 * np.pi):
+        first, length = check_first_sight(lines, places, 2.0, opening)
+        unseen.append(np.isinf(first).sum())
+        np.testing.assert_allclose(length, np.hypot(*np.diff(stops, axis=1).T).sum(0), rtol=1e-4)
     assert min(unseen[:2]) > unseen[-1] + 5
 
 
@@ -172,13 +162,12 @@ def test_partner_is_where_the_relation_has_it() -> None:
     np.testing.assert_allclose(alone.partner_x, alone.x, atol=1e-5)
 
 
-def plan(search: SearchMap, tour: Tour, seed: int = 0, x: float = 1.0) -> tours.Plan:
-    zero = jnp.float32(0.0)
-    return PLAN(jax.random.key(seed), tour, search, jnp.float32(x), zero, SENSOR, AREA)
-
-
 NUM_CELLS = 5
 HERE = jnp.float32(1.0), jnp.float32(0.0)
+
+
+def plan(search: SearchMap, tour: Tour, seed: int = 0) -> tours.Plan:
+    return PLAN(jax.random.key(seed), tour, search, *HERE, SENSOR, AREA)
 
 
 def exact(lines: Tour, search, cells: np.ndarray) -> np.ndarray:
@@ -313,24 +302,20 @@ def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:
 
 
 def test_the_shipped_table_is_what_training_worlds_teach() -> None:
-    script = Path(__file__).parent.parent / "scripts" / "learn_prior.py"
-    spec = importlib.util.spec_from_file_location("learn_prior", script)
-    assert spec is not None
-    assert spec.loader is not None
-    training = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(training)
-    learned = training.learn(training.training_worlds(60))
+    learned = learn_prior.learn(learn_prior.training_worlds(60))
     shipped = prior.table()
     assert learned.shape == shipped.shape
     assert np.corrcoef(learned.ravel(), shipped.ravel())[0, 1] > 0.97
 
 
-def test_free_hypotheses_follow_the_prior() -> None:
-    belief = believe(random_places(), is_hung=False)
-    search = SEARCH_MAP(belief, jnp.float32(1.0), NOT)
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_free_hypotheses_are_spread_over_what_is_unexplored_by_the_prior(share: float) -> None:
+    log_miss = -np.random.default_rng(1).exponential(1.0, (24, 24))
+    belief = believe(random_places(), is_hung=False, log_miss=log_miss)
+    search = SEARCH_MAP(belief, jnp.float32(share), NOT)
     centres = search_of(np.zeros(CELLS**2))
-    expected = np.asarray(
-        DENSITY(belief.coverage, belief.viewer, centres.x, centres.y, jnp.float32(1.0), NOT)
+    expected = np.exp(log_miss).reshape(CELLS, 2, CELLS, 2).sum((1, 3)).ravel() * np.asarray(
+        DENSITY(belief.coverage, belief.viewer, centres.x, centres.y, jnp.float32(share), NOT)
     )
     # The map is tilted by 0.2 % from one end to the other.
     np.testing.assert_allclose(search.free, expected / expected.sum(), rtol=2e-3)

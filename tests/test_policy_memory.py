@@ -9,16 +9,9 @@ import numpy as np
 import pytest
 import readings as by_hand
 from situations import CHOOSE, nodes_at, seen_goal, situation
-from test_navigator_step import AREA, HYDRANT, WORLD, see
 from test_planner_policy import CONFIG, under_way
 
-from jaxlangnav import navigator
-from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.experiments.policies import navigator_config, run_policy
-from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
-from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.messages import Status
-from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
 from jaxlangnav.planner.faithful import no_waypoint
@@ -26,7 +19,6 @@ from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.planner.policy import Decision, Policy, Situation, Valuation, ahead, decide
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import log_miss_at
-from jaxlangnav.semantic_map.params import MapConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,39 +93,6 @@ def test_lanes_of_a_batch_decide_as_they_would_alone() -> None:
     for lane, one in enumerate(alone):
         own = jax.tree.map(lambda leaf, n=lane: leaf[n], together)
         chex.assert_trees_all_close(one, own, rtol=1e-5, atol=1e-5)
-
-
-@pytest.mark.slow  # a program of its own; that memory is carried on shows in every other drive
-def test_it_drives_a_batch_of_robots_to_the_goal() -> None:
-    """Three robots in one compiled program, told the same in the same world, each its own way."""
-    config = NavigatorConfig(
-        map=MapConfig(num_particles=32, num_objects=4, num_cells=24),
-        planner=PlannerConfig(policy=Wanderer(), num_visited=4),
-    )
-    text, lanes = "go to the hydrant behind the cone", 3
-    told, params = understand(text, load_shipped()).instruction, navigator.default_params()
-    begun = navigator.start(told, jnp.zeros(3), jnp.asarray(AREA), config=config)
-    state = by_hand.repeat(begun, lanes)
-    step = jax.jit(jax.vmap(lambda *one: navigator.step(*one, params=params, config=config)))
-    places, waypoints = np.zeros((lanes, 2)), [set() for _ in range(lanes)]
-    for cycle in range(80):
-        look = by_hand.stack([see(place, 0.0) for place in places])
-        keys = jax.random.split(jax.random.fold_in(jax.random.key(3), cycle), lanes)
-        state, action, info = step(keys, state, look)
-        is_own = np.asarray(info.choice.kind) == FRONTIER
-        going = np.stack([state.memory["x"], state.memory["y"]], axis=1)
-        np.testing.assert_allclose(info.choice.waypoint_x[is_own], going[is_own, 0])
-        for lane in np.flatnonzero(is_own):
-            waypoints[lane].add(tuple(going[lane].tolist()))
-        places = places + np.asarray(action.step)
-        if np.asarray(state.is_done).all():
-            break
-    assert (np.asarray(state.status) == Status.ARRIVED).all()
-    goal = next(np.array(place) for kind, *place in WORLD if kind == HYDRANT)
-    assert (np.hypot(*(places - goal).T) < 1.5).all()
-    assert (np.asarray(state.memory["met"]).max(axis=1) >= 3.0).all()
-    assert len(set.union(*waypoints)) == sum(map(len, waypoints)) >= lanes
-    assert step._cache_size() == 1
 
 
 # What is refused, in one line.
@@ -255,16 +214,6 @@ def test_an_active_waypoint_is_gone_on_to_whatever_else_is_worth() -> None:
 # ---------------------------------------------------------------- a function alone
 
 
-def twin(situation: Situation) -> Valuation:
-    """The paper's policy (eq. 11, 12), written as somebody's own."""
-    nodes, goals, params = situation.nodes, situation.goals, situation.params
-    everything, _ = qmdp.mass_within(situation.robot_x, situation.robot_y, goals, params.reach)
-    value = qmdp.values(nodes.x, nodes.y, goals, params.discount)
-    return Valuation(
-        goal_value=value, information_value=jnp.zeros_like(value), stop_mass=everything
-    )
-
-
 def nearest(situation: Situation) -> Valuation:
     nothing = jnp.zeros_like(situation.distance)
     return Valuation(
@@ -330,19 +279,3 @@ def test_it_carries_its_function_s_name() -> None:
     assert PlannerConfig(policy=nearest).chosen.name == "nearest"
     assert navigator_config(nearest) == navigator_config(nearest)
     assert navigator_config(nearest) != navigator_config(far_away)
-
-
-@pytest.mark.slow
-def test_the_paper_s_policy_as_one_s_own_behaves_like_the_shipped_one() -> None:
-    """Same worlds, same keys, episode by episode."""
-    instructions = ground_sentences([SENTENCES["behind"]]).instructions
-    tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 96, 5))
-
-    def run(one) -> EpisodeResult:
-        return run_policy(one, tasks, instructions)
-
-    own, shipped = run(twin), run("faithful")
-    # Two compiled programs may round differently; an episode or two then takes another way.
-    is_same = np.abs(np.asarray(own.distance) - np.asarray(shipped.distance)) < 1e-3
-    assert np.mean(is_same) > 0.9
-    assert np.mean(np.asarray(own.is_success) == np.asarray(shipped.is_success)) > 0.9

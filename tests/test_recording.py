@@ -75,19 +75,16 @@ def test_the_cycle_compiles_once(recordings, record):
     assert recorder._advance.__wrapped__._cache_size() == before
 
 
-def test_it_ends_with_the_stop_and_not_before(recordings):
+def test_it_ends_with_the_stop_the_way_adds_up_and_weights_are_a_distribution(recordings):
     for one in recordings:
         assert one.num_steps == int(one.result.steps)
         assert not one.frames.is_done[:-1].any()
         assert bool(one.frames.is_done[-1]) == bool(one.result.is_stopped)
-
-
-def test_the_way_adds_up(recordings):
-    for one in recordings:
         legs = np.diff(one.frames.position, axis=0)
         walked = np.hypot(legs[:, 0], legs[:, 1]).sum()
         assert np.allclose(walked, one.frames.distance[-1], atol=1e-3)
         assert np.allclose(one.frames.position[0], one.scene.scenario.start[:2])
+        assert np.allclose(one.frames.weight.sum(axis=1), 1.0, atol=1e-4)
 
 
 def test_leaves_are_numpy_with_a_leading_axis(recordings):
@@ -97,11 +94,6 @@ def test_leaves_are_numpy_with_a_leading_axis(recordings):
         assert isinstance(leaf, np.ndarray), field.name
         assert leaf.shape[0] == one.num_steps, field.name
     assert one.num_particles == 32
-
-
-def test_weights_are_a_distribution(recordings):
-    for one in recordings:
-        assert np.allclose(one.frames.weight.sum(axis=1), 1.0, atol=1e-4)
 
 
 def test_recorded_detections_are_those_the_belief_was_given(recordings):

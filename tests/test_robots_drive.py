@@ -65,14 +65,6 @@ def test_a_sentence_is_carried_out(navigator, steering) -> None:
     np.testing.assert_array_equal(robot.true_pose, place)
 
 
-def test_a_camera_that_stops_makes_it_blind_and_it_stands(navigator) -> None:
-    robot = put()
-    robot.at(3.0, lambda one: setattr(one, "camera_works", False))
-    drive = ends(Ending.BLIND, navigator, robot)
-    assert "picture" in drive.why
-    assert robot.seconds < 15.0
-
-
 def test_a_camera_that_comes_back_in_time_is_no_ending(navigator) -> None:
     robot = put()
     robot.at(3.0, lambda one: setattr(one, "camera_works", False))
@@ -190,10 +182,13 @@ def test_a_drive_is_recorded_with_the_truth_of_each_look(navigator) -> None:
     assert "Says stop" in _render_html(kept)
 
 
-def test_a_recording_tells_endings_that_only_robots_have(navigator) -> None:
+def test_a_camera_that_stops_makes_it_blind_and_a_recording_tells(navigator) -> None:
     robot = put()
     robot.at(3.0, lambda one: setattr(one, "camera_works", False))
     ended, kept = record_drive(robot, TEXT, navigator=navigator, key=jax.random.key(1))
+    assert ended.ending is Ending.BLIND
+    assert "picture" in ended.why
+    assert robot.seconds < 15.0
     assert kept.num_steps == len(ended.steps)
     assert outcome(kept) == "blind"
     assert not kept.frames.is_detection[-1].any()

@@ -18,10 +18,10 @@ BOTH = pytest.mark.parametrize("steering", [Pursuit(), Window()], ids=["pursuit"
 SURE = Slip(scale=0.0, noise=0.0, drift=0.0)
 
 
-def put(steering, discs=(), *, slip: Slip = SURE, start=(0.0, 0.0, 0.0)) -> KinematicRobot:
+def put(steering, discs=(), *, start=(0.0, 0.0, 0.0)) -> KinematicRobot:
     area, pose = np.array([-2.0, 10.0, -6.0, 6.0]), np.array(start)
     scenario = replace(empty_scenario(), area=area, start=pose)
-    robot = KinematicRobot(scenario, seed=0, steering=steering, slip=slip)
+    robot = KinematicRobot(scenario, seed=0, steering=steering, slip=SURE)
     robot.obstacles = [tuple(disc) for disc in discs]
     return robot
 
@@ -46,9 +46,9 @@ def gets_there(robot: KinematicRobot, *waypoints, **options) -> float:
     return least
 
 
-def field(seed: int, number: int = 14) -> np.ndarray:
+def field(seed: int) -> np.ndarray:
     """Scatter things so that the body fits between them, away from start and goal."""
-    random = np.random.default_rng(seed)
+    random, number = np.random.default_rng(seed), 14
     discs: list[tuple[float, float, float]] = []
     while len(discs) < number:
         x, y, radius = random.uniform(0.5, 7.5), random.uniform(-3, 3), random.uniform(0.1, 0.4)
@@ -144,11 +144,9 @@ def test_stop_brakes_within_the_bodys_limits() -> None:
 def test_odometry_goes_wrong_as_it_is_said_to() -> None:
     """Over many robots, the length that a way seems to have spreads by scale and noise."""
     ends = []
+    slip, area = Slip(scale=0.02, noise=0.02, drift=0.002), np.array([-1.0, 9.0, -5.0, 5.0])
     for seed in range(40):
-        slip = Slip(scale=0.02, noise=0.02, drift=0.002)
-        robot = KinematicRobot(
-            replace(empty_scenario(), area=np.array([-1.0, 9.0, -5.0, 5.0])), seed=seed, slip=slip
-        )
+        robot = KinematicRobot(replace(empty_scenario(), area=area), seed=seed, slip=slip)
         go(robot, (4.0, 0.0))
         ends.append(robot.pose() - robot.true_pose)
     spread = np.std(ends, axis=0)
@@ -163,7 +161,6 @@ def test_way_of_a_body_that_stands_against_a_thing_leads_away() -> None:
     start, goal = np.zeros(2), np.array([2.0, 0.0])
     discs = inflate(np.array([[0.5, 0.0, 0.2]]), start, goal, 0.4, 0.3)
     way = find_path(start, goal, discs)
-    assert way is not None
     np.testing.assert_allclose(way[-1], goal)
     corners = np.vstack([start, way])
     assert all(is_clear(*pair, discs * [1, 1, 0.9]) for pair in itertools.pairwise(corners))
@@ -188,10 +185,7 @@ def test_waypoints_that_cannot_be_are_refused() -> None:
 @pytest.mark.parametrize("name", sorted(MACHINES))
 @pytest.mark.parametrize("gap", [-0.05, 0.0, 0.02])
 def test_a_thing_that_is_all_but_touched_holds_nobody(name: str, gap: float) -> None:
-    """It stands so near that its circle touches: beside and behind it can be gone to all the same.
-
-    The circle is wider than the body, so a few centimetres of it are no collision.
-    """
+    """A circle is wider than the body: a few centimetres of it are no collision."""
     machine = MACHINES[name]
     for heading, bearing in itertools.product((-1.5, 0.0, 0.75, 3.0), (0.3, 1.9, 3.4, 5.0)):
         away = machine.body.radius + 0.25 + gap

@@ -148,18 +148,6 @@ def test_the_husky_behind_topics_with_either_side_started_anew(begin, tmp_path) 
     assert ended(robot)[0] < 1.5
 
 
-@pytest.mark.usefixtures("needs_physics")
-def test_the_wheelchair_behind_topics(begin) -> None:
-    person = Person()
-    robot = begin("robot", "--robot", "wheelchair")
-    node = begin("navigator", "--patience", str(LIMIT), *AREA)
-    person.wait_for(status("ready"), [robot, node])
-    person.say(TEXT)
-    end = person.wait_for(status("ended"), [robot, node])
-    assert end["ending"] == "arrived", end
-    assert ended(robot)[0] < 1.5
-
-
 def test_bad_options_end_with_one_line(begin) -> None:
     process = begin("robot", "--faults", "0.9")
     process.communicate(timeout=120)

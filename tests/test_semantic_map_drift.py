@@ -1,20 +1,18 @@
 """A heading that drifts: the belief of it against an integral over all drifts, and its limits."""
 
 import dataclasses
-import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from test_semantic_map_words import ground_lanes
 
-from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import belief as beliefs, heading_bias, motion
 from jaxlangnav.semantic_map.observe import observe
 from jaxlangnav.semantic_map.predict import predict
-from jaxlangnav.semantic_map.proposal.utterance import ground_words
 
 NUMBER = 4096
 FIRST, SECOND = np.array([2.5, 0.5]), np.array([1.3, 0.9])
@@ -56,10 +54,7 @@ def seen_twice(belief, params):
 
 
 def integral(spread: float, is_steady: bool):
-    """Integrate over the drift, or sum over its two signs, if it is steady.
-
-    Returns p of the second look, mean and deviation of the drift.
-    """
+    """Integrate over the drift, or sum over two signs: p of the second look, mean, deviation."""
     error = np.array([-1.0, 1.0]) if is_steady else np.linspace(-6.0, 6.0, 20001)
     prior = np.ones(2) if is_steady else np.exp(-0.5 * error**2)
     error = error * spread
@@ -144,6 +139,9 @@ def test_robot_goes_by_one_drift_and_keeps_where_it_looked_by_either() -> None:
     # The area lies as far to the left as to the right.
     np.testing.assert_allclose(theirs, ours[::-1], atol=1e-3)
     assert np.abs(ours - theirs).max() > 1.0
+    # Where each particle has the robot, its own map has been looked at.
+    here = jnp.zeros((1, 1, 64))
+    assert (np.asarray(heading_bias.log_missed(belief, here, here)) < -1.0).all()
     # Drifts without a steady part are gone by all at once.
     belief = driven(2, numbers(heading_noise=0.1))
     assert beliefs.is_led(belief).all()
@@ -190,14 +188,6 @@ def test_maps_are_laid_over_each_other_at_the_robot() -> None:
     np.testing.assert_allclose(pose[2], beliefs.mean_drift(belief), atol=1e-6)
 
 
-@functools.partial(jax.jit, static_argnames="is_sparse")
-def ground_lanes(keys, beliefs, sentence, *, is_sparse):
-    def one(key, belief):
-        return ground_words(key, belief, sentence, params=by_hand.params(), is_sparse=is_sparse)
-
-    return jax.vmap(one)(keys, beliefs)
-
-
 # The dense way is another program; that both give the same is test_semantic_map_words.
 @pytest.mark.parametrize("is_sparse", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_words_are_grounded_by_where_each_drift_has_looked(is_sparse: bool) -> None:
@@ -210,9 +200,9 @@ def test_words_are_grounded_by_where_each_drift_has_looked(is_sparse: bool) -> N
         replace(belief, coverage=replace(belief.coverage, log_miss=ours), alternate_miss=theirs)
         for ours, theirs in (maps, maps[::-1])
     ]
-    keys = jax.random.split(jax.random.key(2), 2)
-    sentence = by_hand.readings([[by_hand.HYDRANT]], [[(0, NONE, NONE, False)]])
-    particles, found = ground_lanes(keys, by_hand.stack(lanes), sentence, is_sparse=is_sparse)
+    keys, everyone = jax.random.split(jax.random.key(2), 2), jnp.ones((2, 64), bool)
+    given = keys, by_hand.stack(lanes), by_hand.repeat(by_hand.NULL, 2), everyone, by_hand.params()
+    particles, found = ground_lanes(*given, is_sparse=is_sparse)
     led = np.asarray(beliefs.is_led(belief))
     x, log_weight = np.asarray(particles.hypothesis_x[:, 0]), np.asarray(found)
     for lane, is_near_seen in enumerate((led, ~led)):

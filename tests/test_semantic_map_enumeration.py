@@ -218,10 +218,7 @@ LONGER = ("behind the cone near the car", "behind the cone on your right")
     [*((0, one) for one in COUNTED), *((9, one) for one in COUNTED + LONGER)],
 )
 def test_number_of_things_is_inferred_as_by_enumeration(pooled: int, name: str) -> None:
-    """Of two cones or hydrants seen either may be the only one, or both may be of many.
-
-    Where nine types have one rate, each thing seen, of any type, tells how many there are of all.
-    """
+    """Where nine types have one rate, a thing seen of any type tells how many there are of all."""
     kinds, edges = CASES[name]
     truth, _ = exactly(kinds, edges, clumping=2.0, pooled=pooled)
     fixed, _ = exactly(kinds, edges, clumping=2.0 if pooled else 0.0)

@@ -59,30 +59,8 @@ def test_all_is_as_without_doubt_where_the_detector_invents_nothing() -> None:
     assert one.existence[0] == 1.0
 
 
-def test_existence_equals_a_sum_over_what_can_have_been() -> None:
-    """Seen once and then missed: a thing that was missed, or nothing at all."""
-    specification = sensor(false_detections=RATE)
-    false = RATE / (np.pi * 9.0) / DETECTION
-    thing, total = np.exp(LOG_THING), 0.0
-    one, log_weight = see(nothing(), specification, HYDRANT)
-    total += float(log_weight)
-    np.testing.assert_allclose(one.existence[0], thing / (thing + false), rtol=1e-5)
-    for misses in range(1, 4):
-        one, log_weight = see(one, specification, None)
-        total += float(log_weight)
-        still = thing * (1 - DETECTION) ** misses
-        np.testing.assert_allclose(one.existence[0], still / (still + false), rtol=1e-4)
-        np.testing.assert_allclose(np.exp(total), still + false, rtol=1e-4)
-    # False detections are scattered, so what is seen twice in one place is there.
-    one, _ = see(one, specification, HYDRANT)
-    assert one.existence[0] == 1.0
-
-
 def enumerated(looks: list[tuple[int | None, float, float]], growth: float):
-    """Sum over which of the places where something was detected hold things of the one type.
-
-    Returns the probability density of all looks, and how probable each thing is to exist.
-    """
+    """Sum over which places hold things: the density of all looks, and P(each thing exists)."""
     false = RATE / (np.pi * 9.0) / DETECTION
     places = sorted({x for kind, x, _ in looks if kind is not None})
     weights = np.zeros((2,) * len(places))
@@ -103,11 +81,14 @@ def enumerated(looks: list[tuple[int | None, float, float]], growth: float):
     return total, np.array(marginal)
 
 
-def test_what_may_not_exist_counts_by_how_probable_it_is() -> None:
-    """A false hydrant is no sign of many hydrants: against all ways in which both may be false."""
-    specification, growth = sensor(false_detections=RATE), 10.0 / 3.0
-    looks = [(HYDRANT, 1.0, 0.2), (None, 0.0, 0.4), (HYDRANT, 2.5, 0.0)]
-    one, total = nothing(), 0.0
+ONCE = [(HYDRANT, 1.0, 0.0), *[(None, 0.0, 0.0)] * 3]
+TWO = [(HYDRANT, 1.0, 0.2), (None, 0.0, 0.4), (HYDRANT, 2.5, 0.0)]
+
+
+@pytest.mark.parametrize(("looks", "growth"), [(ONCE, 0.0), (TWO, 10.0 / 3.0)])
+def test_existence_equals_a_sum_over_what_can_have_been(looks: list, growth: float) -> None:
+    """A false hydrant is no sign of many hydrants: against all ways in which each may be false."""
+    specification, one, total = sensor(false_detections=RATE), nothing(), 0.0
     for number, (kind, x, exposure) in enumerate(looks, start=1):
         one, log_weight = see(one, specification, kind, x, growth=growth, exposure=exposure)
         total += float(log_weight)
@@ -115,11 +96,14 @@ def test_what_may_not_exist_counts_by_how_probable_it_is() -> None:
         np.testing.assert_allclose(np.exp(total), exact, rtol=1e-4)
         np.testing.assert_allclose(one.existence[0], existence[0], rtol=1e-4)
     # That the other one was missed tells a little of this one, too, which is let go: 0.54 for 0.49.
-    np.testing.assert_allclose(one.existence[1], existence[1], rtol=0.12)
-    # What is surely there is a whole sign of more.
-    sure, _ = see(nothing(), specification, HYDRANT, 1.0, growth=growth)
-    sure, _ = see(sure, specification, HYDRANT, 1.0, growth=growth)
-    sure, _ = see(sure, specification, HYDRANT, 2.5, growth=growth)
+    np.testing.assert_allclose(one.existence[1 : len(existence)], existence[1:], rtol=0.12)
+
+
+def test_what_is_seen_twice_in_one_place_is_there_and_a_whole_sign_of_more() -> None:
+    """False detections are scattered."""
+    specification, sure, growth = sensor(false_detections=RATE), nothing(), 10.0 / 3.0
+    for x in (1.0, 1.0, 2.5):
+        sure, _ = see(sure, specification, HYDRANT, x, growth=growth)
     assert sure.existence[0] == 1.0
     more, false = np.exp(LOG_THING) * (1.0 + growth), RATE / (np.pi * 9.0) / DETECTION
     np.testing.assert_allclose(sure.existence[1], more / (more + false), rtol=1e-4)
@@ -205,16 +189,9 @@ def surprise_of(*detections: tuple[int, float, float, float]) -> float:
     """Measure the surprise of detections (type, x, y, nats by which they were missed before)."""
     padded = [*detections, *[(CONE, 0.0, 0.0, 0.0)] * (D - len(detections))]
     types, x, y, missed = (np.array(column) for column in zip(*padded, strict=True))
-    return float(
-        look_at_hydrant(
-            by_hand.with_objects(by_hand.begin(), [(HYDRANT, 2.0, 0.0)]),
-            jnp.asarray(types, jnp.int32),
-            jnp.asarray(x, jnp.float32),
-            jnp.asarray(y, jnp.float32),
-            -jnp.asarray(missed, jnp.float32),
-            jnp.arange(D) < len(detections),
-        )
-    )
+    belief = by_hand.with_objects(by_hand.begin(), [(HYDRANT, 2.0, 0.0)])
+    told = types.astype(np.int32), *np.float32([x, y, -missed]), np.arange(D) < len(detections)
+    return float(look_at_hydrant(belief, *told))
 
 
 SEEN = (HYDRANT, 2.0, 0.0, 0.0)

@@ -14,16 +14,16 @@ from jaxlangnav.semantic_map.particle import START_VARIANCE, SemanticMap, empty
 
 OBJECTS = [(0, 3.0, 3.0), (0, 7.0, -3.0), (1, 3.0, -3.0), (1, 7.0, 3.0), (2, 5.0, 0.0)]
 """Metres apart, so that which detection is which object is beyond doubt."""
-CALLS = 4
+CALLS, WORLDS = 4, 16
 EPS = float(np.finfo(np.float32).eps)
 
 
 def drive(seed: int, noise: float, odometry_noise: float):
-    """Drive 32 random steps; return what is observed, and the Kalman filters of every lane."""
+    """Drive 32 random steps in WORLDS; what is observed in every lane, and its Kalman filter."""
     random = np.random.default_rng(seed)
     specification = by_hand.sensor(range_max=5.0, probability=0.9, noise=noise)
     kalmans, lanes = [], []
-    for _ in range(by_hand.SEEDS):
+    for _ in range(WORLDS):
         truth, odometry = np.zeros(2), np.zeros(2)
         kalman, looks = Kalman(odometry, START_VARIANCE), []
         for _ in range(CALLS * by_hand.STEPS):
@@ -40,18 +40,14 @@ def drive(seed: int, noise: float, odometry_noise: float):
             for index, (name, x, y) in enumerate(OBJECTS):
                 offset = np.array([x, y]) - truth + random.normal(0.0, 1.0, 2) * noise
                 if np.linalg.norm(offset) < 5.0 and random.uniform() < 0.9:
-                    seen.append((index, name, offset))
-            look = by_hand.observation(
-                np.array([*odometry, heading]),
-                [(name, *offset) for _, name, offset in seen],
-                specification,
-            )
-            for index, _, offset in seen:
-                kalman.detect(index, offset, noise)
-            looks.append(look)
+                    seen.append((name, *offset))
+                    kalman.detect(index, offset, noise)
+            pose = np.array([*odometry, heading])
+            looks.append(by_hand.observation(pose, seen, specification))
         kalmans.append(kalman)
         lanes.append(by_hand.stack(looks))
-    return by_hand.stack(lanes), kalmans
+    times = by_hand.SEEDS // WORLDS
+    return by_hand.stack(lanes * times), kalmans * times
 
 
 @pytest.mark.parametrize(
@@ -88,6 +84,11 @@ def test_equals_dense_kalman_filter(noise: float, odometry_noise: float) -> None
         assert shift < 10.0 * updates * EPS, (lane, shift)
 
 
+def seen_at(x: float, y: float) -> association.Detections:
+    """One detection of type 1, hardly of a new thing."""
+    return association.Detections(*(jnp.array([one]) for one in (1, x, y, -200.0, True)))
+
+
 def test_hypotheses_move_with_what_they_hang_on() -> None:
     """A cone turns out to lie half a metre further: what is "behind the cone" does so, too."""
     one = empty(2, 3, jnp.float32(0.0), jnp.float32(0.0))
@@ -102,14 +103,7 @@ def test_hypotheses_move_with_what_they_hang_on() -> None:
         hypothesis_x=jnp.array([6.0, 5.0, 9.0]),
         hypothesis_y=jnp.array([1.5, 3.0, -2.0]),
     )
-    detections = association.Detections(
-        object_type=jnp.array([1]),
-        offset_x=jnp.array([4.5]),
-        offset_y=jnp.array([0.8]),
-        log_new=jnp.array([-200.0]),
-        is_detection=jnp.array([True]),
-    )
-    grounded = association.associate(one, detections, jnp.array([0.5]), jnp.float32(1e-4))
+    grounded = association.associate(one, seen_at(4.5, 0.8), jnp.array([0.5]), jnp.float32(1e-4))
     after = update.condition(one, grounded, jnp.float32(1e-4))
     np.testing.assert_allclose(after.mean_x, [4.5, 7.0, 0.0], atol=1e-4)
     np.testing.assert_allclose(after.hypothesis_x, [6.5, 5.0, 9.0], atol=1e-4)
@@ -126,14 +120,7 @@ def test_a_detection_is_expected_with_what_robot_and_object_have_in_common() -> 
         mean_x=jnp.array([4.0, 1.0]),
         mean_y=jnp.array([1.0, 0.0]),
     )
-    seen = association.Detections(
-        object_type=jnp.array([1]),
-        offset_x=jnp.array([3.4]),
-        offset_y=jnp.array([0.8]),
-        log_new=jnp.array([-200.0]),
-        is_detection=jnp.array([True]),
-    )
-    grounded = association.associate(one, seen, jnp.array([0.5]), jnp.float32(0.04))
+    grounded = association.associate(one, seen_at(3.4, 0.8), jnp.array([0.5]), jnp.float32(0.04))
     spread = 1.0 + 0.5 - 2 * 0.6 + 0.04
     expected = -(0.4**2 + 0.2**2) / (2 * spread) - np.log(2 * np.pi * spread)
     np.testing.assert_allclose(grounded.log_weight, expected, rtol=1e-5)
@@ -171,10 +158,7 @@ def follow(steps: jax.Array, offsets: jax.Array, is_seen: jax.Array, spread, noi
     ("noise", "odometry_noise"), [(0.01, 0.3), (0.01, 0.0), (0.01, 0.002), (0.3, 0.3)]
 )
 def test_long_drives_do_not_drift(noise: float, odometry_noise: float) -> None:
-    """600 steps in float32, the best sensor there is: still the dense filter, symmetric, positive.
-
-    Half of the drive stands still, so that hundreds of looks add up to almost certainty.
-    """
+    """600 steps in float32, half at a standstill: still the dense filter, symmetric, positive."""
     random = np.random.default_rng(1)
     places = 6.0 * random.normal(size=(8, 2))
     turn = 2.0 * np.pi * LAPS * np.arange(LONG) / LONG

@@ -115,11 +115,7 @@ def test_what_comes_before_may_be_unseen():
 
 
 def test_where_nothing_unseen_comes_before_it_the_first_is_no_third():
-    """Much is unseen, but all of it beyond the cones in view: none of them may be before the first.
-
-    The scene expects as many unseen cones as there are: what keeps the first from being the third
-    is where they may be.
-    """
+    """As many cones are unseen as there are, but beyond those in view: none is before the first."""
     said, seen, draws, scene = order(NEAR, 3, unseen=((20.0, 0.0),) * 2)
     scene = scene._replace(log_unseen=-jnp.log(PLURAL * PARAMS.concentration))
     first, second, third, _ = weigh((said, seen, draws, scene))

@@ -1,33 +1,33 @@
-"""No silent death: contradictions, overflow, NaN, no noise, everything refuted."""
+"""No silent death: contradictions, overflow, NaN; what cannot be is left out, said, forgotten."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from hostile import MUTATIONS
 
 from jaxlangnav.messages import BEHIND, FRONT, NONE, ROBOT, Fault
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map import gating
+from jaxlangnav.semantic_map.predict import predict
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 BEHIND_CONE = by_hand.readings([[HYDRANT, CONE]], [[(0, BEHIND, 1, False)]])
 
 
-def follow(looks: list, sentence=BEHIND_CONE, numbers=None, belief=None, seed: int = 0):
-    """Run looks (a multiple of STEPS) in all lanes; return beliefs and stacked infos."""
-    beliefs, infos = by_hand.repeat(belief or by_hand.begin(), by_hand.SEEDS), []
-    assert len(looks) % by_hand.STEPS == 0
-    for call in range(len(looks) // by_hand.STEPS):
-        part = by_hand.stack(looks[call * by_hand.STEPS : (call + 1) * by_hand.STEPS])
-        beliefs, info = by_hand.run_many(
-            jax.random.split(jax.random.key(seed + call), by_hand.SEEDS),
-            beliefs,
-            by_hand.repeat(sentence, by_hand.SEEDS),
-            by_hand.repeat(part, by_hand.SEEDS),
-            numbers or by_hand.params(),
-        )
-        infos.append(jax.tree.map(np.asarray, info))
-    return beliefs, jax.tree.map(lambda *leaves: np.concatenate(leaves, 1), *infos)
+POSE = np.array([5.0, 0.0, 0.0])
+
+
+def look(*found: tuple[int, float, float], pose: np.ndarray = POSE, **sensor: float):
+    return by_hand.observation(pose, list(found), by_hand.sensor(**sensor))
+
+
+def follow(looks: list, sentence=BEHIND_CONE, belief=None, **numbers: float):
+    """Look on, a multiple of STEPS times, in all lanes: sound beliefs, and stacked infos."""
+    beliefs, infos = by_hand.run_lanes(looks, sentence, by_hand.params(**numbers), belief)
+    assert_sound(beliefs)
+    return beliefs, infos
 
 
 def sweep(rounds: int) -> list[tuple[float, float]]:
@@ -56,9 +56,7 @@ def assert_sound(beliefs) -> None:
 
 def test_refuted_hypotheses_revive_where_they_may_still_be() -> None:
     """An empty area looked at twice over: hypotheses live on, inside, and no ghost is believed."""
-    looks = [by_hand.observation(np.array([x, y, 0.0]), []) for x, y in sweep(2)]
-    beliefs, info = follow(looks)
-    assert_sound(beliefs)
+    beliefs, info = follow([look(pose=np.array([x, y, 0.0])) for x, y in sweep(2)])
     assert not info.fault.any()
     weight = np.exp(np.asarray(beliefs.log_weight))
     particles = beliefs.particles
@@ -76,11 +74,8 @@ def test_refuted_hypotheses_revive_where_they_may_still_be() -> None:
 
 def test_figure_is_found_after_everything_was_refuted() -> None:
     """The hydrant was missed all along: when it is seen at last, it is believed."""
-    looks = [by_hand.observation(np.array([x, y, 0.0]), []) for x, y in sweep(1)]
-    pose = np.array([5.0, 0.0, 0.0])
-    looks += [by_hand.observation(pose, [(CONE, 1.0, 0.1), (HYDRANT, 2.5, 0.2)])] * 8
-    beliefs, info = follow(looks)
-    assert_sound(beliefs)
+    looks = [look(pose=np.array([x, y, 0.0])) for x, y in sweep(1)]
+    beliefs, info = follow([*looks, *[look((CONE, 1.0, 0.1), (HYDRANT, 2.5, 0.2))] * 8])
     assert info.surprise[:, 24].min() > 5.0, "it was looked for there before"
     assert info.surprise[:, 25:].max() < 5.0
     weight = np.exp(np.asarray(beliefs.log_weight))
@@ -92,18 +87,12 @@ def test_figure_is_found_after_everything_was_refuted() -> None:
 
 def test_detections_that_contradict_each_other() -> None:
     """Objects that jump about and vanish in plain view: counted, finite, never dead."""
-    random = np.random.default_rng(0)
-    pose = np.array([5.0, 0.0, 0.0])
-    looks = [
-        by_hand.observation(
-            pose,
-            [(int(random.integers(3)), *random.uniform(-2.0, 2.0, 2)) for _ in range(step % 4)],
-            by_hand.sensor(noise=0.02, probability=1.0),
-        )
-        for step in range(4 * by_hand.STEPS)
-    ]
-    beliefs, info = follow(looks)
-    assert_sound(beliefs)
+    random, looks = np.random.default_rng(0), []
+    for step in range(4 * by_hand.STEPS):
+        kinds = [int(random.integers(3)) for _ in range(step % 4)]
+        found = [(kind, *random.uniform(-2.0, 2.0, 2)) for kind in kinds]
+        looks.append(look(*found, noise=0.02, probability=1.0))
+    _, info = follow(looks)
     # They contradict what was seen before, and soon there are more "objects" than slots: both
     # are said, every step by one of them once the place is well known.
     assert info.overflow.sum() > 0
@@ -115,10 +104,7 @@ def test_detections_that_contradict_each_other() -> None:
 def test_more_objects_than_slots_are_counted() -> None:
     places = [(HYDRANT, 0.9 * np.cos(turn), 0.9 * np.sin(turn)) for turn in np.arange(6)]
     more = [(CONE, 2.2 * np.cos(turn), 2.2 * np.sin(turn)) for turn in np.arange(6)]
-    pose, specification = np.array([5.0, 0.0, 0.0]), by_hand.sensor(noise=0.02)
-    looks = [by_hand.observation(pose, part, specification) for part in (places, more)] * 4
-    beliefs, info = follow(looks)
-    assert_sound(beliefs)
+    beliefs, info = follow([look(*part, noise=0.02) for part in (places, more)] * 4)
     assert (info.overflow[:, 0] == 0).all()
     assert (info.overflow[:, 1] == 6).all()
     # No slot was overwritten.
@@ -128,14 +114,12 @@ def test_more_objects_than_slots_are_counted() -> None:
 @pytest.mark.parametrize("noise", [0.0, 1e-6])
 def test_no_noise_at_all(noise: float) -> None:
     """Neither sensor nor odometry errs, everything is always detected."""
-    specification = by_hand.sensor(noise=noise, probability=1.0)
     objects, looks = [(CONE, 4.0, 0.5), (HYDRANT, 6.0, 0.8)], []
     for step in range(2 * by_hand.STEPS):
         x = 0.3 * step
         found = [(name, there - x, y) for name, there, y in objects if np.hypot(there - x, y) < 3.0]
-        looks.append(by_hand.observation(np.array([x, 0.0, 0.0]), found, specification))
-    beliefs, info = follow(looks, numbers=by_hand.params(odometry_noise=0.0))
-    assert_sound(beliefs)
+        looks.append(look(*found, pose=np.array([x, 0.0, 0.0]), noise=noise, probability=1.0))
+    beliefs, info = follow(looks, odometry_noise=0.0)
     assert not info.fault.any()
     assert not info.is_contradiction.any()
     particles = jax.tree.map(np.asarray, beliefs.particles)
@@ -149,18 +133,13 @@ def test_no_noise_at_all(noise: float) -> None:
 
 def test_certain_detection_and_a_vanished_object() -> None:
     """p_d = 1 and an object that is gone: log(1 − p_d) is kept finite."""
-    specification = by_hand.sensor(probability=1.0)
-    pose = np.array([5.0, 0.0, 0.0])
-    looks = [by_hand.observation(pose, [(CONE, 1.0, 0.0)], specification)]
-    looks += [by_hand.observation(pose, [], specification)] * 7
-    beliefs, info = follow(looks)
-    assert_sound(beliefs)
+    seen, gone = look((CONE, 1.0, 0.0), probability=1.0), look(probability=1.0)
+    _, info = follow([seen, *[gone] * 7])
     assert not info.fault.any()
 
 
 def test_garbage_where_there_is_no_detection_changes_nothing() -> None:
-    pose = np.array([5.0, 0.0, 0.0])
-    good = by_hand.observation(pose, [(CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2)])
+    good = look((CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2))
     names, ranges = np.array(good.detection_type), np.array(good.detection_range)
     bearings = np.array(good.detection_bearing)
     names[2:], ranges[2:], bearings[2:] = HYDRANT, np.nan, np.inf
@@ -171,43 +150,171 @@ def test_garbage_where_there_is_no_detection_changes_nothing() -> None:
         np.testing.assert_array_equal(ours, theirs)
 
 
-@pytest.mark.parametrize("dead", [-np.inf, np.nan])
-def test_dead_weights_are_counted_and_made_alive(dead: float) -> None:
-    belief = replace(
-        by_hand.begin(),
-        log_weight=jnp.full(by_hand.CONFIG.num_particles, dead),
-        must_ground=jnp.asarray(False),
-    )
-    looks = [by_hand.observation(np.array([5.0, 0.0, 0.0]), [])] * 8
-    beliefs, info = follow(looks, belief=belief)
-    assert_sound(beliefs)
-    assert (info.fault[:, 0] == Fault.WEIGHTS).all()
-    assert not info.fault[:, 1:].any()
-    assert np.isfinite(np.asarray(beliefs.coverage.log_miss)).all()
-
-
 def test_one_dead_weight_among_good_ones() -> None:
     number = by_hand.CONFIG.num_particles
     log_weight = jnp.full(number, -jnp.log(number - 1.0)).at[0].set(-jnp.inf)
     belief = replace(by_hand.begin(), log_weight=log_weight)
-    looks = [by_hand.observation(np.array([5.0, 0.0, 0.0]), [])] * 8
-    beliefs, info = follow(looks, belief=belief)
-    assert_sound(beliefs)
+    _, info = follow([look()] * 8, belief=belief)
     assert not info.fault.any()
 
 
 def test_words_that_nothing_can_satisfy() -> None:
     """ "In front of you", told at the edge of the area facing out: nowhere is possible."""
     sentence = by_hand.readings([[HYDRANT, ROBOT]], [[(0, FRONT, 1, False)]])
-    looks = [by_hand.observation(np.array([0.0, 0.0, np.pi]), [(HYDRANT, 1.0, 0.0)])] * 8
-    beliefs, _ = follow(looks, sentence, belief=by_hand.begin((0.0, 0.0, np.pi)))
-    assert_sound(beliefs)
+    looks = [look((HYDRANT, 1.0, 0.0), pose=np.array([0.0, 0.0, np.pi]))] * 8
+    follow(looks, sentence, by_hand.begin((0.0, 0.0, np.pi)))
 
 
 def test_no_words() -> None:
     """A reading that mentions nothing leaves a plain map."""
-    looks = [by_hand.observation(np.array([5.0, 0.0, 0.0]), [(CONE, 1.0, 0.1)])] * 8
-    beliefs, _ = follow(looks, by_hand.readings([[]], [[]]))
-    assert_sound(beliefs)
+    beliefs, _ = follow([look((CONE, 1.0, 0.1))] * 8, by_hand.readings([[]], [[]]))
     assert not np.asarray(beliefs.particles.is_mentioned).any()
     assert (np.asarray(beliefs.particles.object_type)[:, 0] == CONE).all()
+
+
+# ---------------------------------------------------------------- looks that cannot be
+
+GOOD = by_hand.observation(POSE, [(CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2)])
+SOUND = jax.jit(gating.gate_observation)
+FAR = jnp.float32(1.5)
+
+
+def judge(look, belief=None, farthest=FAR) -> gating.Look:
+    return SOUND(belief or by_hand.begin((5.0, 0.0, 0.0)), look, farthest)
+
+
+def test_a_sound_look_is_believed_as_it_is() -> None:
+    found = judge(GOOD)
+    assert int(found.fault) == 0
+    assert not bool(found.is_jump)
+    for ours, given in zip(jax.tree.leaves(found.observation), jax.tree.leaves(GOOD), strict=True):
+        np.testing.assert_array_equal(ours, given)
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_every_field_has_a_flag_of_its_own(name: str) -> None:
+    mutate, flag = MUTATIONS[name]
+    draw = np.random.default_rng(0)
+    shut = judge(by_hand.observation(POSE, [])).observation
+    for _ in range(40):
+        found = judge(mutate(draw, GOOD))
+        raised = Fault(int(found.fault))
+        assert flag in raised
+        # Nothing else is said, but that of many false detections two may be of one place.
+        assert raised == flag or (name == "is_detection" and raised == flag | Fault.CONTRADICTION)
+        # Nothing of the look is believed, and nothing is taken to be absent.
+        assert not np.asarray(found.observation.is_detection).any()
+        np.testing.assert_array_equal(found.observation.pose, POSE.astype(np.float32))
+        np.testing.assert_array_equal(found.observation.detection_type, shut.detection_type)
+        assert float(found.observation.sensor.detection_probability) == 0.0
+        for leaf in jax.tree.leaves(found):
+            assert np.isfinite(np.asarray(leaf, float)).all()
+
+
+@pytest.mark.parametrize(
+    ("offset", "view", "noise", "is_sound"),
+    [
+        ((3.0, 0.0), 2 * np.pi, 0.1, True),
+        ((3.5, 0.0), 2 * np.pi, 0.1, True),  # five standard deviations out of range
+        ((3.7, 0.0), 2 * np.pi, 0.1, False),
+        ((-2.0, 0.0), np.pi, 0.1, False),
+        ((-0.3, 2.0), np.pi, 0.1, True),
+        ((-0.8, 2.0), np.pi, 0.1, False),
+        ((-0.3, 0.1), 1.0, 0.1, True),  # so near that the noise alone may put it behind
+        ((0.0, 0.0), 2 * np.pi, 0.0, True),
+    ],
+)
+def test_what_noise_may_do_is_no_fault(offset, view, noise: float, is_sound: bool) -> None:
+    sensor = by_hand.sensor(3.0, view=view, noise=noise)
+    found = judge(by_hand.observation(POSE, [(CONE, *offset)], sensor))
+    assert (int(found.fault) == 0) is is_sound
+
+
+def test_two_things_side_by_side_are_no_contradiction() -> None:
+    side_by_side = [(CONE, 1.0, 0.0), (HYDRANT, 1.0, 0.05)]
+    assert int(judge(by_hand.observation(POSE, side_by_side)).fault) == 0
+    for second in (HYDRANT, CONE):
+        at_one = [(CONE, 1.0, 0.0), (second, 1.0, 0.004)]
+        found = judge(by_hand.observation(POSE, at_one))
+        assert int(found.fault) == Fault.CONTRADICTION
+    # Of what cannot be at all it is not asked where it is.
+    garbage = by_hand.observation(POSE, [(99, 1.0, 0.0), (99, 1.0, 0.0)])
+    assert int(judge(garbage).fault) == Fault.DETECTION
+
+
+def test_types_are_known_up_to_the_number_told() -> None:
+    belief = replace(by_hand.begin((5.0, 0.0, 0.0)), num_types=jnp.int32(2))
+    assert int(judge(GOOD, belief).fault) == 0
+    car = by_hand.observation(POSE, [(by_hand.CAR, 1.0, 0.0)])
+    assert int(judge(car, belief).fault) == Fault.DETECTION
+    assert int(judge(car).fault) == 0
+
+
+def test_a_jump_is_doubted_once_and_taken_over_when_it_stands() -> None:
+    belief = by_hand.begin((5.0, 0.0, 0.0))
+    away = by_hand.observation(np.array([1.0, 2.0, 0.0]), [])
+    first = judge(away, belief)
+    assert int(first.fault) == Fault.JUMP
+    assert not bool(first.is_jump)
+    np.testing.assert_array_equal(first.observation.pose, POSE)
+    belief = replace(belief, reported_pose=first.reported_pose)
+    # Somewhere else again: doubted as before. Back where it was: as if nothing had been.
+    other = by_hand.observation(np.array([9.0, 2.0, 0.0]), [])
+    assert not bool(judge(other, belief).is_jump)
+    assert int(judge(GOOD, belief).fault) == 0
+    near = by_hand.observation(np.array([1.5, 2.5, 0.0]), [])
+    second = judge(near, belief)
+    assert int(second.fault) == Fault.JUMP
+    assert bool(second.is_jump)
+    np.testing.assert_array_equal(second.observation.pose, near.pose)
+    # With anything else at fault it is not.
+    broken = replace(near, sensor=replace(near.sensor, noise=np.float32(-1)))
+    assert not bool(judge(broken, belief).is_jump)
+    assert int(judge(away, by_hand.begin((5.0, 0.0, 0.0)), farthest=None).fault) == 0
+
+
+def test_a_jump_taken_over_becomes_doubt_of_where_the_robot_is() -> None:
+    belief = by_hand.with_objects(by_hand.begin((5.0, 0.0, 0.0)), [(CONE, 6.0, 0.0)])
+    robot = by_hand.CONFIG.num_objects
+    away = jnp.array([1.0, 0.0, 0.0])
+    after = predict(belief, away, jnp.asarray(True), params=by_hand.params())
+    np.testing.assert_allclose(after.particles.mean_x[robot], 1.0)
+    # Four metres that nothing explains: the standard deviation of its place.
+    np.testing.assert_allclose(np.sqrt(after.particles.covariance[robot, robot]), 4.0, rtol=1e-3)
+    np.testing.assert_allclose(after.particles.mean_x[0], 6.0)
+
+
+HERE, AREA = (0.0, 0.0, 0.0), by_hand.AREA
+BAD_PLACES = [
+    *(("area", HERE, one) for one in (
+        (np.nan, 10.0, -5.0, 5.0), (0.0, np.inf, -5.0, 5.0), (10.0, 0.0, -5.0, 5.0),
+        (0.0, 10.0, 5.0, 5.0), (0.0, 1e20, -5.0, 5.0), (0.0, 1e-30, -5.0, 5.0),
+        (1e7, 2e7, 0.0, 9.0),
+    )),
+    *(("pose", one, AREA) for one in (
+        (np.nan, 0.0, 0.0), (0.0, -np.inf, 0.0), (0.0, 0.0, np.nan), (1e20, 0.0, 0.0),
+        (0.0, 0.0, 1e9), (500.0, 0.0, 0.0),
+    )),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("what", "pose", "area"), BAD_PLACES)
+def test_a_place_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(what, pose, area):
+    meant = {"area": r"\(x_min", "pose": r"\(x, y, heading\)"}[what]
+    with pytest.raises(ValueError, match=f"{what} is .* but must be {meant}"):
+        gating.check_place(pose, area)
+    belief = by_hand.begin(pose, area=area)
+    for leaf in jax.tree.leaves(replace(belief, log_weight=None)):
+        assert np.isfinite(np.asarray(leaf, float)).all()
+    for _ in range(2):
+        found = judge(by_hand.observation(np.asarray(belief.last_pose), []), belief)
+        assert int(found.fault) == Fault.PLACE
+
+
+def test_places_of_the_wrong_shape_are_refused() -> None:
+    gating.check_place((0.0, 0.0, 0.0), by_hand.AREA)
+    gating.check_place((-3.0, 0.0, 100.0), by_hand.AREA)
+    with pytest.raises(ValueError, match="area is"):
+        gating.check_place((0.0, 0.0, 0.0), (0.0, 1.0))
+    with pytest.raises(ValueError, match="pose is"):
+        gating.check_place((0.0, 0.0), by_hand.AREA)

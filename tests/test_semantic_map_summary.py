@@ -9,7 +9,7 @@ import pytest
 import readings as by_hand
 
 import jaxlangnav
-from jaxlangnav import messages, navigator
+from jaxlangnav import navigator
 from jaxlangnav.grounding import Context
 from jaxlangnav.grounding.behavior import MAX_SLOTS
 from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, ROBOT, BehaviorWorld
@@ -37,18 +37,10 @@ def test_distinct_topologies_equal_a_plain_comparison() -> None:
         is_mentioned=jnp.asarray(random.uniform(size=(by_hand.M, P)) < 0.9),
     )
     topology, first, count = jax.jit(distinct_topologies)(particles)
-    rows: list[tuple] = []
-    for index in range(P):
-        row = tuple(
-            np.concatenate(
-                [
-                    particles.object_type[:, index],
-                    particles.referent[:, index],
-                    particles.is_mentioned[:, index],
-                    particles.reading[index][None],
-                ]
-            ).tolist()
-        )
+    names = ("object_type", "referent", "is_mentioned", "reading")
+    told = [np.atleast_2d(getattr(particles, name)) for name in names]
+    rows: list[list] = []
+    for index, row in enumerate(np.concatenate(told).T.tolist()):
         if row not in rows:
             rows.append(row)
             assert int(first[len(rows) - 1]) == index
@@ -189,14 +181,7 @@ def test_forty_slots_fit_into_a_cycle() -> None:
     told = robot.grounder.ground("go to the hydrant behind the cone", Context(is_under_way=False))
     area = jnp.array([-8.0, 8.0, -8.0, 8.0])
     state = navigator.start(told.instruction, jnp.zeros(3), area, config=config)
-    seen = messages.Observation(
-        pose=jnp.zeros(3),
-        detection_type=jnp.full(4, NONE, jnp.int32),
-        detection_range=jnp.zeros(4),
-        detection_bearing=jnp.zeros(4),
-        is_detection=jnp.zeros(4, bool),
-        sensor=messages.default_sensor(),
-    )
+    seen = by_hand.observation(np.zeros(3), [], size=4)
     after, _, info = jax.eval_shape(
         lambda key, now: navigator.step(key, now, seen, params=robot.params, config=config),
         jax.random.key(0),

@@ -55,10 +55,7 @@ def ground_lanes(keys, beliefs, sentences, asked, params, *, is_sparse, params_a
 
 
 def assert_same(found, expected, asked: np.ndarray) -> None:
-    """The draws of the particles that were asked, weights to a few ulps; no weight for the rest.
-
-    Two programs compiled apart may round differently: JAX 0.12 does.
-    """
+    """Draws alike, weights to a few ulps (programs round differently), −∞ for who is not asked."""
     np.testing.assert_array_equal(np.asarray(found[1]) == -np.inf, ~asked)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         one, other = np.asarray(one), np.asarray(other)
@@ -101,10 +98,8 @@ def test_lanes_with_numbers_of_their_own() -> None:
 def test_what_only_misleading_words_explain_is_in_every_particle() -> None:
     """A hydrant stands where no cone can be in front of it: is it meant all the same?
 
-    Everything but the area's far end has been seen well. Either the sentence misleads and this is
-    the hydrant, or it is a bystander, and hydrant and cone are both still to be found. When each
-    particle drew whether the sentence misleads, the share of the first varied over the seeds by
-    0.30 of itself; weighed in every particle, by 0.16.
+    All but the far end has been seen: the sentence misleads, or hydrant and cone are to be found.
+    Drawn by each particle, the share of the first varied by 0.30 of itself; weighed, by 0.16.
     """
     sentence = SENTENCES[1]
     belief = by_hand.with_objects(by_hand.begin(), [(HYDRANT, 3.0, 0.0)])

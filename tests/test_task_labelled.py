@@ -60,7 +60,6 @@ def test_no_file_and_an_empty_one_are_refused(tmp_path):
 def test_types_are_named_as_the_lexicon_names_them(tmp_path):
     label = {"things": [thing("house"), thing("gazebo", "b")]}
     (one,) = read_sentences(write(tmp_path / "a.jsonl", {"text": "x", "label": label}))
-    assert one.meaning is not None
     assert one.meaning.type_names == ("building", "gazebo")
 
 
@@ -116,24 +115,36 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
     assert "zorbel" in scores[2].why
 
 
-@pytest.mark.parametrize(
-    ("part", "least", "most_wrong"),
-    [
-        ("first", 318, 2),
-        ("second", 98, 5),
-        ("third", 267, 1),
-        ("fourth", 279, 5),
-        ("fifth", 177, 4),
-        ("sixth", 92, 0),
-        ("seventh", 81, 1),
-        ("eighth", 116, 5),
-        ("ninth dev", 134, 1),
-        ("ninth test", 100, 5),
-        ("tenth", 84, 2),
-    ],
-)
-def test_shipped_sentences_stay_as_well_read(part, least, most_wrong):
-    some = [one for one in SENTENCES if one.set == part]
-    counts = Counter(one.outcome for one in score_sentences(some, load_shipped()))
+PARTS = {
+    "first": (318, 2),
+    "second": (98, 5),
+    "third": (267, 1),
+    "fourth": (279, 5),
+    "fifth": (177, 4),
+    "sixth": (92, 0),
+    "seventh": (81, 1),
+    "eighth": (116, 5),
+    "ninth dev": (134, 1),
+    "ninth test": (100, 5),
+    "tenth": (84, 2),
+}
+"""How many of a set are right, at least, and wrong, at most."""
+
+
+def outcomes(part: str, every: int = 1) -> Counter[str]:
+    some = [one for one in SENTENCES if one.set == part][::every]
+    return Counter(one.outcome for one in score_sentences(some, load_shipped()))
+
+
+def test_every_third_of_the_shipped_sentences_stays_as_well_read():
+    counts = sum((outcomes(part, every=3) for part in PARTS), Counter())
+    assert counts["right"] >= 579
+    assert counts["wrong"] <= 16
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", PARTS)
+def test_shipped_sentences_stay_as_well_read(part):
+    counts, (least, most_wrong) = outcomes(part), PARTS[part]
     assert counts["right"] >= least
     assert counts["wrong"] <= most_wrong

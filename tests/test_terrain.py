@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-from placed import placed
+from placed import placed, standing
 from situations import seen_goal
 
 from jaxlangnav.planner import qmdp
@@ -18,7 +18,7 @@ from jaxlangnav.terrain.geodesic import CLEARANCE, Geodesic, geodesic
 from jaxlangnav.terrain.view import NEVER, Stretch, eye_of
 from jaxlangnav.terrain.walls import Walls, walls
 from jaxlangnav.world.sensor import visible
-from jaxlangnav.world.state import Scenario, WorldState
+from jaxlangnav.world.state import Scenario
 
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
 WALL = (4.0, -2.0, 4.0, 2.0)
@@ -98,14 +98,12 @@ def scenario(view: Walls | OpenField) -> Scenario:
 
 def test_the_sensor_sees_in_front_of_a_wall_and_not_behind() -> None:
     sensor = by_hand.sensor(range_max=8.0)
-    zero = jnp.float32(0.0)
-    robot = WorldState(position=jnp.zeros(2), heading=zero, odometry=jnp.zeros(3), distance=zero)
     for view, expected in (
         (OpenField(), [True, True, False]),
         (walls(WALL), [False, True, False]),
         (walls((4.0, 1.0, 4.0, 3.0)), [True, True, False]),
     ):
-        np.testing.assert_array_equal(visible(robot, scenario(view), sensor)[2], expected)
+        np.testing.assert_array_equal(visible(standing(), scenario(view), sensor)[2], expected)
 
 
 def test_what_is_behind_a_wall_is_neither_seen_nor_counted_as_absent() -> None:

@@ -15,14 +15,18 @@ from jaxlangnav.viz import html, mapping, panels, style
 from jaxlangnav.viz.panels import belief_figure, values_figure
 
 
+@pytest.fixture(scope="module")
+def one():
+    return make_recording(9, 20)
+
+
 def axes_of(recording):
     axes = Figure().add_subplot()
     axes.set(xlim=recording.scene.area[:2], ylim=recording.scene.area[2:])
     return axes
 
 
-def test_every_hypothesis_is_a_point():
-    one = make_recording(9, 20)
+def test_every_hypothesis_is_a_point(one):
     for step in (0, 5, 8):
         frame = one.at(step)
         drawn = mapping.draw_hypotheses(axes_of(one), frame)
@@ -32,8 +36,7 @@ def test_every_hypothesis_is_a_point():
         assert sorted(points[:, 0]) == pytest.approx(sorted(held))
 
 
-def test_a_heavier_particle_is_drawn_stronger():
-    one = make_recording(9, 20)
+def test_a_heavier_particle_is_drawn_stronger(one):
     frame = one.at(0)
     drawn = mapping.draw_hypotheses(axes_of(one), frame)[0]
     chosen = frame.is_hypothesised & (frame.mention_type == 0)
@@ -46,8 +49,7 @@ def test_a_heavier_particle_is_drawn_stronger():
     assert len(drawn.get_facecolors()) == 0
 
 
-def test_seen_objects_truth_and_a_path_that_ends_at_the_robot():
-    one = make_recording(9, 20)
+def test_seen_objects_truth_and_a_path_that_ends_at_the_robot(one):
     assert len(mapping.draw_objects(axes_of(one), one.at(0))) == 0
     assert len(mapping.draw_objects(axes_of(one), one.at(-1))) == 2
     assert len(mapping.draw_truth(axes_of(one), one.scene)) == 2
@@ -64,8 +66,7 @@ def test_the_robot_points_where_it_heads(heading):
     assert np.arctan2(tip[1], tip[0]) == pytest.approx(heading, abs=1e-5)
 
 
-def test_nodes_carry_their_values_and_the_best_are_in_order_and_open():
-    one = make_recording(9, 20)
+def test_nodes_carry_their_values_and_the_best_are_in_order_and_open(one):
     frame = one.at(8)
     nodes = panels._draw_values(axes_of(one), one, 8)
     assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(
@@ -89,8 +90,7 @@ def test_nodes_that_stand_together_are_one_place():
     assert panels.best_nodes(far, 50)[1] == 0
 
 
-def test_bars_add_up_to_the_value_and_where_it_stops_the_reason_stands_instead():
-    one = make_recording(9, 20)
+def test_bars_add_up_to_the_value_and_where_it_stops_the_reason_stands_instead(one):
     axes, frame = axes_of(one), one.at(7)
     panels._draw_parts(axes, frame)
     best = panels.best_nodes(frame)
@@ -105,8 +105,7 @@ def test_bars_add_up_to_the_value_and_where_it_stops_the_reason_stands_instead()
     assert not axes.texts
 
 
-def test_numbers_of_waypoints_are_apart_and_inside():
-    one = make_recording(9, 20)
+def test_numbers_of_waypoints_are_apart_and_inside(one):
     axes = axes_of(one)
     panels._draw_values(axes, one, 7)
     spots = np.array([text.get_position() for text in axes.texts])
@@ -125,8 +124,7 @@ def test_figures_have_their_panels(policy, number):
     assert len(values_figure(one, num_panels=number).axes) == 2 * number
 
 
-def test_panels_say_step_and_way():
-    one = make_recording(9, 20)
+def test_panels_say_step_and_way(one):
     figure = belief_figure(one, steps=[0, -1])
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles == ["(a) step 0 · 0.0 m", "(b) step 8 · 8.6 m"]

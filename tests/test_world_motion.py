@@ -1,44 +1,29 @@
-"""Motion, odometry and the simulator."""
+"""Motion, odometry, bodies and the simulator."""
 
 import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from placed import placed, standing
 
-from jaxlangnav.messages import (
-    Action,
-    MotionParams,
-    Observation,
-    SensorParams,
-    default_motion,
-    default_sensor,
-)
+from jaxlangnav import episode
+from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.messages import Action, MotionParams, default_sensor
+from jaxlangnav.navigator import NavigatorConfig, default_params
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
+from jaxlangnav.terrain import Terrain
+from jaxlangnav.terrain.geodesic import geodesic
+from jaxlangnav.terrain.walls import walls
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import carry_out as move_eagerly
-from jaxlangnav.world.scenario import draw_scenario, sample_scenario, scenario_law
-from jaxlangnav.world.sensor import sense
-from jaxlangnav.world.state import Scenario, WorldState
+from jaxlangnav.world.motion import HOLONOMIC, Unicycle, carry_out as move_eagerly
+from jaxlangnav.world.scenario import sample_scenario
+from jaxlangnav.world.state import WorldState
 
 KEY = jax.random.key(0)
 move = jax.jit(move_eagerly)
-
-
-@jax.jit
-def walk(
-    key: jax.Array,
-    state: WorldState,
-    scenario: Scenario,
-    action: Action,
-    *,
-    sensor: SensorParams,
-    motion: MotionParams,
-) -> tuple[WorldState, Observation]:
-    """Move, then sense: what an episode and an environment do."""
-    key_move, key_sense = jax.random.split(key)
-    state = move_eagerly(key_move, state, action, motion)
-    return state, sense(key_sense, state, scenario, sensor)
 
 
 def action(x: float, y: float, *, is_stop: bool = False, speed: float = 1.0) -> Action:
@@ -57,12 +42,7 @@ def motion(noise: float = 0.0, length: float = 1.0) -> MotionParams:
 
 
 def robot() -> WorldState:
-    return WorldState(
-        position=jnp.array([1.0, 2.0]),
-        heading=jnp.float32(0.7),
-        odometry=jnp.array([1.5, 2.5, 0.7]),
-        distance=jnp.float32(3.0),
-    )
+    return standing(1.0, 2.0, 0.7, off=0.5, walked=3.0)
 
 
 def test_without_noise_truth_and_odometry_move_alike() -> None:
@@ -71,11 +51,6 @@ def test_without_noise_truth_and_odometry_move_alike() -> None:
     np.testing.assert_allclose(state.odometry, [1.8, 2.1, np.arctan2(-4, 3)], rtol=1e-6)
     np.testing.assert_allclose(state.heading, np.arctan2(-4, 3), rtol=1e-6)
     np.testing.assert_allclose(state.distance, 3.5, rtol=1e-6)
-
-
-@pytest.mark.parametrize("stop", [action(0.0, 0.0), action(0.5, 0.5, is_stop=True)])
-def test_a_stop_or_a_zero_step_changes_nothing_even_with_noise(stop: Action) -> None:
-    chex.assert_trees_all_equal(move(KEY, robot(), stop, motion(noise=0.5)), robot())
 
 
 @pytest.mark.parametrize(("speed", "expected"), [(1.0, 1.0), (0.5, 0.5), (2.0, 2.0), (10.0, 5.0)])
@@ -133,84 +108,102 @@ def test_drift_grows_with_the_root_of_the_way_and_of_the_turn(name: str, spread:
     assert abs(drift.std() - sigma) < 5 * sigma / np.sqrt(2 * count)
 
 
-def test_a_run_to_the_goal_succeeds_only_with_a_stop() -> None:
-    scenario = sample_scenario(KEY, template="1H1C", relation="behind")
-    state = simulator.reset(scenario)
-    np.testing.assert_array_equal(state.position, [0.0, 0.0])
-    assert float(simulator.goal_distance(state, scenario)) == pytest.approx(
-        float(np.hypot(*scenario.goal))
-    )
-    way = np.asarray(scenario.goal) / np.hypot(*scenario.goal)
-    for index in range(30):
-        if simulator.goal_distance(state, scenario) <= 1.4:
-            break
-        state, observation = walk(
-            jax.random.fold_in(KEY, index),
-            state,
-            scenario,
-            action(*way),
-            sensor=default_sensor(3.0),
-            motion=default_motion(),
-        )
-    assert bool(observation.is_detection.any())
-    assert bool(simulator.is_success(state, scenario, jnp.array(True)))
-    assert not bool(simulator.is_success(state, scenario, jnp.array(False)))
-
-
 @pytest.mark.parametrize(("offset", "expected"), [(1.49, True), (1.51, False)])
 def test_success_is_a_stop_within_a_metre_and_a_half(offset: float, expected: bool) -> None:
     scenario = sample_scenario(KEY, template="1H1C", relation="null")
     start = simulator.reset(scenario)
-    state = WorldState(
-        position=scenario.goal + jnp.array([0.0, offset]),
-        heading=start.heading,
-        odometry=start.odometry,
-        distance=start.distance,
-    )
+    np.testing.assert_array_equal(start.position, [0.0, 0.0])
+    state = replace(start, position=scenario.goal + jnp.array([0.0, offset]))
+    assert float(simulator.goal_distance(state, scenario)) == pytest.approx(offset, abs=1e-5)
     assert bool(simulator.is_success(state, scenario, jnp.array(True))) is expected
+    assert not bool(simulator.is_success(state, scenario, jnp.array(False)))
 
 
-def test_an_episode_of_data_traces_once_and_its_batch_equals_a_loop() -> None:
-    def run(key, scenario, sensor, motion):
-        """Walk five steps ahead; the way an episode uses the simulator."""
+# ---------------------------------------------------------------- bodies
 
-        def advance(state, key):
-            state, observation = walk(
-                key, state, scenario, action(1.0, 0.2), sensor=sensor, motion=motion
-            )
-            return state, observation.is_detection.sum()
+MOVE = jax.jit(lambda body, *rest: body.move(*rest))
 
-        return jax.lax.scan(advance, simulator.reset(scenario), jax.random.split(key, 5))
 
-    chex.clear_trace_counter()
-    traced = jax.jit(chex.assert_max_traces(run, n=1))
-    keys = jax.random.split(KEY, 4)
-    worlds = [
-        draw_scenario(key, scenario_law(template=template, relation=relation))
-        for key, template, relation in zip(
-            keys,
-            ("1H1C", "2H1C", "2H2C", "3H3C"),
-            ("null", "behind", "nearest", "behind"),
-            strict=True,
-        )
-    ]
-    loop = [
-        traced(key, scenario, default_sensor(distance), motion(noise))
-        for key, scenario, distance, noise in zip(
-            keys, worlds, (3, 5, 5, 5), (0, 0.02, 0.1, 0.02), strict=True
-        )
-    ]
-    for key, scenario, (state, count) in zip(keys[1:], worlds[1:], loop[1:], strict=True):
-        again = traced(key, scenario, default_sensor(5.0), motion(0.02))
-        assert again[1].shape == count.shape == (5,)
-        assert np.isfinite(state.distance)
-    stack = jax.tree.map(lambda *leaves: jnp.stack(leaves), *worlds)
-    batch = jax.vmap(run, in_axes=(0, 0, None, None))(
-        keys, stack, default_sensor(5.0), motion(0.02)
+def wheels(turn_rate: float) -> Unicycle:
+    return Unicycle(turn_rate=jnp.float32(turn_rate))
+
+
+def test_a_quarter_turn_of_half_a_turn_a_cycle_leaves_half_of_the_way() -> None:
+    """From heading 0.7 to 0.7 + π/2 at π a cycle: 0.5 m of 1 m are left, along the new heading."""
+    target = 0.7 + np.pi / 2
+    state = MOVE(wheels(np.pi), KEY, robot(), action(np.cos(target), np.sin(target)), motion())
+    assert float(state.heading) == pytest.approx(target, abs=1e-5)
+    driven = 0.5 * np.array([np.cos(target), np.sin(target)])
+    np.testing.assert_allclose(state.position, np.array([1.0, 2.0]) + driven, atol=1e-5)
+    np.testing.assert_allclose(
+        state.odometry, [*(np.array([1.5, 2.5]) + driven), target], atol=1e-5
     )
-    single = [
-        run(key, scenario, default_sensor(5.0), motion(0.02))
-        for key, scenario in zip(keys, worlds, strict=True)
-    ]
-    expected = jax.tree.map(lambda *leaves: jnp.stack(leaves), *single)
-    chex.assert_trees_all_close(batch, expected, atol=1e-5)
+    np.testing.assert_allclose(state.distance, 3.5, atol=1e-5)
+
+
+def test_who_has_to_turn_round_turns_first_the_shorter_way() -> None:
+    target = 0.7 - 3.0
+    state = MOVE(
+        wheels(1.0), KEY, robot(), action(np.cos(target), np.sin(target)), motion(noise=0.3)
+    )
+    assert float(state.heading) == pytest.approx(0.7 - 1.0, abs=1e-5)
+    np.testing.assert_array_equal(state.position, robot().position)
+    np.testing.assert_array_equal(state.odometry[:2], robot().odometry[:2])
+
+
+@pytest.mark.parametrize("body", [HOLONOMIC, wheels(1.0)], ids=["holonomic", "wheels"])
+@pytest.mark.parametrize("stop", [action(0.0, 0.0), action(0.5, 0.5, is_stop=True)])
+def test_a_stop_or_a_zero_step_changes_nothing_even_with_noise(body, stop: Action) -> None:
+    chex.assert_trees_all_equal(MOVE(body, KEY, robot(), stop, motion(noise=0.5)), robot())
+
+
+def test_who_turns_at_once_goes_where_a_holonomic_body_goes() -> None:
+    for step in ((0.3, -0.4), (-3.0, 1.0), (0.0, 0.2)):
+        free = MOVE(HOLONOMIC, KEY, robot(), action(*step, speed=0.6), motion(noise=0.1))
+        turned = MOVE(wheels(1e6), KEY, robot(), action(*step, speed=0.6), motion(noise=0.1))
+        np.testing.assert_allclose(free.position, turned.position, atol=1e-4)
+        np.testing.assert_allclose(free.odometry[:2], turned.odometry[:2], atol=1e-4)
+        np.testing.assert_allclose(np.cos(free.heading - turned.heading), 1.0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_an_episode_among_walls_on_two_wheels() -> None:
+    """A wall between start and goal: seen past its end, walked round, and never walked through."""
+    ends = (3.5, -2.5, 3.5, 1.5)
+    there = walls(ends)
+    terrain = Terrain(view=there, travel=geodesic(there))
+    things, area = [(1, 5.0, 0.0), (0, 6.8, 0.3)], (0.0, 10.0, -5.0, 5.0)
+    scene = placed(things, slots=2, area=area, goal=1, terrain=terrain)
+    instruction = understand("go to the hydrant behind the cone", load_shipped()).instruction
+    config = NavigatorConfig(
+        map=MapConfig(num_particles=32, num_objects=4, num_cells=24),
+        planner=PlannerConfig(policy="informed", num_visited=8),
+    )
+    cycle = jax.jit(lambda one: episode.cycle(one, params=default_params(), config=config))
+    one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], instruction)
+    arrived, ways = 0, []
+    for seed in range(6):
+        task = episode.Task(
+            key=jax.random.key(seed),
+            scenario=scene,
+            instruction_index=jnp.int32(0),
+            sensor=default_sensor(4.0),
+            motion=motion(noise=0.01),
+            body=wheels(1.5),
+        )
+        progress, path = episode.begin(task, one, config=config), [np.zeros(2)]
+        while not progress.navigator.is_done and progress.steps < 80:
+            before = np.array(progress.world.position)
+            progress, _, seen = cycle(progress)
+            hidden = there.is_between(*jnp.asarray(before), scene.object_x, scene.object_y)
+            kinds = set(np.asarray(seen.detection_type)[np.asarray(seen.is_detection)].tolist())
+            assert not kinds & set(np.asarray(scene.object_type)[np.asarray(hidden)].tolist())
+            path.append(np.array(progress.world.position))
+        way = np.array(path)
+        sides = jnp.asarray(way[:-1]).T, jnp.asarray(way[1:]).T
+        assert not np.asarray(there.is_between(*sides[0], *sides[1])).any()
+        result = episode.finish(progress)
+        arrived += bool(result.is_success)
+        ways.append(float(result.distance))
+    assert arrived >= 5
+    assert np.median(ways) > float(jnp.hypot(*scene.goal)) - simulator.SUCCESS_RADIUS

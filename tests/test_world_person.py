@@ -7,7 +7,6 @@ import pytest
 from recording_fixture import make_scene
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import PERSONS, Person, RobotView, Says, params_of, say, unspoken
 
 SCENARIO = jax.tree.map(jnp.asarray, make_scene().scenario)  # the goal at (9, 1), a cone at (6, 1)
@@ -105,16 +104,3 @@ def test_numbers_that_cannot_be_are_refused() -> None:
         params_of(num_corrections=-1)
     for numbers in PERSONS.values():
         params_of(**numbers)
-
-
-def test_a_batch_is_a_loop() -> None:
-    sights = [seen(aimed=GOAL), seen(aimed=WRONG), seen(asking=True)]
-    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *sights)
-    keys = jax.random.split(jax.random.key(3), 3)
-    params = replace(params_of(error_rate=0.5), delay=jnp.int32(0))
-    _, said, _ = jax.vmap(lambda k, s: say(k, unspoken(), s, SCENARIO, params=params))(keys, batch)
-    alone = [
-        int(speak(k, unspoken(), s, SCENARIO, params=params)[1])
-        for k, s in zip(keys, sights, strict=True)
-    ]
-    assert np.asarray(said).tolist() == alone

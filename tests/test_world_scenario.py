@@ -11,16 +11,17 @@ import readings as by_hand
 
 from jaxlangnav.messages import BEHIND, NONE, default_motion
 from jaxlangnav.relations import holds
-from jaxlangnav.world.scenario import (
-    Scenario,
-    draw_scenario,
-    is_behind,
-    sample_scenario,
-    scenario_law,
-)
+from jaxlangnav.world.scenario import Scenario, draw_scenario, sample_scenario, scenario_law
 from jaxlangnav.world.simulator import drive_known_map, known_distance
 from jaxlangnav.world.state import CONE, HYDRANT
-from jaxlangnav.world.templates import RELATION_NAMES, TABLE_2, known_range, parse_template
+from jaxlangnav.world.templates import (
+    RELATION_NAMES,
+    TABLE_2,
+    TEMPLATE_NAMES,
+    check_relation,
+    known_range,
+    parse_template,
+)
 
 NUM_WORLDS = 1500
 """Of each kind: a guess that is right 6.5 points oftener than by chance is found out."""
@@ -182,32 +183,10 @@ def test_one_environment_serves_null_and_behind() -> None:
         chex.assert_trees_all_equal(draw(template, "null"), draw(template, "behind"))
 
 
-def test_is_behind_by_hand() -> None:
-    landmark = jnp.array([[3.0], [4.0]])  # 5 m away; the line of sight is (0.6, 0.8)
-    figures = jnp.array([[6.0, 0.0, 3.0, -1.0, 3.7], [8.0, 0.0, 6.0, 7.0, 4.0]])
-    # Beyond; in front; 37° off the sight; 90° to the left; 53° to the right.
-    expected = [True, False, True, False, False]
-    np.testing.assert_array_equal(is_behind(figures, landmark), expected)
-
-
-def test_vmap_equals_a_loop() -> None:
-    keys = jax.random.split(jax.random.key(1), 5)
-    law = scenario_law(template="2H2C", relation="behind")
-    loop = [draw_scenario(key, law) for key in keys]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *loop)
-    # Two compiled programs may round the last bit differently.
-    chex.assert_trees_all_close(draw_many(keys, law), stacked, atol=1e-5)
-    assert len({float(world.object_x[0]) for world in loop}) == 5
-
-
-def test_one_trace_serves_every_template_and_relation() -> None:
-    chex.clear_trace_counter()
-    traced = jax.jit(
-        chex.assert_max_traces(lambda key, law: draw_scenario.__wrapped__(key, law), n=1)
-    )
+def test_one_program_draws_every_template_and_relation() -> None:
     for template, relation in GRID:
-        world = traced(jax.random.key(0), scenario_law(template=template, relation=relation))
-        assert bool(world.is_valid)
+        draw(template, relation)
+    assert draw_many._cache_size() <= 2  # of so many worlds, and of 64
 
 
 def test_a_world_that_cannot_be_drawn_is_marked() -> None:
@@ -228,3 +207,65 @@ def test_a_world_without_cones() -> None:
     assert int(world.is_object.sum()) == 2
     with pytest.raises(ValueError, match="no cone for the relation 'behind': choose"):
         sample_scenario(jax.random.key(0), template="2H0C", relation="behind")
+
+
+# ---------------------------------------------------------------- names and the printed table 2
+
+
+@pytest.mark.parametrize("name", ["2H1C", "2h1c", " 2H, 1C ", "02H1C"])
+def test_names_are_read(name: str) -> None:
+    template = parse_template(name)
+    assert (template.name, template.num_hydrants, template.num_cones) == ("2H1C", 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("1H1X", "unknown world template '1H1X'.*Did you mean 1H1C"),
+        ("1C2H", "Did you mean 2H1C"),
+        ("", "unknown world template ''.*1H1C, 1H2C, 2H1C, 2H2C"),
+        ("warehouse", "unknown world template 'warehouse': expected <hydrants>H<cones>C"),
+        ("0H1C", "has 0 hydrants: choose 1 to 4"),
+        ("5H1C", "has 5 hydrants: choose 1 to 4"),
+        ("1H9C", "has 9 cones: choose 0 to 4"),
+        ("-1H1C", "unknown world template"),
+        ("2H1C.toml", "unknown world template"),
+    ],
+)
+def test_bad_names_are_explained_in_one_line(name: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        parse_template(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_relations_are_checked() -> None:
+    assert [check_relation(name) for name in ("null", "behind", "nearest")] == [0, 1, 2]
+    with pytest.raises(ValueError, match=r"unknown relation 'behnd'.*Did you mean 'behind'"):
+        check_relation("behnd")
+
+
+def test_table_2_is_as_printed() -> None:
+    assert len(TABLE_2) == 7
+    assert [row.distance_known for row in TABLE_2] == [8.75, 8.75, 11.18, 11.18, 10.49, 10.38, 9.19]
+    assert [row.success_ours for row in TABLE_2] == [93.9, 98.3, 100.0, 99.5, 54.4, 67.4, 46.2]
+    assert [row.range for row in TABLE_2] == [3.0] * 6 + [5.0]
+    assert all(row.success_known == 100.0 for row in TABLE_2)
+    last = TABLE_2[-1]
+    assert (last.world, last.relation) == ("2H1C", "nearest")
+    assert (last.distance_known_sd, last.distance_ours, last.distance_ours_sd) == (
+        1.54,
+        12.05,
+        5.76,
+    )
+
+
+def test_known_ranges() -> None:
+    for row in TABLE_2:
+        expected = (row.distance_known, row.distance_known_sd)
+        assert known_range(parse_template(row.world), row.relation) == expected
+    # Not printed: the nearest printed row; crowded worlds keep the room per object of 2H1C.
+    assert known_range(parse_template("1H1C"), "nearest") == (8.75, 1.69)
+    assert known_range(parse_template("2H2C"), "behind") == (10.38, 1.86)
+    assert known_range(parse_template("2H0C"), "null") == (10.49, 1.81)
+    assert known_range(parse_template("3H3C"), "nearest")[0] == pytest.approx(9.19 * 2**0.5)
+    assert all(known_range(parse_template(name), "null")[0] < 12 for name in TEMPLATE_NAMES)

@@ -8,7 +8,7 @@ Slots 0 … O−1 hold observed objects, slots O … O+M−1 one hypothesis for 
 instruction that has not been observed; N = O + M. The matrix Σ covers the observed objects and
 the robot (index O). A hypothesised object hangs on its anchor by a single sampled constraint, so
 its Gaussian follows from the anchor's and needs no row in Σ: taking a hypothesis back leaves no
-trace. ``joint_gaussian`` assembles the whole covariance, hypotheses included.
+trace.
 
 Batches of particles carry the particle axis **last**; ``vmap`` with ``in_axes=-1``.
 """
@@ -116,33 +116,3 @@ def positions(particle: SemanticMap) -> tuple[Array, Array]:
     x = jnp.concatenate([particle.mean_x[:num_objects], particle.hypothesis_x])
     y = jnp.concatenate([particle.mean_y[:num_objects], particle.hypothesis_y])
     return x, y
-
-
-def joint_gaussian(particle: SemanticMap, kernel_variance: Array) -> tuple[Array, Array, Array]:
-    """Assemble the whole joint Gaussian, hypotheses included (eq. 5c).
-
-    A hypothesis lies where its anchor does, but for a sampled constraint of variance κ². So it
-    has the covariances of the observed object at the root of its chain of anchors, and shares κ²
-    with whatever hangs on the same links. The robot comes last; empty slots are zero.
-
-    Args:
-        particle: one particle.
-        kernel_variance: f32[], κ², square metres per axis, of a sampled constraint.
-
-    Returns:
-        Σ f32[N + 1, N + 1], and the mean f32[N + 1] of x and of y.
-    """
-    num_objects, num_mentions = particle.object_type.shape[0], particle.referent.shape[0]
-    is_in = particle.is_hypothesised[:, None]
-    link = (particle.anchor[:, None] == num_objects + jnp.arange(num_mentions)[None]) & is_in
-    chain = is_in & jnp.eye(num_mentions, dtype=bool)
-    for _ in range(num_mentions - 1):
-        chain = chain | jnp.any(link[:, :, None] & chain[None], axis=1)
-    hook = (particle.root[:, None] == jnp.arange(num_objects + 1)[None]) & is_in
-    own = jnp.eye(num_objects + 1)
-    source = jnp.concatenate([own[:-1], hook.astype(jnp.float32), own[-1:]])
-    links = jnp.pad(chain.astype(jnp.float32), ((num_objects, 1), (0, 0)))
-    covariance = source @ particle.covariance @ source.T + kernel_variance * links @ links.T
-    x, y = positions(particle)
-    robot_x, robot_y = particle.mean_x[num_objects], particle.mean_y[num_objects]
-    return covariance, jnp.append(x, robot_x), jnp.append(y, robot_y)

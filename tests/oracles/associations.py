@@ -19,19 +19,10 @@ def posterior(
     intensity: float,
     detection_probability: float,
     variance: float,
-    log_prior=lambda number: 0.0,
 ) -> tuple[np.ndarray, float]:
-    """Compute the probability of every number of objects seen, and the log-evidence.
+    """Compute P(n objects seen), f64[n] from n = 0, and the log-evidence of all histories.
 
-    Args:
-        looks: detections of each look, all of one type and always in view.
-        intensity: λ, objects per square metre.
-        detection_probability: p_d.
-        variance: R, square metres per axis.
-        log_prior: log-weight of a map with so many objects, from elsewhere.
-
-    Returns:
-        f64[n] probability of n objects, n from 0, and the log of the sum over all histories.
+    ``looks`` are the places detected in each look, all of one type and always in view.
     """
     histories = [(0.0, ())]  # log-weight, tuple of (count, sum x, sum y)
     for index, detections in enumerate(looks):
@@ -55,7 +46,7 @@ def posterior(
                 grown.append((total, tuple(updated)))
         top = max(log_weight for log_weight, _ in grown)
         histories = [one for one in grown if one[0] > top - 30.0]
-    weights = np.array([log_weight + log_prior(len(objects)) for log_weight, objects in histories])
+    weights = np.array([log_weight for log_weight, _ in histories])
     top = weights.max()
     share = np.zeros(max(len(objects) for _, objects in histories) + 1)
     for weight, (_, objects) in zip(np.exp(weights - top), histories, strict=True):

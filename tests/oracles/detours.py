@@ -21,24 +21,12 @@ def shortest_way(
     *,
     berth: float = 2.0,
     reach: float = 1.2,
-    number: int = 72,
 ) -> float:
-    """Compute the length of the shortest way to within reach of a goal that keeps a berth.
+    """Compute the metres of the shortest way to within reach of a goal that keeps a berth.
 
-    Limits: inf where there is none; at most 0.1 % too long for circles of 72 corners.
-
-    Args:
-        start: [2] metres.
-        goal: [2] metres.
-        things: [n, 2] metres, to be kept away from.
-        area: metres, x_min, x_max, y_min, y_max.
-        berth: metres about each thing.
-        reach: metres about the goal.
-        number: corners about each circle.
-
-    Returns:
-        Metres.
+    inf where there is none; at most 0.1 % too long for circles of 72 corners.
     """
+    number = 72
     turn = np.linspace(0.0, 2 * np.pi, number, endpoint=False)
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     corners = [thing + berth / np.cos(np.pi / number) * circle for thing in things]

@@ -28,6 +28,7 @@ import itertools
 import math
 
 import numpy as np
+from oracles import relations
 
 ROBOT, NONE, FAR = -2, -1, 5
 ANYTHING = 8191
@@ -94,22 +95,18 @@ def density(world: World, relation: int, figure: np.ndarray, landmark: np.ndarra
     """
     offset = figure - landmark
     distance = np.hypot(offset[..., 0], offset[..., 1])
+    law = {
+        name: getattr(world, name)[relation]
+        for name in ("median", "spread", "axis", "concentration")
+    }
+    sight = np.arctan2(landmark[..., 1] - world.viewer[1], landmark[..., 0] - world.viewer[0])
     if own:
-        middle = np.full(distance.shape, world.viewer[2] + math.pi - world.axis[relation])
+        sight, law["axis"] = world.viewer[2] + math.pi, -law["axis"]
         if relation in SIDES:  # of the robot: however far
-            turn = np.arctan2(offset[..., 1], offset[..., 0]) - middle
-            side = np.exp(SIDE_KAPPA * np.cos(turn)) / np.i0(SIDE_KAPPA)
-            return side / world.size
-    else:
-        sight = np.arctan2(landmark[..., 1] - world.viewer[1], landmark[..., 0] - world.viewer[0])
-        middle = sight + world.axis[relation]
-    kappa, sigma = world.concentration[relation], world.spread[relation]
+            turn = np.arctan2(offset[..., 1], offset[..., 0]) - sight - law["axis"]
+            return np.exp(SIDE_KAPPA * np.cos(turn)) / np.i0(SIDE_KAPPA) / world.size
     with np.errstate(divide="ignore", invalid="ignore"):
-        standard = (np.log(distance) - math.log(world.median[relation])) / sigma
-        radial = np.exp(-0.5 * standard**2) / (distance * sigma * math.sqrt(2 * math.pi))
-        turn = np.arctan2(offset[..., 1], offset[..., 0]) - middle
-        angular = np.exp(kappa * np.cos(turn)) / (2 * math.pi * np.i0(kappa))
-        return np.where(distance > 0, radial * angular / distance, 0.0)
+        return np.where(distance > 0, relations.density(offset, sight, **law), 0.0)
 
 
 def superlative(world: World, kind: int, relation: int, figure: np.ndarray, landmark: np.ndarray):
@@ -190,16 +187,10 @@ def potential(world: World, kinds: list[int], edge: tuple[int, int, int, bool], 
 
 
 def groundings(world: World, kinds: list[int], edges: list[tuple[int, int, int, bool]]):
-    """Weigh all groundings of one reading.
+    """Weigh all groundings of one reading whose relations form no circles.
 
-    Args:
-        world: what has been seen.
-        kinds: type of each mention.
-        edges: relations (figure, relation, landmark, superlative) that form no circles.
-
-    Returns:
-        Weights f64[C, ...] over the categories of each mention, C = seen objects + 1, and the
-        same weighed with x and with y of the first mention, f64[2, C, ...].
+    Weights f64[C, ...] over the categories of each mention, C = seen objects + 1, and the same
+    weighed with x and with y of the first mention, f64[2, C, ...].
     """
     number = len(world.objects) + 1
     places, weights, categories = zip(*[candidates(world, kind) for kind in kinds], strict=True)
@@ -232,18 +223,11 @@ def _together(world: World, kinds: list[int], shape: tuple[int, ...]) -> np.ndar
 
 
 def stream(world: World, kinds: list[int], edges: list, viewers: list, excluded: dict):
-    """Weigh all groundings of what several utterances have said together.
+    """Weigh all groundings of what several utterances have said together, f64[C, ...].
 
-    Args:
-        world: what has been seen.
-        kinds: type of each mention; none is the robot.
-        edges: relations (figure, relation, landmark, superlative) that form no circles; landmark
-            ``ROBOT`` for the robot itself; relation NONE where a thing merely exists.
-        viewers: x, y, heading of the robot as it heard each of them.
-        excluded: mention → indices of seen objects that it is not, as it was told.
-
-    Returns:
-        f64[C, ...], probabilities over the categories of each mention, C = seen objects + 1.
+    No mention is the robot: the landmark of a relation may be ``ROBOT``; a relation is NONE where a
+    thing merely exists. ``viewers`` are poses of the robot as it heard each relation; ``excluded``
+    tells of mentions which seen objects they are not.
     """
     number = len(world.objects) + 1
     places, weights, categories = map(
@@ -259,9 +243,7 @@ def stream(world: World, kinds: list[int], edges: list, viewers: list, excluded:
 def tie(world: World, kinds: list[int], edges, viewers, places, weights):
     """Tabulate relations, each as its viewer sees it: of two mentions, or of one and the robot.
 
-    Returns:
-        Weights of each mention's places, with those of its relations to the robot; and mention,
-        mention → f over the places of both.
+    Weights of places with those of relations to the robot; and mention, mention → f over both.
     """
     weights, ties = list(weights), {}
     for edge, viewer in zip(edges, viewers, strict=True):
@@ -303,18 +285,10 @@ BETWEEN_ALONG, BETWEEN_ACROSS = 0.2, 0.15
 
 
 def between(world: World, kinds: tuple[int, int, int]) -> np.ndarray:
-    """Weigh all groundings of a figure that lies between two landmarks.
+    """Weigh all groundings of a figure between two landmarks, f64[C, C, C], C = seen objects + 1.
 
-    The landmarks are anywhere; given both, the figure is Gaussian about the middle of the way from
-    one to the other, with standard deviations that are shares of its length. One landmark after
-    another, all figures and other landmarks at a time.
-
-    Args:
-        world: what has been seen.
-        kinds: type of the figure, of one landmark and of the other.
-
-    Returns:
-        Weights f64[C, C, C] over the categories of the three, C = seen objects + 1.
+    The landmarks are anywhere; given both, the figure is Gaussian about the middle of the way, with
+    standard deviations that are shares of its length. One landmark after another.
     """
     number = len(world.objects) + 1
     (figures, weight, category), first, second = (candidates(world, kind) for kind in kinds)

@@ -23,15 +23,9 @@ def goal_place(
 
 
 def claim(mass: np.ndarray, is_referent: np.ndarray, num_objects: int) -> np.ndarray:
-    """Let observed bystanders yield to the likeliest goal among the referents, one by one.
+    """Let observed bystanders yield to the likeliest goal among the referents, f64[P, N + 1].
 
-    Args:
-        mass: f64[P, N + 1] goal probability of each slot.
-        is_referent: bool[P, N + 1] slots that the particle's words refer to.
-        num_objects: O, observed slots, which come first.
-
-    Returns:
-        f64[P, N + 1].
+    Of goal probabilities of slots, the observed ones first; which slots the words refer to.
     """
     result = mass.copy()
     for particle, referents in enumerate(is_referent):
@@ -56,19 +50,10 @@ def values(
     distance: np.ndarray,
     discount: float,
 ) -> np.ndarray:
-    """Sum γ^d p(β | S) p(S) over all particles, slots and regions.
+    """Sum γ^d p(β | S) p(S) over all particles, slots and regions, f64[A].
 
-    Args:
-        nodes: f64[A, 2].
-        places: f64[P, N + 1, 2], every slot's place in every particle, the robot last.
-        weight: f64[P].
-        goal: f64[P, 7, N + 1].
-        viewer: f64[3].
-        distance: f64[6], typical distance of each relation.
-        discount: γ per metre.
-
-    Returns:
-        f64[A].
+    Of nodes [A, 2], places of slots [P, N + 1, 2], the robot last, weights [P], goals
+    [P, 7, N + 1], and the typical distance of each relation [6].
     """
     result = np.zeros(len(nodes))
     for particle in range(len(weight)):
