@@ -30,7 +30,7 @@ from jaxlangnav.language.tokens import (
     plainly,
     without_idle_marks,
 )
-from jaxlangnav.language.tree import UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING, TreeBuilder
+from jaxlangnav.language.tree import UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING, build_phrases
 
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
@@ -261,15 +261,15 @@ def _read(
         )
     except NoParseError as error:
         raise explain(tokens, error.index) from None
-    builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
-    clauses = resolve([*map(name_nouns, builder.build(derivation))], reader.earlier)
-    refuse_guesses(clauses, {position for _, position in builder.unknown})
+    phrases, guessed = build_phrases(derivation, tokens)
+    clauses = resolve([*map(name_nouns, phrases)], reader.earlier)
+    refuse_guesses(clauses, {position for _, position in guessed})
     clauses = join_constraints(clauses)
     return Parse(
         instruction=reader.text,
         clauses=tuple(clauses),
         kinds=tuple(STATEMENT if clause.label == "S" else COMMAND for clause in clauses),
-        unknown_words=tuple(builder.unknown),
+        unknown_words=tuple(guessed),
         repairs=tuple(reader.repairs),
         probability=probability,
         measures=of_clauses(clauses, measured),

@@ -9,7 +9,7 @@ tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from lark.parsers.earley_forest import PackedNode, SymbolNode
 
 from jaxlangnav.language.lexicon import LITERAL_TAGS, LexicalEntry, plural
 from jaxlangnav.language.phrase import Phrase, Word
-from jaxlangnav.language.refusal import NOUN
+from jaxlangnav.language.refusal import NOUN, Token
 
 
 @dataclass(frozen=True)
@@ -113,39 +113,18 @@ PUNCTUATION = ("comma", "fullstop")
 PARTED = "NPX"
 
 
-class TreeBuilder:
-    """Builds the phrases of one sentence."""
+def build_phrases(
+    root: Derivation, tokens: Sequence[Token]
+) -> tuple[list[Phrase], list[tuple[str, int]]]:
+    """Build the clauses of a derivation of ``start``, in order.
 
-    def __init__(self, texts: list[str], positions: list[int]) -> None:
-        """Keep the word of each token, lower case, and its 1-based position among the words."""
-        self.unknown: list[tuple[str, int]] = []  # words whose part of speech was guessed
-        self.texts, self.positions = texts, positions
+    Also the words, with their positions, whose part of speech was guessed.
+    """
+    unknown: list[tuple[str, int]] = []
 
-    def build(self, derivation: Derivation) -> list[Phrase]:
-        """Build the clauses of a derivation of ``start``, in order."""
-        return self._parts(derivation)[1]
-
-    def _parts(self, node: Derivation) -> tuple[list[Word], list[Phrase]]:
-        production = node.production
-        if production.left in PUNCTUATION:
-            return [], []
-        words: list[Word] = []
-        phrases: list[Phrase] = []
-        for index, child in enumerate(node.children):
-            if isinstance(child, int):
-                words.append(self._word(node, index, child))
-            else:
-                inner_words, inner_phrases = self._parts(child)
-                words += inner_words
-                phrases += inner_phrases
-        if not production.left[0].isupper():
-            return words, phrases
-        return [], [_phrase(production.left, words, phrases)]
-
-    def _word(self, node: Derivation, index: int, token: int) -> Word:
+    def word(node: Derivation, index: int, token: Token) -> Word:
         """Make the word of a token under a lexical or literal production."""
-        text, position = self.texts[token], self.positions[token]
-        entry = node.production.entry
+        text, position, entry = token.text, token.position, node.production.entry
         if entry is not None:
             return Word(
                 text=text, tag=entry.tags[index], lemma=entry.lemmas[index],
@@ -155,11 +134,24 @@ class TreeBuilder:
         if left in UNKNOWN_CLASSES:
             tag, _ = UNKNOWN_CLASSES[left]
             if node.production.right != (f'"{NOUN}"',):
-                self.unknown.append((text, position))
+                unknown.append((text, position))
             is_plural = tag == "NN" and text.endswith("s") and plural(text[:-1]) == text
             lemma = text[:-1] if is_plural else text
             return Word(text=text, tag="NNS" if is_plural else tag, lemma=lemma, position=position)
         return Word(text=text, tag=LITERAL_TAGS.get(text, "IN"), lemma=text, position=position)
+
+    def parts(node: Derivation) -> tuple[list[Word], list[Phrase]]:
+        """Collect the words and phrases a node hands up."""
+        left, words, phrases = node.production.left, [], []
+        for index, child in enumerate(node.children if left not in PUNCTUATION else ()):
+            if isinstance(child, int):
+                words.append(word(node, index, tokens[child]))
+            else:
+                own = parts(child)
+                words, phrases = words + own[0], phrases + own[1]
+        return ([], [_phrase(left, words, phrases)]) if left[0].isupper() else (words, phrases)
+
+    return parts(root)[1], unknown
 
 
 def _in_order(words: Iterable[Word]) -> tuple[Word, ...]:

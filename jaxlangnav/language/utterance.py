@@ -33,27 +33,13 @@ class Kind(enum.StrEnum):
     ANSWER = "answer"  # to a question of the robot's
 
 
-class Wording(enum.StrEnum):
-    """A wording that is all that was said, by its name in the table."""
-
-    OTHER = "other"
-    CLOSER = "closer"
-    RETURN = "return"
-    YES = "yes"
-    NO = "no"
-    DENIAL = "denial"  # "no", and nothing else: to a question, or of what is being approached
-    ANY = "any"
-    LEFT = "left"
-    RIGHT = "right"
-    NEAREST = "nearest"
-    FARTHEST = "farthest"
-    FIRST = "first"
-    SECOND = "second"
-    THIRD = "third"
-    FOURTH = "fourth"
-    FIFTH = "fifth"
-    SIXTH = "sixth"
-    LAST = "last"
+Wording = enum.StrEnum(
+    "Wording",
+    "OTHER CLOSER RETURN YES NO DENIAL ANY LEFT RIGHT NEAREST FARTHEST "
+    "FIRST SECOND THIRD FOURTH FIFTH SIXTH LAST",
+)
+"""Wordings that are all that was said, by their names in the table. ``DENIAL`` is "no", and nothing
+else: to a question, or of what is being approached."""
 
 
 _KINDS = {
