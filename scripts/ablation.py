@@ -1,56 +1,31 @@
-"""What carries words never seen: Table 1's protocol with groups of word features left out."""
+"""What carries words never seen: Table 1's protocol with groups of word features left out.
+
+``python scripts/ablation.py [SPLITS]`` prints the accuracy of both models, percent, on all held-out
+sentences and on those with a word that training never saw.
+"""
 
 import sys
-from typing import Any
 
 from jaxlangnav.experiments.table1 import MODELS, evaluate
 from jaxlangnav.grounding.model import FEATURE_GROUPS
-
-
-def ablate(*, splits: int = 40, seed: int = 0) -> list[dict[str, Any]]:
-    """Leave out each group of word features in turn: what carries words never seen?
-
-    Args:
-        splits: random splits for each.
-        seed: of the splits, the same for all.
-
-    Returns:
-        One row per choice: ``without``, and the accuracy of both models, percent, on all
-        held-out sentences and on those with a word that training never saw (``new_words``).
-    """
-    choices: list[tuple[str, ...]] = [(), *((group,) for group in FEATURE_GROUPS)]
-    choices += [("sense", "gram"), ("sense", "tag", "gram")]
-    rows = []
-    for without in choices:
-        document = evaluate(splits=splits, seed=seed, without=without)
-        rows.append(
-            {
-                "without": " ".join(without) or "nothing",
-                **{name: document[name]["accuracy_mean"] for name in MODELS},
-                **{f"{name}_ci95": document[name]["accuracy_ci95"] for name in MODELS},
-                **{
-                    f"{name}_new_words": document[name]["new_words"]["accuracy_mean"]
-                    for name in MODELS
-                },
-            }
-        )
-    return rows
+from jaxlangnav.inputs.sanitize import markdown_table
 
 
 def main() -> None:
-    """Print the table as Markdown: ``python scripts/ablation.py [SPLITS]``."""
+    """Leave out each group of word features in turn."""
     splits = int(sys.argv[1]) if len(sys.argv) > 1 else 40
-    print("| without | annotation | with new words | behavior | with new words |")
-    print("|---|---|---|---|---|")
-    for row in ablate(splits=splits):
-        cells = [row["without"]]
-        for name in MODELS:
-            new = row[f"{name}_new_words"]
-            cells += [
-                f"{row[name]:.1f} ± {row[f'{name}_ci95']:.1f}",
-                "none" if new is None else f"{new:.1f}",
-            ]
-        print("| " + " | ".join(cells) + " |")
+    choices = [(), *((group,) for group in FEATURE_GROUPS), ("sense", "gram")]
+    rows = []
+    for without in [*choices, ("sense", "tag", "gram")]:
+        document = evaluate(splits=splits, without=without)
+        cells = [" ".join(without) or "nothing"]
+        for one in (document[name] for name in MODELS):
+            new = one["new_words"]["accuracy_mean"]
+            cells.append(f"{one['accuracy_mean']:.1f} ± {one['accuracy_ci95']:.1f}")
+            cells.append("none" if new is None else f"{new:.1f}")
+        rows.append(cells)
+    names = ("without", "annotation", "with new words", "behavior", "with new words")
+    print(markdown_table(names, rows))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@ import contextlib
 import io
 import json
 import tempfile
-from functools import cache
+import tomllib
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -22,65 +23,36 @@ from jaxlangnav.experiments.sweep import MANIFEST, identity, read_manifest
 from jaxlangnav.experiments.sweep_config import read_config
 from jaxlangnav.grounding import AnnotationGrounder, Context
 from jaxlangnav.grounding.weights import SHIPPED_WEIGHTS, load
+from jaxlangnav.inputs.documents import read_text, shipped_file
 from jaxlangnav.language.corpus import CorpusError, read_corpus
 from jaxlangnav.language.grammar import Grammar
 from jaxlangnav.language.lexicon import read_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
-from jaxlangnav.world.files import WorldFileError, load_world, save_world, shipped_worlds
+from jaxlangnav.world.files import (
+    WorldFileError,
+    load_world,
+    open_world,
+    save_world,
+    shipped_worlds,
+    world_to_dict,
+)
 
 LANGUAGE = resources.files("jaxlangnav.language") / "data"
-GROUNDING = resources.files("jaxlangnav.grounding") / "data"
-_SWEEPS = (
-    b'worlds = ["1H1C", "yard"]\ncommands = ["behind"]\n',
-    b'name = "range"\nepisodes = 4\nenvironments = 2\nseeds = [0, 1]\nworlds = ["2H1C"]\n'
-    b'commands = ["nearest", { text = "drive to the hydrant", relation = "null" }]\n'
-    b'ranges = [2, 3.5, "500 cm"]\npolicies = ["informed", "faithful"]\nparticles = [64]\n'
-    b'[sensor]\ndetection_probability = [0.9, "95 %"]\nfield_of_view = "360 deg"\n'
-    b'noise = "10 cm"\n[motion]\nodometry_noise = "2 %"\n[map]\nconcentration = [0.1, 0.3]\n'
-    b"[planner]\ndiscount = 0.8\n",
-)
-_LEXICONS = (
-    b'[types]\n"lamp" = ["lamp post", "street lamp"]\ncar = ["truck", "lorry"]\n'
-    b'[class.adj]\nplain = ["teal", "very old"]\n',
-    b'[types]\n"sign" = ["stop sign"]\n[class.rel]\n"relation:behind" = ["in the *lee of"]\n'
-    b'[class.v_to]\n"action:navigate" = ["mosey"]\n[class.adv]\n"mode:quickly" = ["apace"]\n',
-)
-_LINES = (
-    ["parse", "go to the hydrant behind the cone"],
-    ["parse", "find the nearest car", "--json"],
-    ["follow", "go to the cone", "--range", "5", "--seed", "7", "--particles", "64"],
-    ["follow", "go to the cone", "--world", "2H1C", "--policy", "faithful", "--max-steps", "9"],
-    ["follow", "go to the cone", "--params.planner.discount", "0.9", "--out", "pictures"],
-    ["follow", "go to the cone", "--sensor.field-of-view", "90 deg", "--live"],
-    ["ground", "move behind the cone", "--world", "yard", "--json"],
-    ["sweep", "grid.toml", "--out", "results", "--shard", "2/8", "--resume"],
-    ["summarize", "results", "--out", "summary"],
-    ["train", "--out", "weights.npz"],
-    ["evaluate", "--weights", "weights.npz"],
-    ["reproduce", "table2", "--episodes", "100", "--policy", "all"],
-    ["bench", "--json"],
-    ["--help"],
-    ["--version"],
-)
+SEEDS = tomllib.loads((Path(__file__).parent / "fuzz_seeds.toml").read_text("utf-8"))
+
+
+def _texts(name: str) -> list[bytes]:
+    return [one.encode() for one in SEEDS[name]]
 
 
 def _worlds() -> list[bytes]:
-    """Take the worlds of the package, as TOML."""
-    data = resources.files("jaxlangnav.world") / "data"
-    return [(data / f"{name}.toml").read_bytes() for name in shipped_worlds()]
+    return [shipped_file("world", f"{name}.toml").read_bytes() for name in shipped_worlds()]
 
 
 def _json_worlds() -> list[bytes]:
-    """Take the worlds of the package, as JSON."""
-    from jaxlangnav.world.files import WorldFile, open_world, world_to_dict
-
-    opened = [open_world(name) for name in shipped_worlds()]
-    return [
-        json.dumps(world_to_dict(one), indent=1).encode()
-        for one in opened
-        if isinstance(one, WorldFile)
-    ]
+    opened: list[Any] = [open_world(name) for name in shipped_worlds()]
+    return [json.dumps(world_to_dict(one), indent=1).encode() for one in opened]
 
 
 def _world(text: bytes, folder: Path, *, kind: str = "toml") -> None:
@@ -97,23 +69,11 @@ def _world(text: bytes, folder: Path, *, kind: str = "toml") -> None:
         assert np.array_equal(mine, theirs)
 
 
-def _json_world(text: bytes, folder: Path) -> None:
-    """Read a world written as JSON."""
-    _world(text, folder, kind="json")
-
-
-@cache
-def _shipped_lexicon() -> str:
-    """Read the lexicon of the package."""
-    return (LANGUAGE / "lexicon.toml").read_text("utf-8")
-
-
 def _lexicon(text: bytes, folder: Path) -> None:
     """Join somebody's words; now and then build the grammar of what is taken."""
-    from jaxlangnav.inputs.documents import read_text
-
     (folder / "words.toml").write_bytes(text)
-    lexicon = read_lexicon(_shipped_lexicon(), read_text(folder / "words.toml", at_most=1 << 20))
+    shipped = (LANGUAGE / "lexicon.toml").read_text("utf-8")
+    lexicon = read_lexicon(shipped, read_text(folder / "words.toml", at_most=1 << 20))
     assert lexicon.entries["det"]["the",].senses == ((),)
     assert ("the",) not in lexicon.entries["type"]
     assert all(word.isprintable() for word in lexicon.vocabulary)
@@ -122,13 +82,11 @@ def _lexicon(text: bytes, folder: Path) -> None:
 
 
 def _corpus_lines() -> list[bytes]:
-    """Take the shortest lines of the small corpus of the package."""
     lines = (LANGUAGE / "corpus39.jsonl").read_bytes().splitlines()
     return sorted((line for line in lines if line.startswith(b"{")), key=len)[:4]
 
 
 def _corpus(text: bytes, folder: Path) -> None:
-    """Read a corpus."""
     (folder / "corpus.jsonl").write_bytes(text)
     for example in read_corpus(folder / "corpus.jsonl"):
         for labels in example.worlds:
@@ -146,7 +104,6 @@ def _sweep(text: bytes, folder: Path) -> None:
 
 
 def _manifests() -> list[bytes]:
-    """Write manifests as a sweep does."""
     settings = {"name": "range", "files": 2, "rows": 8, "worlds": ["1H1C"], "seeds": [0]}
     document = {
         "settings": settings,
@@ -169,19 +126,14 @@ def _episodes() -> dict[str, Any]:
         ("steps", "ending", "overflow", "degenerate", "faults", "contradictions"),
         np.arange(number, dtype=np.int32),
     )
-    is_so = np.arange(number) % 2 == 0
+    alike = {"world": world, "relation": "behind", "command": "go", "particles": 64, "seed": 0}
     return {
-        "world": [world] * number,
-        "relation": ["behind"] * number,
-        "command": ["go"] * number,
+        **{name: [one] * number for name, one in alike.items()},
         "range": np.full(number, 3.0),
         "policy": ["informed", "faithful"] * (number // 2),
-        "particles": [64] * number,
-        "seed": [0] * number,
         "episode": [index // 2 for index in range(number)],
-        "is_success": is_so,
-        "is_stopped": np.ones(number, bool),
-        "is_valid": np.ones(number, bool),
+        "is_success": np.arange(number) % 2 == 0,
+        **dict.fromkeys(("is_stopped", "is_valid"), np.ones(number, bool)),
         "known_distance": np.full(number, 5.0, np.float32),
         **measured,
         **counted,
@@ -204,18 +156,7 @@ def _manifest(text: bytes, folder: Path) -> None:
     assert "<b>" not in summary_markdown(document)
 
 
-def _sentences() -> list[bytes]:
-    """Take sentences of many constructions."""
-    return [
-        b"go to the hydrant behind the cone",
-        b"please find the second cone on your left, then stop near it",
-        b"quickly drive to the fire-hydrant nearest to the cone and stay away from the car",
-        b"There is a hydrant behind the cone. Go to the cone's left!",
-    ]
-
-
 def _sentence(text: bytes, _: Path) -> None:
-    """Parse a sentence."""
     document = parse(text.decode("utf-8", "surrogateescape")).to_dict()
     with contextlib.redirect_stdout(io.StringIO()):
         write_document(document)
@@ -224,8 +165,12 @@ def _sentence(text: bytes, _: Path) -> None:
 def _words() -> list[bytes]:
     """Write command lines, a word a line, in quotes so that whole words are damaged too."""
     hostile = [["parse", one] for one in TEXTS] + [["follow", "x", "--world", t] for t in TEXTS]
-    lines = [*_LINES, *hostile]
+    lines = [*SEEDS["command-line"], *hostile]
     return ["\n".join(f'"{w}"' for w in one).encode("utf-8", "replace") for one in lines]
+
+
+def _shipped_weights() -> list[bytes]:
+    return [shipped_file("grounding", SHIPPED_WEIGHTS).read_bytes()]
 
 
 def _weights(text: bytes, folder: Path) -> None:
@@ -239,14 +184,12 @@ def _weights(text: bytes, folder: Path) -> None:
 
 @cache
 def _whole_shard() -> bytes:
-    """Write a file of a sweep."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "episodes-000000.parquet"
         return write_shard(_episodes(), path, Shard(sweep="0" * 64, index=0, rows=8)).read_bytes()
 
 
 def _shard(text: bytes, folder: Path) -> None:
-    """Read a file of a sweep; what is taken is what was written, to the last bit."""
     path = folder / "episodes-000000.parquet"
     path.write_bytes(text)
     read_shard(path, sweep="0" * 64, index=0)
@@ -254,7 +197,6 @@ def _shard(text: bytes, folder: Path) -> None:
 
 
 def _forms() -> list[bytes]:
-    """Write annotations as forms."""
     things = [{"id": "a", "type": "hydrant"}, {"id": "b", "type": "cone"}]
     relations = [{"figure": "a", "relation": "behind", "landmark": "b"}]
     commands = [{"action": "navigate", "goal": {"region": "at", "thing": "a"}, "avoid": ["b"]}]
@@ -264,7 +206,6 @@ def _forms() -> list[bytes]:
 
 
 def _form(text: bytes, _: Path) -> None:
-    """Ground annotations that come as a form; what is taken is finite."""
     grounder = AnnotationGrounder(("hydrant", "cone", "car"))
     grounded = grounder.ground(text.decode("utf-8", "surrogateescape"), Context(is_under_way=False))
     program = grounded.instruction.program
@@ -310,22 +251,21 @@ def _command_line(text: bytes, folder: Path) -> None:
 
 TARGETS = (
     Target(name="world", seeds=_worlds, call=_world, refusals=(WorldFileError,)),
-    Target(name="world-json", seeds=_json_worlds, call=_json_world, refusals=(WorldFileError,)),
-    Target(name="lexicon", seeds=lambda: _LEXICONS, call=_lexicon, refusals=(ValueError,)),
+    Target(
+        name="world-json", seeds=_json_worlds, call=partial(_world, kind="json"),
+        refusals=(WorldFileError,),
+    ),
+    Target(name="lexicon", seeds=partial(_texts, "lexicon"), call=_lexicon, refusals=(ValueError,)),
     Target(name="corpus", seeds=_corpus_lines, call=_corpus, refusals=(CorpusError,)),
-    Target(name="sweep", seeds=lambda: _SWEEPS, call=_sweep, refusals=(ValueError,)),
+    Target(name="sweep", seeds=partial(_texts, "sweep"), call=_sweep, refusals=(ValueError,)),
     Target(name="manifest", seeds=_manifests, call=_manifest, refusals=(ValueError,)),
     Target(name="shard", seeds=lambda: [_whole_shard()], call=_shard, refusals=(ShardError,)),
-    Target(
-        name="weights",
-        seeds=lambda: [
-            resources.files("jaxlangnav.grounding").joinpath(f"data/{SHIPPED_WEIGHTS}").read_bytes()
-        ],
-        call=_weights,
-        refusals=(ValueError,),
-    ),
+    Target(name="weights", seeds=_shipped_weights, call=_weights, refusals=(ValueError,)),
     Target(name="form", seeds=_forms, call=_form, refusals=(ValueError,)),
-    Target(name="sentence", seeds=_sentences, call=_sentence, refusals=(LanguageError,)),
+    Target(
+        name="sentence", seeds=partial(_texts, "sentence"), call=_sentence,
+        refusals=(LanguageError,),
+    ),
     Target(name="command-line", seeds=_words, call=_command_line, refusals=(CommandLineError,)),
-)
+)  # fmt: skip
 """Every door that is thrown at."""

@@ -1,4 +1,4 @@
-"""Write the corpora: sentences from templates, worlds drawn to fit, labels by ``labels.py``.
+"""Write the corpora: sentences from templates, worlds drawn to fit, labels by ``corpus_labels.py``.
 
     python scripts/make_corpus.py            # corpus.jsonl from corpus_templates.txt
     python scripts/make_corpus.py --only-39  # corpus39.jsonl from corpus39.txt
@@ -12,43 +12,60 @@ of the figure's type, until only one of them is meant: then the relation decides
 
 import json
 import random
+import re
 import sys
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from corpus_words import WORDS, Slots
+from corpus_labels import annotate, behave, rank
 
 import jaxlangnav.language
 from jaxlangnav.language.corpus import parse_labelled
-from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave, rank
+from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Parse
 
 HERE = Path(__file__).parent
 DATA = Path(jaxlangnav.language.__file__).parent / "data"
 MAX_DRAWS = 4000
-# Commands of Tables 2 and 3: never trained on.
-EVALUATED = {
-    "go to the hydrant",
-    "go to the hydrant behind the cone",
-    "go to the hydrant nearest to the cone",
-}
 WORLDS_PER_SENTENCE = 2
-FILES = {
-    "corpus39": "corpus39.txt",
-    "corpus": "corpus_templates.txt",
-    "corpus_spoken": "corpus_spoken.txt",
-}
+FILES = {"corpus39": "corpus39.txt", "corpus": "corpus_templates.txt"}
+FILES |= {"corpus_spoken": "corpus_spoken.txt"}
+WORDS = tomllib.loads((HERE / "corpus_words.toml").read_text("utf-8"))
+
+
+class Slots:
+    """Fills the slots of one sentence by chance, and remembers what they mean."""
+
+    def __init__(self, rng: random.Random, *, is_test: bool) -> None:
+        """Begin; in a test sentence words after a bar may be used."""
+        self.rng, self.is_test, self.meaning = rng, is_test, dict[str, str]()
+
+    def choose(self, name: str) -> str:
+        """Draw an expression from a list."""
+        common, _, held_out = WORDS["words"][name].partition("|")
+        is_held_out = self.is_test and held_out.split() and self.rng.random() < 0.3
+        return self.rng.choice((held_out if is_held_out else common).split()).replace("_", " ")
+
+    def fill(self, slot: str) -> str:
+        """Fill one slot; a type slot used twice in a template keeps its type."""
+        if slot in ("a", "b", "c", "d"):
+            if slot not in self.meaning:
+                left = [t for t in WORDS["types"] if t not in self.meaning.values()]
+                self.meaning[slot] = self.rng.choice(left)
+            return self.choose(self.meaning[slot])
+        if (drawn := WORDS["relations"].get(slot)) is None:
+            return self.choose(slot)
+        names, weights = list(drawn["weights"]), list(drawn["weights"].values())
+        self.meaning[slot] = self.rng.choices(names, weights)[0]
+        return self.choose(drawn["prefix"] + self.meaning[slot])
 
 
 def expand(pattern: str, slots: Slots) -> str:
     """Fill a pattern's slots with words."""
-    text = pattern
-    while "{" in text:
-        before, _, rest = text.partition("{")
-        name, _, after = rest.partition("}")
-        text = before + slots.fill(name) + after
-    words = text.split()
+    words = re.sub(r"{(.*?)}", lambda match: slots.fill(match[1]), pattern).split()
     for index, word in enumerate(words[:-1]):
         if word in ("a", "an") and words[index + 1][0] in "aeiou":
             words[index] = "an"
@@ -58,9 +75,7 @@ def expand(pattern: str, slots: Slots) -> str:
 def expected(root: str, slots: Slots) -> frozenset[str]:
     """Write the symbols a template states, with the slots' meanings in place."""
     symbols = set()
-    for symbol in root.split():
-        if symbol == "-":
-            continue
+    for symbol in root.replace("-", "").split():
         kind, _, rest = symbol[:-1].partition("(")
         arguments = [slots.meaning.get(argument, argument) for argument in rest.split(",")]
         symbols.add(f"{kind}({','.join(arguments)})")
@@ -69,11 +84,10 @@ def expected(root: str, slots: Slots) -> frozenset[str]:
 
 def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorld:
     """Draw objects at random: those named, often twice, and others, clustered in pairs."""
-    names = load_lexicon().type_names
     ordinals = max(rank(p) for root in found.clauses for p in root.walk())
     kinds = [kind for kind in types for _ in range(2 if rng.random() < 0.55 else 1)]
     kinds += types[:1] * max(0, ordinals - 1)
-    others = [name for name in names if name not in types]
+    others = [name for name in load_lexicon().type_names if name not in types]
     kinds += [rng.choice(others) for _ in range(rng.randint(0, 2))]
     kinds = kinds[:8]
     rng.shuffle(kinds)
@@ -97,8 +111,7 @@ def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorl
     rows = zip(kinds, places, strict=True)
     objects = tuple((kind, round(float(x), 2), round(float(y), 2)) for kind, (x, y) in rows)
     previous = None
-    text = found.instruction
-    if "other" in text:
+    if "other" in found.instruction:
         wanted = [i for i, (kind, _, _) in enumerate(objects) if not types or kind == types[0]]
         previous = rng.choice(wanted) if wanted else None
     return PlacedWorld(objects=objects, robot=robot, previous=previous)
@@ -109,22 +122,20 @@ def with_previous(found: Parse, world: PlacedWorld) -> PlacedWorld:
     words = [word for root in found.clauses for word in root.all_words()]
     if not any("same" in word.senses for word in words):
         return world
-    goals = [s for s in behave(found.clauses[0], Geometry(world))[-1] if s.startswith("goal")]
+    goals = [s for s in behave(found.clauses[0], world)[-1] if s.startswith("goal")]
     slots = {goal.split(",")[1][:-1] for goal in goals}
-    previous = slots.pop() if len(slots) == 1 else "robot"
-    if previous == "robot":
+    if len(slots) != 1 or "robot" in slots:
         return world
-    return PlacedWorld(objects=world.objects, robot=world.robot, previous=int(previous))
+    return replace(world, previous=int(slots.pop()))
 
 
 def labels_in(
-    found: Parse, world: PlacedWorld, *, ranks_among_part: bool = True
+    found: Parse, world: PlacedWorld, *, is_among_part: bool = True
 ) -> tuple[list[list[frozenset[str]]], bool]:
     """Label all clauses in a world; the second result tells whether the world fits."""
-    geometry = Geometry(world, ranks_among_part=ranks_among_part)
     all_labels, fits = [], True
     for root, kind in zip(found.clauses, found.kinds, strict=True):
-        labels = list(behave(root, geometry))
+        labels = list(behave(root, world, is_among_part=is_among_part))
         all_labels.append(labels)
         goals = sorted(s for s in labels[-1] if s.startswith("goal"))
         constraints = [s for s in labels[-1] if s.startswith("constraint")]
@@ -134,8 +145,7 @@ def labels_in(
             fits &= len(goals) <= 1 or not is_restricted(labels)
         at_object = [s for s in goals if s.startswith("goal(at,")]
         if len(at_object) == 1:
-            index = int(at_object[0][8:-1])
-            geometry.world = PlacedWorld(objects=world.objects, robot=world.robot, previous=index)
+            world = replace(world, previous=int(at_object[0][8:-1]))
     return all_labels, fits
 
 
@@ -157,19 +167,14 @@ def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -
         world = with_previous(found, draw_world(found, types, rng))
         labels, fits = labels_in(found, world)
         # The graph knows ranks among all of a type only: worlds in which that makes no difference.
-        fits &= labels_in(found, world, ranks_among_part=False)[0] == labels
+        fits &= labels_in(found, world, is_among_part=False)[0] == labels
         kinds = [kind for kind, _, _ in world.objects]
         has_rival = not is_placed or kinds.count(types[0]) > 1
         if not fits or (not worlds and not has_rival):
             continue
-        worlds.append(
-            {
-                "objects": [list(item) for item in world.objects],
-                "robot": list(world.robot),
-                "previous": world.previous,
-                "behavior": [[sorted(symbols) for symbols in clause] for clause in labels],
-            }
-        )
+        one = {"objects": [*map(list, world.objects)], "robot": list(world.robot)}
+        one |= {"previous": world.previous, "behavior": [[*map(sorted, own)] for own in labels]}
+        worlds.append(one)
         if len(worlds) == count:
             return worlds
     raise SystemExit(f"no world fits '{found.instruction}'")
@@ -188,15 +193,9 @@ def record(text: str, template: str, split: str, want: list[frozenset[str]], see
         annotation, ranks = annotate(root)
         if annotation[-1] != symbols:
             raise SystemExit(f"{template}: '{text}' means {annotation[-1]}, not {symbols}: {root}")
-        heads = [f"{p.label}[{' '.join(w.text for w in p.words)}]" for p in root.walk()]
-        clauses.append(
-            {
-                "kind": kind,
-                "phrases": heads,
-                "annotation": [sorted(labels) for labels in annotation],
-                "rank": list(ranks),
-            }
-        )
+        clause = {"kind": kind, "phrases": [phrase.head for phrase in root.walk()]}
+        clause |= {"annotation": [*map(sorted, annotation)], "rank": list(ranks)}
+        clauses.append(clause)
     types = [s[5:] for root in found.clauses for w in root.all_words() for s in w.senses
              if s.startswith("type:")]  # fmt: skip
     is_command = "command" in found.kinds
@@ -219,9 +218,9 @@ def from_templates(path: Path) -> list[dict]:
         made = tries = 0
         while made < int(count) and tries < 400:
             tries += 1
-            slots = Slots(rng, WORDS, is_test=split == "test")
+            slots = Slots(rng, is_test=split == "test")
             text = expand(pattern, slots)
-            if text in seen or text in EVALUATED:
+            if text in seen or text in WORDS["evaluated"]:
                 continue
             seen.add(text)
             want = [expected(part, slots) for part in root.split(";")]

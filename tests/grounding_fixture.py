@@ -1,10 +1,11 @@
 """A small labelled corpus in code: sentences in random worlds, labelled by the corpus' rules."""
 
 import numpy as np
+from corpus_labels import annotate, behave
 
 from jaxlangnav.grounding.worlds import World, place
 from jaxlangnav.language.corpus import ClauseLabels, Example, WorldLabels
-from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave
+from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import ROBOT
@@ -93,8 +94,7 @@ def example(text, rng, num_worlds=3, split="train"):
         parse=tree,
         clauses=tuple(ClauseLabels(annotation=a, rank=r) for a, r in marked),
         worlds=tuple(
-            WorldLabels(world=w, behavior=tuple(behave(r, Geometry(w)) for r in tree.clauses))
-            for w in worlds
+            WorldLabels(world=w, behavior=tuple(behave(r, w) for r in tree.clauses)) for w in worlds
         ),
     )
 

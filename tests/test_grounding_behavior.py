@@ -20,7 +20,7 @@ from jaxlangnav.grounding.program import BehaviorProgram, softmax
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import CONSTRAINT, GOAL, BehaviorSpace
 from jaxlangnav.grounding.worlds import World, place, to_device
-from jaxlangnav.language.labels import PlacedWorld
+from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.messages import AT, BEHIND, NEAR, ROBOT
 
 BEHIND_CONE = "go to the hydrant behind the cone"

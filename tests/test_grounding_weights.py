@@ -5,7 +5,6 @@ import json
 import os
 import random
 import struct
-import sys
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz import mutate
 from test_files import as_npy
 
 from jaxlangnav.grounding import load_shipped, understand, weights
@@ -24,10 +24,6 @@ from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.training.fit import TrainingConfig
 from jaxlangnav.training.scoring import Scores, calibration_error, fit_temperature
 from jaxlangnav.training.shipped import MODELS, train_models
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "scripts"))
-
-from fuzz import mutate
 
 SHIPPED = shipped_file("grounding", SHIPPED_WEIGHTS)
 TABLE_2 = (

@@ -5,6 +5,7 @@ from collections import Counter
 from importlib import resources
 
 import pytest
+from corpus_labels import annotate, behave
 
 from jaxlangnav.language import corpus
 from jaxlangnav.language.corpus import (
@@ -14,7 +15,7 @@ from jaxlangnav.language.corpus import (
     read_corpus,
     read_example,
 )
-from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave
+from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import MODES, RELATIONS
@@ -35,7 +36,7 @@ WORLD = PlacedWorld(
 
 def behavior(text: str, world: PlacedWorld = WORLD) -> list[set[str]]:
     """Behavior labels of a sentence of one clause, children first."""
-    return [set(symbols) for symbols in behave(parse(text).clauses[0], Geometry(world))]
+    return [set(symbols) for symbols in behave(parse(text).clauses[0], world)]
 
 
 def test_annotation_of_the_papers_sentence():
@@ -84,7 +85,7 @@ def test_labels_agree_with_the_rules_in_every_world(name, every):
         if len(example.clauses) > 1:
             continue
         for placed in example.worlds:
-            assert behave(example.parse.clauses[0], Geometry(placed.world)) == placed.behavior[0]
+            assert behave(example.parse.clauses[0], placed.world) == placed.behavior[0]
             goals = [s for s in placed.behavior[0][-1] if s.startswith(("goal", "constraint"))]
             assert goals, example.text
 

@@ -1,10 +1,11 @@
 """What "it", "there" and a repeated noun stand for; wordings read as other wordings; refusals."""
 
 import pytest
+from corpus_labels import behave
 
 from jaxlangnav.experiments.tasks import ground_sentences
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.language.labels import Geometry, PlacedWorld, behave
+from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError, Phrase
@@ -80,17 +81,17 @@ def test_it_is_the_very_thing():
     objects = (("cone", 3.0, 1.0), ("cone", 6.0, -2.0))
     world = PlacedWorld(objects=objects, robot=(0.0, 0.0, 0.0), previous=1)
     second = parse("go to the cone then stop behind it").clauses[1]
-    assert "goal(behind,1)" in behave(second, Geometry(world))[-1]
-    assert "goal(behind,0)" not in behave(second, Geometry(world))[-1]
+    assert "goal(behind,1)" in behave(second, world)[-1]
+    assert "goal(behind,0)" not in behave(second, world)[-1]
 
 
 def test_a_rank_counts_among_those_meant():
     """The nearest cone is on the right: the nearest on the left is the second of all."""
     objects = (("cone", 1.0, -2.0), ("cone", 1.0, 3.0), ("cone", 0.5, 4.5))
-    geometry = Geometry(PlacedWorld(objects=objects, robot=(0.0, 0.0, 0.0)))
+    world = PlacedWorld(objects=objects, robot=(0.0, 0.0, 0.0))
 
     def goal(text: str) -> set[str]:
-        symbols = behave(parse(text).clauses[0], geometry)[-1]
+        symbols = behave(parse(text).clauses[0], world)[-1]
         return {symbol for symbol in symbols if symbol.startswith("goal")}
 
     assert goal("go to the nearest cone on your left") == {"goal(at,1)"}

@@ -3,9 +3,9 @@
 import re
 
 import pytest
+from corpus_labels import rank, sense_of
 from hand_geometry import SPOKEN
 
-from jaxlangnav.language.labels import rank, sense_of
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError, Phrase
 

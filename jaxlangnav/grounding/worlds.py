@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.inputs.object_types import fits, kind_of, label_of, name_of
-from jaxlangnav.language.labels import SIDE_RANGE, Geometry, PlacedWorld
+from jaxlangnav.language.geometry import SIDE_RANGE, Geometry, PlacedWorld
 from jaxlangnav.messages import BETWEEN, NONE, RELATIONS, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.relations.between import lies_between
 from jaxlangnav.relations.strength import num_before

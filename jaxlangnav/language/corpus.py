@@ -12,8 +12,9 @@ A corpus is a text file of JSON documents, one instruction a line:
                  "behavior": [[["object(0)"], ["object(1)"], ["region(behind,1)"], ...]]}]}
 
 Phrases stand children before parents, as ``Phrase.walk`` yields them; ``annotation``, ``rank`` and
-each clause of ``behavior`` have one list of symbols (one number) per phrase. Symbols are those of
-``labels.py``. ``rank`` is 1 where a phrase says "nearest" (or "first", "farthest"), 2 for "second".
+each clause of ``behavior`` have one list of symbols (one number) per phrase: of object types, with
+``robot`` for the robot, or of objects of the world by index (``scripts/corpus_labels.py`` composes
+them). ``rank`` is 1 where a phrase says "nearest" (or "first", "farthest"), 2 for "second".
 Objects have type, x and y (metres, map frame); ``robot`` is x, y and heading; ``previous`` is the
 object that the command before this one led to, or null. ``split`` is "train" or "test".
 A sentence is read by the grammar as it stands, and in other wordings only where that fails: what a
@@ -37,7 +38,7 @@ from jaxlangnav.inputs.documents import DocumentError, parse_json, read_lines, s
 from jaxlangnav.inputs.limits import FARTHEST
 from jaxlangnav.inputs.sanitize import cut, printable, shown
 from jaxlangnav.inputs.schema import Name, Schema, convert
-from jaxlangnav.language.labels import ROBOT_LABEL, Labels, PlacedWorld
+from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
@@ -49,6 +50,9 @@ _MOST_OBJECTS = 32
 """Objects of one world of a corpus."""
 _LONGEST_LINE = 1200
 """Characters of a complaint; one that lists the phrases of the longest sentence needs as many."""
+ROBOT_LABEL = "robot"
+Labels = tuple[frozenset[str], ...]
+"""Symbols of each phrase."""
 _SYMBOL = re.compile(r"([a-z]+)\(([a-z0-9,_]*)\)")
 _Coordinate = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
 

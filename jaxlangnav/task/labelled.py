@@ -31,7 +31,7 @@ from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.worlds import place_for
 from jaxlangnav.inputs.documents import naming, parse_json, read_lines
 from jaxlangnav.inputs.schema import Schema, convert
-from jaxlangnav.language.labels import PlacedWorld
+from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior
 from jaxlangnav.planner.goals import region_offset
