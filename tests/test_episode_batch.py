@@ -159,14 +159,6 @@ def test_padding_tasks_are_not_run(in_lanes: EpisodeResult, tasks, instructions)
 
 
 @pytest.mark.slow
-def test_both_policies_run_everywhere(tasks, instructions) -> None:
-    result = batch(tasks, instructions, lanes=7, policy="faithful")
-    assert (result.steps >= 1).all()
-    assert (result.degenerate == 0).all()
-    assert result.is_success[::3].mean() > 0.5
-
-
-@pytest.mark.slow
 def test_refilled_lanes_equal_a_vmapped_loop(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """``vmap`` of ``run`` waits for its slowest lane and finds the same episodes."""
     results = jax.vmap(lambda task: run_alone(task, instructions))(tasks)

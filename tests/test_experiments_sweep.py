@@ -1,9 +1,10 @@
-"""Sweeps: killed, resumed and split, they end with the bytes of an undisturbed run."""
+"""Sweeps: killed, resumed, split, on many devices: the bytes of an undisturbed run."""
 
 import math
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -18,7 +19,7 @@ import pytest
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.episode import begin
-from jaxlangnav.experiments import sizes, summary, sweep
+from jaxlangnav.experiments import monte_carlo, sizes, summary, sweep
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.shards import held
@@ -66,11 +67,28 @@ def test_units() -> None:
         ({"worlds": ["1H0C"]}, "has no cone for the relation 'behind'"),
         ({"commands": ["find the car"]}, r'command "find the car": say by which relation'),
         ({"commands": [{"text": "find it", "relation": "behnd"}]}, "unknown relation 'behnd'"),
+        (
+            {"policies": ["faithful"], "planner": {"stop_probability": 0.9},
+             "map": {"concentration": 3}},
+            "stop_probability is 0.9, but with concentration 3",
+        ),
+        # More than fits.
+        (
+            {"episodes": 10**12},
+            r"1 cells times 1,000,000,000,000 episodes, which make 976,562,500 files, but a folder "
+            r"holds 1,000,000: at most 1,024,000,000 episodes a cell fit",
+        ),
+        ({"episodes": 10**100}, r"times 1\.0·10\^100 episodes"),
+        (
+            {"particles": [64, 10**12], "policies": ["informed"]},
+            r"particles is 1,000,000,000,000 with .*, which takes .* but there are .*: at most",
+        ),
+        ({"environments": 2**32}, "environments is 4294967296, but must be a whole number"),
     ],
-)
+)  # fmt: skip
 def test_mistakes(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message) as error:
-        config_from_dict(SMALL | changes)
+        make_plan(config_from_dict(SMALL | changes))
     assert "\n" not in str(error.value)
 
 
@@ -102,16 +120,6 @@ def test_worlds_that_no_sweep_holds_are_refused(goal, number, said, tmp_path) ->
     (tmp_path / "grid.toml").write_text('worlds = ["own.toml"]\ncommands = ["null"]\n')
     with pytest.raises(ValueError, match=said):
         read_config(tmp_path / "grid.toml")
-
-
-def test_a_navigator_that_could_never_stop_is_refused() -> None:
-    config = config_from_dict(
-        SMALL
-        | {"policies": ["faithful"]}
-        | {"planner": {"stop_probability": 0.9}, "map": {"concentration": 3}}
-    )
-    with pytest.raises(ValueError, match=r"stop_probability is 0.9, but with concentration 3"):
-        make_plan(config)
 
 
 def test_the_plan_holds_every_episode_once() -> None:
@@ -147,28 +155,6 @@ def test_a_part_of_a_billion_episodes_is_a_part() -> None:
     assert columns["episode"][0] == first % 10**8
     assert columns["seed"][0] == first // 10**8
     assert sum(plan.episodes_of(f"{i}/7") for i in range(1, 8)) == plan.episodes_of("1/1")
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"episodes": 10**12},
-            r"1 cells times 1,000,000,000,000 episodes, which make 976,562,500 files, but a folder "
-            r"holds 1,000,000: at most 1,024,000,000 episodes a cell fit",
-        ),
-        ({"episodes": 10**100}, r"times 1\.0·10\^100 episodes"),
-        (
-            {"particles": [64, 10**12], "policies": ["informed"]},
-            r"particles is 1,000,000,000,000 with .*, which takes .* but there are .*: at most",
-        ),
-        ({"environments": 2**32}, "environments is 4294967296, but must be a whole number"),
-    ],
-)
-def test_more_than_fits_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as error:
-        make_plan(config_from_dict(SMALL | changes))
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "4", "a/b", "1/0", "-1/2"])
@@ -446,3 +432,142 @@ def test_the_memory_is_that_of_the_container_where_it_is_less(tmp_path, monkeypa
         assert found == expected if expected else found > 1 << 28
     monkeypatch.undo()
     sizes._host_memory.cache_clear()
+
+
+# ------------ many devices and processes give the bytes of one
+
+DIVIDED = """
+episodes = 300
+worlds = ["1H1C", "yard"]
+commands = ["null", "behind"]
+policies = ["known", "lawnmower"]
+"""
+NAVIGATOR = """
+episodes = 300
+worlds = ["1H1C"]
+commands = ["null", "behind"]
+ranges = [3, 5]
+policies = ["informed", "known"]
+particles = [16]
+[planner]
+discount = [0.7, 0.8, 0.9]
+"""
+MEETING = """
+import sys, time
+from jaxlangnav.experiments import monte_carlo
+place, number = monte_carlo.join_devices(sys.argv[1], 2, int(sys.argv[2]))
+print(place, number, flush=True)
+import jax.numpy as jnp
+time.sleep(30.0 if place == 0 else 3.0)
+print(int(jnp.arange(4).sum()), flush=True)
+"""
+
+
+def free_address() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{probe.getsockname()[1]}"
+
+
+def start(
+    arguments: list[str], pytestconfig: pytest.Config, **environment: str
+) -> subprocess.Popen[str]:
+    own = {
+        "JAX_PLATFORMS": "cpu", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_COMPILATION_CACHE_DIR": f"{pytestconfig.rootpath}/.pytest_cache/jax",
+    }  # fmt: skip
+    return subprocess.Popen(
+        [sys.executable, *arguments], env=os.environ | own | environment,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def episodes(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("episodes-*"))}
+
+
+def test_rounds_by_hand() -> None:
+    ours, known = ("informed", 64), ("known", None)
+    kinds = [ours, known, ours, ("informed", 16), ours, known]
+    found = list(sweep._rounds(range(6), kinds.__getitem__, 2))
+    assert found == [[0, 2], [1, 5], [3], [4]]
+    assert [len(own) for own in sweep._rounds(range(6), kinds.__getitem__, 1)] == [1] * 6
+
+
+def test_mistakes_are_one_line() -> None:
+    with pytest.raises(ValueError, match='coordinator is "here", but must be HOST:PORT'):
+        monte_carlo.join_devices("here", 2, 0)
+    with pytest.raises(ValueError, match="cannot join the other processes: ") as caught:
+        monte_carlo.join_devices("127.0.0.1:9", 2, 2)
+    assert "\n" not in str(caught.value)
+
+
+def slurm(place: int, job: int) -> dict[str, str]:
+    """What srun tells its tasks; JAX derives the meeting place from the job's number."""
+    return {
+        "SLURM_JOB_ID": str(job),
+        "SLURM_STEP_NODELIST": "localhost",
+        "SLURM_STEP_NUM_NODES": "1",
+        "SLURM_NTASKS": "2",
+        "SLURM_PROCID": str(place),
+        "SLURM_LOCALID": str(place),
+    }
+
+
+# Quick are its parts: test_a_launcher_tells_where_to_meet, and test_shards_in_any_order.
+@pytest.mark.slow
+def test_two_processes_divide_a_sweep(tmp_path, pytestconfig):
+    config = write(DIVIDED, tmp_path)
+    sweep.run_sweep(config, tmp_path / "alone")
+    address, out = free_address(), tmp_path / "out"
+    command = ["-m", "jaxlangnav", "sweep", str(tmp_path / "sweep.toml"), "--out", str(out)]
+    command += ["--json", "--coordinator", address, "--processes", "2", "--process"]
+    peers = [start([*command, place], pytestconfig) for place in ("0", "1")]
+    said = [peer.communicate(timeout=120) for peer in peers]
+    assert [peer.returncode for peer in peers] == [0, 0], said
+    for place, (text, _) in enumerate(said):
+        assert f'"shard": "{place + 1}/2"' in text
+    assert len(episodes(out)) == 4
+    assert episodes(out) == episodes(tmp_path / "alone")
+
+
+def test_a_launcher_tells_where_to_meet(pytestconfig: pytest.Config) -> None:
+    code = "from jaxlangnav.experiments import monte_carlo; print(*monte_carlo.join_devices())"
+    job = int(free_address().split(":")[1])
+    peers = [start(["-c", code], pytestconfig, **slurm(place, job)) for place in (0, 1)]
+    assert [peer.communicate(timeout=60)[0] for peer in peers] == ["0 2\n", "1 2\n"]
+
+
+def test_a_dead_process_does_not_take_its_peer_along(pytestconfig: pytest.Config) -> None:
+    address = free_address()
+    first, second = (start(["-c", MEETING, address, place], pytestconfig) for place in ("0", "1"))
+    try:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "0 2\n"
+        # The first process holds the meeting place: its death is the hardest.
+        first.send_signal(signal.SIGKILL)
+        text, errors = second.communicate(timeout=60)
+    finally:
+        first.kill()
+        first.communicate()
+    assert (text, second.returncode) == ("1 2\n6\n", 0), errors
+
+
+@pytest.mark.slow
+def test_two_devices_give_the_bytes_of_one(tmp_path: Path, pytestconfig: pytest.Config) -> None:
+    config = write(NAVIGATOR, tmp_path)
+    # 3 arms of two chunks, so that the two devices are given different Params and an odd rest.
+    document = sweep.run_sweep(config, tmp_path / "alone", shard="1/1")
+    assert document["is_complete"]
+    assert monte_carlo.mesh().size == 1
+    command = ["-m", "jaxlangnav", "sweep", str(tmp_path / "sweep.toml"), "--out"]
+    begin = time.monotonic()
+    both = start(
+        [*command, str(tmp_path / "out"), "--json"],
+        pytestconfig,
+        XLA_FLAGS="--xla_force_host_platform_device_count=2",
+    )
+    _, errors = both.communicate(timeout=600)
+    assert both.returncode == 0, (errors, time.monotonic() - begin)
+    assert '"count": 2' in (tmp_path / "out" / "manifest.json").read_text()
+    assert episodes(tmp_path / "out") == episodes(tmp_path / "alone")
