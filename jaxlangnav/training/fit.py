@@ -5,9 +5,7 @@ The objective is the regularised negative log-likelihood of the correspondences,
     J(W) = Σ_e Σ_g Σ_φ n_egφ softplus(−(2φ − 1) x_eᵀ W y_eg) + ½ Σ_w λ_w ‖W_w‖²
 
 which is convex. λ is one number, or one for each group of word features. Several hold-out splits
-train at once by ``vmap`` over the counts n. At the minimum D W lies in the span of the data, where
-D = diag(λ): W = D⁻¹ Q V Rᵀ with Q and R bases of the word features and properties that occur; V is
-what is searched, a quarter of W. With Qᵀ D⁻¹ Q = L Lᵀ and Z = Lᵀ V the regulariser is ½ ‖Z‖².
+train at once by ``vmap`` over the counts n. What is searched is √λ W, with the words x / √λ.
 """
 
 import dataclasses
@@ -21,8 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.scipy.linalg import solve_triangular
-from scipy.linalg import orth
 
 from jaxlangnav.grounding.correspondence import AnyWorld, CorrespondenceGraph, Labelled, SymbolSpace
 from jaxlangnav.grounding.model import (
@@ -59,24 +55,15 @@ class Fit:
 
 
 class Factored(NamedTuple):
-    """The distinct factors of a design in bases of what occurs: what training reads of them."""
+    """The distinct factors of a design on the device: what training reads of them."""
 
-    words: Array  # f32[U, A] in the basis of words
-    properties: Array  # f32[U, G, B] in the basis of properties
-    word_basis: Array  # f32[W, A] orthonormal
-    property_basis: Array  # f32[F, B] orthonormal
+    words: Array  # f32[U, W]
+    properties: Array  # f32[U, G, F]
 
 
 def factorise(design: Design) -> Factored:
-    """Write a design in bases of the words and properties that occur in it."""
-    words = _basis(design.words)
-    properties = _basis(design.properties.reshape(-1, design.properties.shape[2]))
-    return Factored(
-        jnp.asarray(design.words @ words, jnp.float32),
-        jnp.asarray(design.properties @ properties, jnp.float32),
-        jnp.asarray(words, jnp.float32),
-        jnp.asarray(properties, jnp.float32),
-    )
+    """Put the distinct factors of a design on the device."""
+    return Factored(jnp.asarray(design.words), jnp.asarray(design.properties))
 
 
 def strengths(vocabulary: Vocabulary, by_group: Mapping[str, Array | float]) -> Array:
@@ -100,17 +87,13 @@ def train_weights(
     Returns:
         f32[W, F], the weights of all kinds side by side (``by_kind``), and what was measured.
     """
-    width, depth = factored.word_basis.shape
     chex.assert_shape(counts, (*factored.properties.shape[:2], 2))
-    chex.assert_shape(l2, (width,))
-    chex.assert_shape(factored.words, (factored.properties.shape[0], depth))
+    chex.assert_shape(factored.words, (factored.properties.shape[0], *l2.shape))
     chex.assert_type((counts, l2), jnp.float32)
-    root = jnp.linalg.cholesky(factored.word_basis.T @ (factored.word_basis / l2[:, None]))
-    problem = Problem(factored.words @ root, factored.properties, counts)
+    scale = 1.0 / jnp.sqrt(l2)
+    problem = Problem(factored.words * scale[None], factored.properties, counts)
     found, search = minimise(problem, jnp.float32(config.gap), jnp.float32(config.max_steps))
-    rotated = solve_triangular(root, found, lower=True, trans="T")
-    weights = factored.word_basis @ rotated @ factored.property_basis.T
-    return weights / l2[:, None], search
+    return found * scale[:, None], search
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -168,14 +151,6 @@ def build_design(
     """
     vocabulary = build_vocabulary([example.phrase for example in examples], without)
     return vocabulary, pool(*flatten(examples, kinds, vocabulary), num_instructions)
-
-
-def _basis(rows: np.ndarray) -> np.ndarray:
-    """Build an orthonormal basis of the span of rows f32[N, D], f64[D, rank ≤ D]."""
-    rows = rows.astype(np.float64)
-    if rows.shape[0] < rows.shape[1]:
-        return orth(rows.T, rcond=1e-5)
-    return orth(rows.T @ rows, rcond=1e-10)
 
 
 def fit(

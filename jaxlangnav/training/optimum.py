@@ -24,7 +24,7 @@ _LINEAR_TOLERANCE, _LINEAR_STEPS = 1e-5, 500
 
 
 class Problem(NamedTuple):
-    """Factors of one fit, in any basis."""
+    """Factors of one fit, of which the words may be scaled."""
 
     words: Array  # f32[U, A]
     properties: Array  # f32[U, G, B]
