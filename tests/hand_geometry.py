@@ -108,13 +108,9 @@ def holds(name: str, place: np.ndarray, landmark: np.ndarray | None, *, is_core:
     return 0.0 < main < reach and abs(side) < 2.0 * main
 
 
-def _fits(kind: str, own: str) -> bool:
-    return kind in (ANY, "place", "thing", own)
-
-
 def find_things(thing: Thing, world: Place, gone: set[int], *, is_core: bool) -> set[int]:
     """Find the things of a world that a label may mean."""
-    found = {n for n, own in enumerate(world.kinds) if _fits(thing.kind, own)}
+    found = {n for n, own in enumerate(world.kinds) if thing.kind in (ANY, "place", "thing", own)}
     found -= gone if "other" in thing.marks else set()
     for name, rank, landmark in sorted(thing.relations, key=lambda one: one[1]):
         marks = [None]

@@ -18,6 +18,13 @@ from jaxlangnav.cli import SUMMARIES, arguments, main as cli
 from jaxlangnav.cli.output import Output, UsageError, is_refusal, one_line, to_json
 from jaxlangnav.world import files
 
+FAULTS = {
+    "usage": UsageError("no such\n  sentence"),
+    "file": FileNotFoundError(2, "No such file or directory", "world.toml"),
+    "bug": KeyError("slot"),
+    "stop": KeyboardInterrupt(),
+}
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Echo:
@@ -37,16 +44,10 @@ class Echo:
     """Print one JSON document."""
 
     def run(self, output: Output) -> dict:
-        if self.text == "usage":
-            raise UsageError("no such\n  sentence")
-        if self.text == "file":
-            raise FileNotFoundError(2, "No such file or directory", "world.toml")
-        if self.text == "bug":
-            raise KeyError("slot")
         if self.text == "numpy":
             np.zeros(3).reshape(2, 2)
-        if self.text == "stop":
-            raise KeyboardInterrupt
+        if self.text in FAULTS:
+            raise FAULTS[self.text]
         print("a stray print")
         output.note("working")
         for _ in range(self.times):

@@ -87,19 +87,14 @@ def test_stopping_elsewhere_earns_nothing_and_time_runs_out() -> None:
     _, state = RESET(jax.random.key(0), params)
     _, _, reward, is_over, info = STEP(jax.random.key(1), state, STOP, params)
     assert (float(reward), bool(is_over), bool(info.is_success)) == (0.0, True, False)
+    observation = STEP(jax.random.key(1), state, jnp.array([1.0, 1.0, -1.0]), params)[0]
+    # A long step is shortened.
+    assert float(jnp.hypot(observation[0], observation[1])) == pytest.approx(1.0, abs=1e-5)
     still = jnp.array([0.0, 0.0, -1.0])
     for expected in (False, True):
         _, state, _, is_over, info = STEP(jax.random.key(1), state, still, params)
         assert (bool(is_over), bool(info.is_cut_off)) == (expected, expected)
         assert float(info.distance) == 0.0
-
-
-def test_a_long_step_is_shortened() -> None:
-    params = functional.default_params()
-    _, state = RESET(jax.random.key(0), params)
-    action = jnp.array([1.0, 1.0, -1.0])
-    observation, _, _, _, _ = STEP(jax.random.key(1), state, action, params)
-    assert float(jnp.hypot(observation[0], observation[1])) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_lanes_are_alike_alone_and_together(pool: Any) -> None:

@@ -110,20 +110,10 @@ def test_a_blind_search_is_right_half_of_the_time(tasks: Task, instructions: Any
 
 def test_what_is_not_seen_changes_nothing(tasks: Task, instructions: Any) -> None:
     """The same robot, the same noise, other objects: blind, it must walk the same way."""
-    blind = replace(
-        tasks,
-        sensor=replace(tasks.sensor, detection_probability=jnp.zeros(BLOCK)),
-    )
-    scenario = blind.scenario
-    moved = replace(
-        blind,
-        scenario=replace(
-            scenario,
-            object_x=scenario.object_x[::-1],
-            object_y=scenario.object_y + 1.0,
-            goal=scenario.goal[::-1],
-        ),
-    )
+    blind = replace(tasks, sensor=replace(tasks.sensor, detection_probability=jnp.zeros(BLOCK)))
+    worlds = blind.scenario
+    others = {"object_x": worlds.object_x[::-1], "object_y": worlds.object_y + 1.0}
+    moved = replace(blind, scenario=replace(worlds, goal=worlds.goal[::-1], **others))
     for policy in SEARCHES:
         one, other = run(policy, blind, instructions), run(policy, moved, instructions)
         np.testing.assert_array_equal(one.final, other.final)
@@ -134,18 +124,16 @@ def test_what_is_not_seen_changes_nothing(tasks: Task, instructions: Any) -> Non
 def test_a_noiseless_walk_by_hand(instructions: Any) -> None:
     """A hydrant in view at the start: straight to it, stop within reach."""
     tasks = make_tasks(cell("1H1C", "null", 0, 5.0, BLOCK, 0))
-    scenario = replace(
-        tasks.scenario,
-        object_x=tasks.scenario.object_x.at[:, 0].set(4.0),
-        object_y=tasks.scenario.object_y.at[:, 0].set(0.0),
+    worlds, none, sure = tasks.scenario, jnp.zeros(BLOCK), jnp.ones(BLOCK)
+    worlds = replace(
+        worlds,
+        object_x=worlds.object_x.at[:, 0].set(4.0),
+        object_y=worlds.object_y.at[:, 0].set(0.0),
         goal=jnp.broadcast_to(jnp.array([4.0, 0.0]), (BLOCK, 2)),
     )
-    tasks = replace(
-        tasks,
-        scenario=scenario,
-        sensor=replace(tasks.sensor, detection_probability=jnp.ones(BLOCK), noise=jnp.zeros(BLOCK)),
-        motion=replace(tasks.motion, odometry_noise=jnp.zeros(BLOCK)),
-    )
+    sensor = replace(tasks.sensor, detection_probability=sure, noise=none)
+    motion = replace(tasks.motion, odometry_noise=none)
+    tasks = replace(tasks, scenario=worlds, sensor=sensor, motion=motion)
     reach = float(default_planner_params().reach)
     for policy in SEARCHES:
         result = run(policy, tasks, instructions)

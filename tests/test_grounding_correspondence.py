@@ -1,6 +1,7 @@
 """The correspondence graph with anybody's symbols, its search, and trees as text."""
 
 import dataclasses
+import itertools
 from types import MappingProxyType
 
 import numpy as np
@@ -47,120 +48,6 @@ from jaxlangnav.viz.graph import beliefs_figure
 COLOURS = ("red", "blue", "green")
 
 
-class Blocks:
-    """Coloured blocks in a row; a world is a tuple of colours."""
-
-    columns = MappingProxyType({KIND: ("bias", *COLOURS, "meant", "left of meant", "last")})
-
-    def symbols_in(self, world):
-        return Symbols([f"{colour} block {i}" for i, colour in enumerate(world)])
-
-    def describe(self, phrase, path, world):
-        def given(children):
-            return {KIND: Block(slice(None), self.properties(children, world))}
-
-        return Described(given)
-
-    def properties(self, children, world):
-        meant = np.any([*children, np.zeros(len(world), bool)], axis=0)
-        beside = np.append(meant[1:], False)
-        last = np.arange(len(world)) == len(world) - 1
-        own = [[colour == one for one in COLOURS] for colour in world]
-        return np.column_stack([np.ones(len(world)), own, meant, beside, last])
-
-
-SPACE = Blocks()
-WORLDS = (("red", "blue", "green"), ("blue", "red"), ("green", "blue", "red", "red"))
-
-
-def labelled():
-    """Sentences "take the red one" and "take what is left of the red one" in all worlds."""
-    found = []
-    for world in WORLDS:
-        for colour in COLOURS:
-            own = {i for i, one in enumerate(world) if one == colour}
-            beside = {i - 1 for i in own if i > 0}
-            for text, steps in (
-                (f"VP[take]{{NP[the {colour} one]}}", [own, own]),
-                (f"VP[take]{{PP[left of]{{NP[the {colour} one]}}}}", [own, beside, beside]),
-            ):
-                names = SPACE.symbols_in(world).symbols
-                expressed = [frozenset(names[i] for i in step) for step in steps]
-                found.append(Labelled(root=read_tree(text), world=world, expressed=expressed))
-    return found
-
-
-def is_right(graph, one):
-    """Whether the likeliest set at the root is exactly the labelled one."""
-    tree = graph.weigh(one.root, one.world, one.clause)
-    return set(tree.symbols.members(tree.search()[0].expressed)) == one.expressed[-1]
-
-
-@pytest.fixture(scope="module")
-def graph():
-    return train_graph(SPACE, labelled(), config=TrainingConfig(l2=0.003))[0]
-
-
-def test_own_symbols_are_learned(graph):
-    assert all(is_right(graph, one) for one in labelled())
-    world = ("green", "green", "red", "blue")  # never seen
-    best = graph.ground(read_tree("VP[take]{PP[left of]{NP[the red one]}}"), world)[0]
-    assert best.symbols == ("green block 1",)
-    assert best.probability > 0.5
-
-
-def test_beliefs_are_those_of_the_likeliest_reading(graph):
-    root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
-    top, below = graph.weigh(root, world).beliefs()
-    assert below.parent == top.path
-    assert (below.probability > 0.5).tolist() == [False, True, False]
-    meant = below.probability > 0.5
-    odds = SPACE.properties([meant], world) @ graph.model.coefficients(root)[KIND]
-    np.testing.assert_allclose(top.probability, 1 / (1 + np.exp(-odds)), rtol=1e-5)
-
-
-def test_a_picture_of_own_symbols(graph):
-    root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
-    figure = beliefs_figure(
-        graph.weigh(root, world).beliefs(),
-        SPACE.symbols_in(world).symbols,
-        title="take the blue one",
-        num_symbols=2,
-    )
-    texts = [text.get_text() for text in figure.axes[0].texts]
-    assert texts.count("blue block 1") == 2
-    assert "1 more" in texts
-    assert any(isinstance(patch, Wedge) for patch in figure.axes[0].patches)
-
-
-def test_bad_corpora_are_refused():
-    good = labelled()[0]
-    stranger = [frozenset({"pink block 9"}), frozenset()]
-    with pytest.raises(ValueError, match="tree 0: pink block 9 is no symbol"):
-        examples_of(SPACE, [Labelled(root=good.root, world=good.world, expressed=stranger)])
-    with pytest.raises(ValueError, match=r"1 labels, but .* has 2 phrases"):
-        examples_of(SPACE, [Labelled(root=good.root, world=good.world, expressed=stranger[1:])])
-    with pytest.raises(ValueError, match="no tree to train on"):
-        train_graph(SPACE, [])
-    with pytest.raises(ValueError, match="groups of features are"):
-        train_graph(SPACE, [good], without=frozenset({"smell"}))
-
-    class Short(Blocks):
-        columns = MappingProxyType({KIND: ("bias",)})
-
-    with pytest.raises(ValueError, match=r"properties are \(3, 7\), but must be \(3, 1\)"):
-        examples_of(Short(), [good])
-
-
-def test_factors_of_own_symbols_are_counted():
-    root = read_tree("VP[take]{PP[left of]{NP[the red one]}}")
-    sizes = {"phrases": 3, "factors": 3 * 4, "variables": 3 + 2 * 3 * 4}
-    assert count_graph([root], SPACE.symbols_in(WORLDS[2])) == sizes
-
-
-# ---------------------------------------------------------------- symbols of several kinds
-
-
 COLUMNS = {"thing": ("bias", *COLOURS, "meant"), "side": ("bias", "meant"), RANK: ("bias", "is")}
 
 
@@ -188,6 +75,93 @@ class Yard:
         return Described(given, np.array([[1.0, not said], [1.0, said]]))
 
 
+SPACE = Yard()
+WORLDS = (("red", "blue", "green"), ("blue", "red"), ("green", "blue", "red", "red"))
+
+
+def labelled():
+    """Sentences "take the red one" and "go left of the red one" in all worlds."""
+    found = []
+    for world, colour in itertools.product(WORLDS, COLOURS):
+        own = [i for i, one in enumerate(world) if one == colour]
+        things, sides = (frozenset(f"{what} {i}" for i in own) for what in ("at", "left of"))
+        for verb, meant in (("take", things), ("go left of", sides)):
+            root = read_tree(f"VP[{verb}]{{NP[the {colour} one]}}")
+            one = Labelled(root=root, world=world, expressed=[things, meant], ranks=[0, 0])
+            found.append(one)
+    return found
+
+
+def is_right(graph, one):
+    """Whether the likeliest set at the root is exactly the labelled one."""
+    tree = graph.weigh(one.root, one.world, one.clause)
+    return set(tree.symbols.members(tree.search()[0].expressed)) == one.expressed[-1]
+
+
+@pytest.fixture(scope="module")
+def graph():
+    return train_graph(SPACE, labelled(), config=TrainingConfig(l2=0.003))[0]
+
+
+def test_own_symbols_are_learned(graph):
+    assert all(is_right(graph, one) for one in labelled())
+    world = ("green", "green", "red", "blue")  # never seen
+    best = graph.ground(read_tree("VP[go left of]{NP[the red one]}"), world)[0]
+    assert best.symbols == ("left of 2",)
+    assert best.probability > 0.5
+
+
+def test_beliefs_are_those_of_the_likeliest_reading(graph):
+    root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
+    top, below = graph.weigh(root, world).beliefs()
+    assert below.parent == top.path
+    meant = below.probability > 0.5
+    assert meant.tolist() == [False, True, False, *[False] * 3]
+    coefficients = graph.model.coefficients(root)
+    for kind, block in SPACE.describe(root, (0,), world).given([meant]).items():
+        likely = 1 / (1 + np.exp(-block.properties @ coefficients[kind]))
+        np.testing.assert_allclose(top.probability[block.places], likely, rtol=1e-5)
+
+
+def test_a_picture_of_own_symbols(graph):
+    root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
+    figure = beliefs_figure(
+        graph.weigh(root, world).beliefs(),
+        SPACE.symbols_in(world).symbols,
+        title="take the blue one",
+        num_symbols=2,
+    )
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert texts.count("at 1") == 2
+    assert "4 more" in texts
+    assert any(isinstance(patch, Wedge) for patch in figure.axes[0].patches)
+
+
+def test_bad_corpora_are_refused():
+    good = labelled()[0]
+    stranger = [frozenset({"pink block 9"}), frozenset()]
+    with pytest.raises(ValueError, match="tree 0: pink block 9 is no symbol"):
+        examples_of(SPACE, [Labelled(root=good.root, world=good.world, expressed=stranger)])
+    with pytest.raises(ValueError, match=r"1 labels, but .* has 2 phrases"):
+        examples_of(SPACE, [Labelled(root=good.root, world=good.world, expressed=stranger[1:])])
+    with pytest.raises(ValueError, match="no tree to train on"):
+        train_graph(SPACE, [])
+    with pytest.raises(ValueError, match="groups of features are"):
+        train_graph(SPACE, [good], without=frozenset({"smell"}))
+
+    class Short(Yard):
+        columns = MappingProxyType(COLUMNS | {"thing": ("bias",)})
+
+    with pytest.raises(ValueError, match=r"properties are \(3, 5\), but must be \(3, 1\)"):
+        examples_of(Short(), [good])
+
+
+def test_factors_of_own_symbols_are_counted():
+    root = read_tree("VP[take]{PP[left of]{NP[the red one]}}")
+    sizes = {"phrases": 3, "factors": 3 * 8, "variables": 3 + 2 * 3 * 8}
+    assert count_graph([root], SPACE.symbols_in(WORLDS[2])) == sizes
+
+
 SECOND = read_tree("VP[go left of]{NP[the second red one]}")
 
 
@@ -200,7 +174,7 @@ def yard():
         kind: rng.normal(size=(len(vocabulary.names), len(names))).astype(np.float32)
         for kind, names in COLUMNS.items()
     }
-    return CorrespondenceGraph(Yard(), CorrespondenceModel(vocabulary, weights))
+    return CorrespondenceGraph(SPACE, CorrespondenceModel(vocabulary, weights))
 
 
 def test_symbols_of_several_kinds_are_searched_as_enumerated(yard):
@@ -232,7 +206,7 @@ def test_ranks_are_a_choice_by_the_words_alone(yard):
 def test_examples_of_several_kinds():
     both = [frozenset({"at 0"}), frozenset({"left of 0"})]
     one = Labelled(root=SECOND, world=("red", "blue"), expressed=both, ranks=[2, 0])
-    noun, verb = examples_of(Yard(), [one])
+    noun, verb = examples_of(SPACE, [one])
     assert noun.rows["thing"].labels.tolist() == [True, False]
     assert noun.rows[RANK].labels.tolist() == [False, True]
     assert set(noun.rows) == {"thing", RANK}
@@ -240,7 +214,7 @@ def test_examples_of_several_kinds():
     assert verb.rows["side"].properties.tolist() == [[1, 1], [1, 0]]
     assert not verb.rows[RANK].labels.any()
     with pytest.raises(ValueError, match=r"tree 0: 1 labels, but .* has 2 phrases"):
-        examples_of(Yard(), [dataclasses.replace(one, ranks=[2])])
+        examples_of(SPACE, [dataclasses.replace(one, ranks=[2])])
 
 
 def test_the_engine_s_symbols_are_two_more_spaces():
