@@ -194,11 +194,7 @@ def test_the_viewers_frame_keeps_the_mean_direction(fitted: Fitted) -> None:
     ],
 )
 def test_bad_pairs_are_refused(changes: dict, message: str) -> None:
-    good = {
-        "relation": np.array([BEHIND]),
-        "figure": np.zeros((1, 2)),
-        "landmark": np.ones((1, 2)),
-        "viewer": np.zeros((1, 3)),
-    }
+    good = {"relation": np.array([BEHIND]), "figure": np.zeros((1, 2))}
+    good |= {"landmark": np.ones((1, 2)), "viewer": np.zeros((1, 3))}
     with pytest.raises(ValueError, match=message):
         make_pairs(**(good | changes))

@@ -147,22 +147,12 @@ def test_it_halts_goes_on_and_drops_the_task(navigator) -> None:
     assert robot.travelled == 0.0
 
 
-@pytest.mark.parametrize(
-    ("status", "ending"),
-    [
-        (Status.NOT_FOUND, Ending.NOT_FOUND),
-        (Status.BLOCKED, Ending.BLOCKED),
-        (Status.WHICH_ONE, Ending.WHICH_ONE),
-        (Status.IDLE, Ending.IDLE),
-    ],
-)
-def test_each_ending_of_the_navigator_is_one_of_the_drive(navigator, status, ending) -> None:
-    state = navigator.start(TEXT)
-    named, why = driver._Journey(navigator, put(), jax.random.key(0), None)._name_the_end(
-        status, state
-    )
-    assert named is ending
-    assert why
+def test_each_ending_of_the_navigator_is_one_of_the_drive(navigator) -> None:
+    journey = driver._Journey(navigator, put(), jax.random.key(0), None)
+    for name in ("NOT_FOUND", "BLOCKED", "WHICH_ONE", "IDLE"):
+        named, why = journey._name_the_end(Status[name], navigator.start(TEXT))
+        assert named is Ending[name]
+        assert why
 
 
 def test_a_drive_is_recorded_with_the_truth_of_each_look(navigator) -> None:
