@@ -3,8 +3,10 @@
 import functools
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_navigator_step import AREA, CONE, HYDRANT, assert_arrived, distance, go, see
@@ -305,25 +307,6 @@ def test_sizes_that_do_not_fit_are_refused(robot) -> None:
 
 # ---------------- after ``warm_up`` no utterance compiles anything: JAX counts, in its own process
 
-SCRIPT = """
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxlangnav.navigator import api
-from jaxlangnav.messages import Status
-from jaxlangnav.pytree import replace
-
-compiled = []
-
-
-def listen(name, seconds, **about):
-    if name.endswith("backend_compile_duration"):
-        compiled.append(about.get("fun_name"))
-
-
-# The decision cycle, most of a minute to compile, is counted in test_navigator_step.
-api._step = lambda key, state, look, **rest: (state, None, None)
-jax.monitoring.register_event_duration_secs_listener(listen)
 SAID = (
     "go to the cone", "then go to the cone", "there is a tree left of the cone",
     "keep away from the car", "go three metres forward", "no, I meant the cone",
@@ -333,9 +316,24 @@ SAID = (
 ANSWERS = ("the left one", "the second", "the nearest", "any", "no", "the one by the cone")
 
 
-def converse(one):
-    one.warm_up()
-    compiled.clear()
+def talk_and_count_compilations() -> None:
+    compiled = []
+
+    def listen(name, seconds, **about):
+        if name.endswith("backend_compile_duration"):
+            compiled.append(about.get("fun_name"))
+
+    # The decision cycle, most of a minute to compile, is counted in test_navigator_step.
+    api._step = lambda key, state, look, **rest: (state, None, None)
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    for numbers in ({}, {"heading_noise": 0.01}):
+        one = api.Navigator.pretrained(**numbers)
+        one.warm_up()
+        compiled.clear()
+        converse(one, compiled)
+
+
+def converse(one, compiled: list) -> None:
     idle = one.wait()
     state = one.start("go to the hydrant behind the cone", pose=(0.0, 0.0, 0.0))
     one.start("go two metres forward and then one metre to the left")
@@ -361,15 +359,12 @@ def converse(one):
             assert not compiled, (text, compiled)
 
 
-for numbers in ({}, {"heading_noise": 0.01}):
-    converse(api.Navigator.pretrained(**numbers))
-"""
-
-
 def test_after_warming_up_no_utterance_compiles_anything() -> None:
+    code = "import test_conversation as t; t.talk_and_count_compilations()"
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", SCRIPT], capture_output=True, text=True, timeout=600
-    )
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=Path(__file__).parent, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr[-1000:]
     kinds = {line.split()[0] for line in done.stdout.splitlines()}
     assert kinds == {kind.name for kind in Kind}
