@@ -1,5 +1,6 @@
 """A conversation driven: what each kind of utterance does to where the robot ends."""
 
+import dataclasses
 import functools
 import subprocess
 import sys
@@ -192,7 +193,7 @@ def curious(robot, cost: float = 0.05):
     planner = replace(robot.params.planner, question_cost=np.float32(cost))
     believed = replace(robot.params.map, misleading=np.float32(0.05), clumping=np.float32(0.0))
     params = replace(robot.params, planner=planner, map=believed)
-    return api.Navigator(grounder=robot.grounder, params=params, config=robot.config)
+    return dataclasses.replace(robot, params=params)
 
 
 def leftmost(run, places) -> int:
@@ -297,12 +298,7 @@ def test_sizes_that_do_not_fit_are_refused(robot) -> None:
     with pytest.raises(ValueError, match="at least 6"):
         Capacity(num_mentions=5)
     with pytest.raises(ValueError, match="at most 31"):
-        api.Navigator(
-            grounder=robot.grounder,
-            params=robot.params,
-            config=robot.config,
-            capacity=Capacity(num_mentions=32),
-        )
+        dataclasses.replace(robot, capacity=Capacity(num_mentions=32))
 
 
 # ---------------- after ``warm_up`` no utterance compiles anything: JAX counts, in its own process
