@@ -11,6 +11,7 @@ import pytest
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments import monte_carlo
 from jaxlangnav.experiments.experiment import Grid, run_grid
+from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.policies import Arm, policy_arm, run_policy
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sweep_config import config_from_dict
@@ -168,13 +169,13 @@ def test_a_grid_is_run_arm_by_arm_and_summed_up_by_setting() -> None:
     instructions = ground_sentences(list(SENTENCES.values())).instructions
     (played,) = run_grid(GRID, instructions, on_progress=done.append)
     assert sum(done) == 2 * EPISODES
-    rows, columns = played.rows(), played.columns()
-    assert [(row["range"], row["policy"], row["episodes"]) for row in rows] == [
-        (2.0, "known", EPISODES),
-        (5.0, "known", EPISODES),
-    ]
+    rows = [summarize(*played.of_setting(place)) for place in range(2)]
+    places = np.arange(2 * EPISODES)
+    columns = GRID.columns(played.arm, places, played.results, played.known)
+    assert columns["range"].to_pylist() == [2.0] * EPISODES + [5.0] * EPISODES
+    assert [row.episodes for row in rows] == [EPISODES] * 2
     distance = np.asarray(columns["distance"])
-    assert [row["distance_mean"] for row in rows] == [
+    assert [row.distance_mean for row in rows] == [
         np.mean(distance[:EPISODES], dtype=np.float64),
         np.mean(distance[EPISODES:], dtype=np.float64),
     ]

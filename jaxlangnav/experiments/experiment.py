@@ -109,23 +109,11 @@ class Played:
     tally: Tally | None = None
     """Of the episodes that are judged: the belief against the truth; leaves [E, …]."""
 
-    def columns(self) -> dict[str, Any]:
-        """Lay labels and results out, a column each, E long."""
-        places = np.arange(len(self.known))
-        return self.grid.columns(self.arm, places, self.results, self.known)
-
     def of_setting(self, place: int) -> tuple[EpisodeResult, np.ndarray]:
         """Take the results of one setting, and the known map's distances there."""
         span = slice(place * self.grid.episodes, (place + 1) * self.grid.episodes)
         mine = jax.tree.map(lambda leaf: np.asarray(leaf)[span], self.results)
         return mine, self.known[span]
-
-    def rows(self) -> list[Row]:
-        """Summarise the episodes of each setting."""
-        return [
-            dict(setting.labels) | dict(self.arm.told) | summarize(*self.of_setting(place)).row()
-            for place, setting in enumerate(self.grid.settings)
-        ]
 
 
 def run_grid(
@@ -266,7 +254,8 @@ class Experiment(Told):
             for played in run_grid(grid, sentences.instructions, on_progress=on_progress):
                 first = first or played
                 rows += self.rows(played, first)
-                parts.append(pa.table(played.columns()))
+                told = played.arm, np.arange(len(played.known)), played.results, played.known
+                parts.append(pa.table(grid.columns(*told)))
         document = {
             "experiment": self.name,
             "episodes": options.episodes,
@@ -294,7 +283,9 @@ class Experiment(Told):
     def rows(self, played: Played, first: Played) -> list[Row]:
         """Summarise what an arm did, one row a setting: its episodes, its scores, ``measure``."""
         rows, number = [], len(self.specs)
-        for place, (row, spec) in enumerate(zip(played.rows(), self.specs, strict=True)):
+        for place, spec in enumerate(self.specs):
+            labels = {**played.grid.settings[place].labels, **played.arm.told}
+            row = labels | summarize(*played.of_setting(place)).row()
             # None where no belief was judged.
             scored: Row = dict.fromkeys(("ece", "brier", "coverage90", "reliability"))
             if played.tally is not None:

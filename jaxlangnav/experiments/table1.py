@@ -203,15 +203,12 @@ def _on_new_words(
         {word.lemma for root in one.parse.clauses for word in root.all_words()}
         for one in instructions
     ]
+    scored = np.array([1 if name == "annotation" else len(one.behaving) for one in instructions])
     rows = []
     for score, held in zip(scores, held_out, strict=True):
         seen = set[str]().union(*(words[place] for place in np.flatnonzero(~held)))
-        is_new = [
-            bool(own - seen)
-            for own, one, is_held in zip(words, instructions, held, strict=True)
-            for _ in range(is_held * (1 if name == "annotation" else len(one.behaving)))
-        ]
-        rows.append((score.is_right, np.array(is_new, bool)))
+        is_new = np.array([bool(own - seen) for own in words])
+        rows.append((score.is_right, np.repeat(is_new, scored * held)))
     right = np.concatenate([is_right[is_new] for is_right, is_new in rows])
     share = float(np.concatenate([is_new for _, is_new in rows]).mean())
     accuracy = round(100.0 * float(right.mean()), 2) if len(right) else None
