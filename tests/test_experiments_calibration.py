@@ -119,12 +119,10 @@ def test_object_is_of_the_type_that_most_of_the_belief_has_it_of() -> None:
 def density(**changes: Any) -> GoalDensity:
     """One seen object of probability 0.7, sd 0.2 m, and 64 hypotheses far from it."""
     leaves: dict[str, Any] = {
-        "object_x": jnp.array([0.0, 30.0]),
-        "object_y": jnp.zeros(2),
+        "objects": jnp.array([[0.0, 30.0], [0.0, 0.0]]),
         "object_mass": jnp.array([0.7, 0.0]),
         "object_variance": jnp.array([0.04, 0.04]),
-        "hypothesis_x": 60.0 + jnp.arange(64.0),
-        "hypothesis_y": jnp.zeros(64),
+        "hypotheses": jnp.stack([60.0 + jnp.arange(64.0), jnp.zeros(64)]),
         "hypothesis_mass": jnp.full(64, 0.3 / 64),
     }
     return replace(GoalDensity(**leaves), **changes)
@@ -136,27 +134,27 @@ RANK = jax.jit(_goal_region)
 def test_rank_within_a_seen_object_is_that_of_its_gaussian() -> None:
     """At radius r the share of a Gaussian that is denser is 1 − exp(−r² / 2s)."""
     for radius in (0.0, 0.1, 0.25, 0.5):
-        below, log_density = RANK(density(), jnp.float32(radius), jnp.float32(0.0))
+        below, log_density = RANK(density(), jnp.array([radius, 0.0]))
         assert float(below) == pytest.approx(0.7 * (1 - np.exp(-(radius**2) / 0.08)), abs=1e-4)
         peak = np.log(0.7 / (2 * np.pi * 0.04))
         assert float(log_density) == pytest.approx(peak - radius**2 / 0.08, abs=1e-3)
 
 
 def test_a_truth_where_nothing_is_believed_ranks_last() -> None:
-    below, log_density = RANK(density(), jnp.float32(-40.0), jnp.float32(0.0))
+    below, log_density = RANK(density(), jnp.array([-40.0, 0.0]))
     assert float(below) == pytest.approx(1.0, abs=1e-4)
     assert float(log_density) == pytest.approx(np.log(1e-12), abs=1e-3)
 
 
 def test_copies_of_a_hypothesis_do_not_make_it_denser_at_its_own_place() -> None:
     """Copies that resampling makes are one draw: 60 copies at one place, 4 about the truth."""
-    x = jnp.concatenate([jnp.zeros(60), jnp.array([8.0, 8.5, 9.0, 9.5])])
-    crowd = density(object_mass=jnp.zeros(2), hypothesis_x=x, hypothesis_mass=jnp.full(64, 1 / 64))
-    below, _ = RANK(crowd, jnp.float32(8.7), jnp.float32(0.0))
+    places = jnp.zeros((2, 64)).at[0, 60:].set(jnp.array([8.0, 8.5, 9.0, 9.5]))
+    even = {"object_mass": jnp.zeros(2), "hypothesis_mass": jnp.full(64, 1 / 64)}
+    crowd = density(hypotheses=places, **even)
+    below, _ = RANK(crowd, jnp.array([8.7, 0.0]))
     # Only those at 8.5 and 9 may count as likelier; the crowd has no density but its own.
     assert float(below) <= 3 / 64
-    lone = replace(crowd, hypothesis_x=jnp.zeros(64))
-    _, log_density = RANK(lone, jnp.float32(0.0), jnp.float32(0.0))
+    _, log_density = RANK(density(hypotheses=jnp.zeros((2, 64)), **even), jnp.zeros(2))
     assert float(log_density) == pytest.approx(-np.log(2 * np.pi * BANDWIDTH**2), abs=1e-5)
 
 
@@ -169,14 +167,13 @@ def ranks(scale: float, seed: int) -> np.ndarray:
         near = jnp.array([20.0, 0.0]) + 0.3 * jax.random.normal(near_key, (2,))
         truth = jnp.where(jax.random.bernoulli(lot_key), near, places[64])
         belief = density(
-            object_x=jnp.array([20.0, 0.0]),
+            objects=jnp.array([[20.0, 0.0], [0.0, 0.0]]),
             object_mass=jnp.array([0.5, 0.0]),
             object_variance=jnp.array([(0.3 * scale) ** 2, 1.0]),
-            hypothesis_x=places[:64, 0] * scale,
-            hypothesis_y=places[:64, 1] * scale,
+            hypotheses=places[:64].T * scale,
             hypothesis_mass=jnp.full(64, 0.5 / 64),
         )
-        return _goal_region(belief, truth[0], truth[1])[0]
+        return _goal_region(belief, truth)[0]
 
     return np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), 4000)))
 

@@ -44,17 +44,15 @@ _MOST_POINTS = 64  # particles that make up the density: its cost grows with the
 class GoalDensity:
     """Where the goal is believed to be: a Gaussian per seen object, and the hypotheses."""
 
-    object_x: Array  # f32[O] metres, map frame
-    object_y: Array  # f32[O]
+    objects: Array  # f32[2, O] metres, map frame
     object_mass: Array  # f32[O] probability that it is the goal
     object_variance: Array  # f32[O] square metres per axis, of its place relative to the robot
-    hypothesis_x: Array  # f32[H] metres
-    hypothesis_y: Array  # f32[H]
+    hypotheses: Array  # f32[2, H] metres, map frame
     hypothesis_mass: Array  # f32[H]
 
 
-def _goal_region(density: GoalDensity, true_x: Array, true_y: Array) -> tuple[Array, Array]:
-    """Find the probability of all places that are likelier than the true one."""
+def _goal_region(density: GoalDensity, truth: Array) -> tuple[Array, Array]:
+    """Find the probability of all places that are likelier than the true one, f32[2]."""
     #     below = Σ_h m_h [f₋ₕ(x_h) > t] + Σ_o m_o (1 − (t − b_o) / p_o),    t = f(truth)
     # with f the mixture of Gaussians about seen objects (peak m_o / 2π s_o = p_o over the
     # background b_o) and of kernels about hypotheses. A hypothesis is one draw, and does not count
@@ -65,23 +63,20 @@ def _goal_region(density: GoalDensity, true_x: Array, true_y: Array) -> tuple[Ar
     seen, open_mass = density.object_mass * scale, density.hypothesis_mass * scale
     variance = jnp.maximum(density.object_variance, _MIN_VARIANCE)
 
-    supposed = density.hypothesis_x, density.hypothesis_y
-    observed = density.object_x, density.object_y
-
-    def kernels(of: tuple[Array, Array], variance: Array, x: Array, y: Array) -> Array:
-        dx, dy = x[:, None] - of[0][None], y[:, None] - of[1][None]
+    def kernels(of: Array, variance: Array, places: Array) -> Array:
+        dx, dy = places[:, :, None] - of[:, None]
         return jnp.exp(gaussian.log_normal_isotropic(dx, dy, variance))
 
-    hypotheses = functools.partial(kernels, supposed, jnp.float32(BANDWIDTH**2))
-    objects = functools.partial(kernels, observed, variance[None])
-    truth = true_x[None], true_y[None]
-    at_truth = (hypotheses(*truth) @ open_mass + objects(*truth) @ seen)[0]
-    own = hypotheses(*supposed)
+    hypotheses = functools.partial(kernels, density.hypotheses, jnp.float32(BANDWIDTH**2))
+    objects = functools.partial(kernels, density.objects, variance[None])
+    place = truth[:, None]
+    at_truth = (hypotheses(place) @ open_mass + objects(place) @ seen)[0]
+    own = hypotheses(density.hypotheses)
     is_copy = own > (1.0 - 1e-6) / (2.0 * jnp.pi * BANDWIDTH**2)
-    at_hypotheses = jnp.where(is_copy, 0.0, own) @ open_mass + objects(*supposed) @ seen
+    at_hypotheses = jnp.where(is_copy, 0.0, own) @ open_mass + objects(density.hypotheses) @ seen
     is_self = jnp.eye(seen.shape[0], dtype=bool)
-    background = jnp.where(is_self, 0.0, objects(*observed)) @ seen
-    background = hypotheses(*observed) @ open_mass + background
+    background = jnp.where(is_self, 0.0, objects(density.objects)) @ seen
+    background = hypotheses(density.objects) @ open_mass + background
     peak = seen / (2.0 * jnp.pi * variance)
     share = 1.0 - jnp.clip((at_truth - background) / jnp.maximum(peak, 1e-20), 0.0, 1.0)
     below = jnp.sum(jnp.where(at_hypotheses > at_truth, open_mass, 0.0)) + jnp.sum(seen * share)
@@ -127,12 +122,10 @@ def _density(goals: Goals, variance: Array) -> GoalDensity:
     hypothesis = goals.hypothesis_mass[chosen]
     scale = jnp.sum(goals.hypothesis_mass) / jnp.maximum(jnp.sum(hypothesis), 1e-9)
     return GoalDensity(
-        object_x=goals.object_x[:-1],
-        object_y=goals.object_y[:-1],
+        objects=jnp.stack([goals.object_x, goals.object_y])[:, :-1],
         object_mass=goals.object_mass[:-1],
         object_variance=variance,
-        hypothesis_x=goals.hypothesis_x[chosen],
-        hypothesis_y=goals.hypothesis_y[chosen],
+        hypotheses=jnp.stack([goals.hypothesis_x, goals.hypothesis_y])[:, chosen],
         hypothesis_mass=hypothesis * scale,
     )
 
@@ -217,7 +210,7 @@ def is_it(apart: Array, is_event: Array) -> Array:
 def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
     """Hold the belief of the decision between two states of an episode against the truth."""
     scenario, belief = progress.task.scenario, after.navigator.belief
-    true_x, true_y = scenario.goal - progress.world.position + info.robot
+    truth = scenario.goal - progress.world.position + info.robot
     goals, covariance = info.goals, belief.particles.covariance
     # How well objects are known relative to the robot: Σ_oo + Σ_rr − 2 Σ_or.
     number = covariance.shape[0] - 1
@@ -226,11 +219,11 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
     variance = jnp.sum(relative * jnp.exp(belief.log_weight)[None, :], axis=1)
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, progress.steps), _JUDGING)
     drawn = _independent(key, goals, belief, progress.navigator.instruction.readings)
-    below, _ = _goal_region(_density(drawn, variance), true_x, true_y)
-    _, log_density = _goal_region(_density(goals, variance), true_x, true_y)
+    below, _ = _goal_region(_density(drawn, variance), truth)
+    _, log_density = _goal_region(_density(goals, variance), truth)
     # Events: observed objects of the goal's type. The robot's entry is last and no object.
     is_event = _is_held_as(belief, scenario.object_type[scenario.goal_index])
-    apart = jnp.hypot(goals.object_x[:-1] - true_x, goals.object_y[:-1] - true_y)
+    apart = jnp.hypot(goals.object_x[:-1] - truth[0], goals.object_y[:-1] - truth[1])
     outcome = is_it(apart, is_event).astype(jnp.float32)
     decile = jnp.clip(below * NUM_BINS, 0, NUM_BINS - 1).astype(jnp.int32)
     one = Tally(
