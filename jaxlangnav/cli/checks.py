@@ -20,12 +20,6 @@ Number = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="
 Ranges = Annotated[str | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")]
 
 
-def check_at_least(option: str, value: int, least: int) -> None:
-    """Refuse a number below its limit."""
-    if value < least:
-        raise UsageError(f"{option} is {value}, but must be at least {least}")
-
-
 def check_seed(value: int) -> None:
     """Refuse a seed that does not fit into the root of the keys."""
     if not 0 <= value < 2**32:

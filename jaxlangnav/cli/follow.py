@@ -11,6 +11,7 @@ from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import SettingPath, apply, equip, read_settings
+from jaxlangnav.inputs.limits import refuse_below
 
 if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
@@ -115,8 +116,8 @@ class Follow:
         """Refuse options that cannot be; what is said, by step."""
         checks.check_range(self.range)
         checks.check_seed(self.seed)
-        checks.check_at_least("--particles", self.particles, 2)
-        checks.check_at_least("--max-steps", self.max_steps, 1)
+        refuse_below(2, **{"--particles": self.particles})
+        refuse_below(1, **{"--max-steps": self.max_steps})
         checks.check_folder("--out", self.out)
         script = speech.read_script(self.hear, self.max_steps)
         speech.check_speakers(ask=self.ask, talk=self.talk, person=self.person)

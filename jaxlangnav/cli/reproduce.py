@@ -9,6 +9,7 @@ from jaxlangnav.cli import checks
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import apply, read_settings
+from jaxlangnav.inputs.limits import refuse_below
 
 _EPISODES = {"robustness": 500}
 _TAKES = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
@@ -124,7 +125,7 @@ class Reproduce:
         least = {"trials": 1, "episodes": 1, "particles": 2}
         for option, number in least.items():
             if getattr(self, option) is not None:
-                checks.check_at_least(f"--{option}", getattr(self, option), number)
+                refuse_below(number, **{f"--{option}": getattr(self, option)})
         if self.trials is not None and self.what != "table3":
             raise UsageError(f"--trials is for table3, but {self.what} is run")
         checks.check_seed(self.seed or 0)

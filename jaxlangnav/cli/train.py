@@ -7,9 +7,10 @@ from typing import Any, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import File, check_at_least, check_file, check_seed
+from jaxlangnav.cli.checks import File, check_file, check_seed
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.language.phrase import LEAST_PROBABILITY
 
 
@@ -140,12 +141,12 @@ class Evaluate:
 
     def run(self, output: Output) -> Document:
         """Run the protocol and print the table beside the paper's."""
-        check_at_least("--splits", self.splits, 2)
+        refuse_below(2, **{"--splits": self.splits})
         check_seed(self.seed)
         if not self.beams:
             raise UsageError("--beams needs at least one width")
         for beam in self.beams:
-            check_at_least("--beams", beam, 1)
+            refuse_below(1, **{"--beams": beam})
         if not 0.0 <= self.least_probability <= 1.0:
             raise UsageError(f"--least-probability must be in [0, 1], not {self.least_probability}")
         if self.rewrites is not None and self.sentences is None:

@@ -100,11 +100,7 @@ def _step_keys(progress: EpisodeState) -> Array:
 
 def observe(progress: EpisodeState) -> Observation:
     """Sense what the next step is decided by; the same however often it is asked for."""
-    return _sense(_step_keys(progress)[0], progress)
-
-
-def _sense(key: Array, progress: EpisodeState) -> Observation:
-    task = progress.task
+    task, key = progress.task, _step_keys(progress)[0]
     return sense(key, progress.world, task.scenario, task.sensor, task.told)
 
 
@@ -119,8 +115,8 @@ def cycle(
     progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[EpisodeState, NavigatorInfo, Observation]:
     """Run one cycle as ``advance`` does, and return what was sensed in it, too."""
-    task, (sense_key, decide_key, move_key) = progress.task, _step_keys(progress)
-    observation = _sense(sense_key, progress)
+    task, (_, decide_key, move_key) = progress.task, _step_keys(progress)
+    observation = observe(progress)
     state, action, info = navigator.step(
         decide_key, progress.navigator, observation, params=params, config=config
     )
