@@ -20,7 +20,7 @@ from jaxlangnav.semantic_map.coverage import unexplored
 from jaxlangnav.semantic_map.params import default_map_params
 from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored
 from jaxlangnav.semantic_map.proposal.enumerate import Pairs
-from jaxlangnav.semantic_map.proposal.ranks import PLURAL, log_rank
+from jaxlangnav.semantic_map.proposal.ranks import log_rank
 from jaxlangnav.semantic_map.proposal.relation_query import Query
 
 CONES = np.array([[4.0, 3.0], [7.0, -3.0], [10.0, 4.0], [0.0, 0.0]], np.float32)
@@ -59,7 +59,7 @@ def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0,
         coverage=unexplored(jnp.array([-20.0, 20.0, -20.0, 20.0]), 4),
         first_row=jnp.int32(0),
         log_area=jnp.log(1600.0),
-        log_unseen=jnp.float32(LOG_NEW) - jnp.log(PLURAL * PARAMS.concentration),
+        log_unseen=jnp.float32(LOG_NEW) - jnp.log(PARAMS.concentration),
     )
     return said, seen, draws, scene
 
@@ -109,15 +109,18 @@ def test_what_comes_before_may_be_unseen():
     nearer, farther = (2.0, 0.0), (20.0, 0.0)
     for unseen, share in (((nearer, farther), 0.5), ((nearer, nearer), 1.0)):
         one = order(NEAR, 2, known=(0,), unseen=unseen)
-        np.testing.assert_allclose(weigh(one)[0], LOG_NEW + np.log(share), rtol=1e-5)
-    third = order(NEAR, 3, known=(0,), unseen=(nearer, nearer))
-    np.testing.assert_allclose(weigh(third)[0], 2 * LOG_NEW, rtol=1e-5)
+        np.testing.assert_allclose(weigh(one)[0], np.log(share), atol=1e-6)
+    third = order(NEAR, 3, known=(0,), unseen=(nearer, farther))
+    np.testing.assert_allclose(weigh(third)[0], 2 * np.log(0.5), rtol=1e-5)
+    # Two have been seen, and of no more than two does anyone speak: others are as likely as ever.
+    one = order(NEAR, 2, known=(0, 1), unseen=(nearer, farther))
+    np.testing.assert_allclose(weigh(one)[0], LOG_NEW + np.log(0.5), rtol=1e-5)
 
 
 def test_where_nothing_unseen_comes_before_it_the_first_is_no_third():
     """As many cones are unseen as there are, but beyond those in view: none is before the first."""
     said, seen, draws, scene = order(NEAR, 3, unseen=((20.0, 0.0),) * 2)
-    scene = scene._replace(log_unseen=-jnp.log(PLURAL * PARAMS.concentration))
+    scene = scene._replace(log_unseen=-jnp.log(PARAMS.concentration))
     first, second, third, _ = weigh((said, seen, draws, scene))
     np.testing.assert_allclose([first, second, third], np.log([1e-4, 1e-2, 1.0]), atol=1e-5)
 
@@ -125,14 +128,12 @@ def test_where_nothing_unseen_comes_before_it_the_first_is_no_third():
 def test_a_superlative_speaks_of_several():
     """One cone seen: it is the nearest of several only if another one is farther."""
     farther, nearer = ((20.0, 0.0),) * 2, ((2.0, 0.0),) * 2
-    np.testing.assert_allclose(
-        weigh(order(NEAR, 1, known=(0,), unseen=farther))[0], LOG_NEW, rtol=1e-5
-    )
+    np.testing.assert_allclose(weigh(order(NEAR, 1, known=(0,), unseen=farther))[0], 0.0, atol=1e-6)
     for one in (
         order(NEAR, 1, known=(0,), unseen=nearer),
         order(FAR, 1, known=(0,), unseen=farther),
     ):
-        np.testing.assert_allclose(weigh(one)[0], LOG_NEW + np.log(0.1), rtol=1e-5)
+        np.testing.assert_allclose(weigh(one)[0], np.log(0.1), rtol=1e-5)
 
 
 def test_the_only_one_on_a_side_is_still_the_best_there():

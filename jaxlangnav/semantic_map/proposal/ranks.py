@@ -3,9 +3,11 @@
 "Nearest to the car" says where its figure is, and that no other seen thing of its type is nearer.
 "The second", "the leftmost", "the farthest" and, of the robot, "the nearest" are orders, which say
 nothing of how far: only which of their type come before. What comes before may be unseen, so a
-figure with too few seen things before it is worth as much as unseen ones there are probable:
+figure with too few seen things before it is worth as much as unseen ones there are expected:
 λ A u = α u for each, of which the share that would come before counts. "The second" needs one
-before it; "the nearest" needs another one after it, or nobody would say so.
+before it; "the nearest" needs another one after it, or nobody would say so. Who says "the third"
+speaks of three, and who says "the leftmost" of two: until so many have been seen, each unseen one
+that is needed is there for sure.
 """
 
 import functools
@@ -29,8 +31,6 @@ _TIE = 1e-3  # metres within which a seen thing is the figure itself
 _LEAST_BEFORE, _LEAST_AFTER = 0.01, 0.1
 """Share of the unseen that may come before, and after, where neither of few draws does."""
 _OFF_SIDE = 1e-3  # weight of a figure that is not on the side where it is said to be
-PLURAL = 10.0
-"""Who says "the second" or "the rightmost" speaks of several: so much likelier are unseen ones."""
 
 
 def log_rank(
@@ -115,7 +115,10 @@ def _log_order(
     unseen_share = jnp.exp(prepend_axes(scene.log_unseen, others.ndim))
     log_more = log_expected(others, unseen_share, params=params, num_pooled=num_pooled)
     log_unseen = prepend_axes(scene.log_unseen, own.ndim)
-    log_new = prepend_axes(jnp.log(PLURAL) + log_more, own.ndim) + log_unseen
+    is_seen = jnp.any(is_rival & (jnp.abs(rival - own[None]) <= _TIE), axis=0)
+    number = jnp.sum(is_rival, axis=0) + jnp.where(is_seen, 0, 1)
+    log_new = prepend_axes(log_more, own.ndim) + log_unseen
+    log_new = jnp.where(number < jnp.maximum(rank, 2), jnp.maximum(log_new, 0.0), log_new)
 
     def log_there(is_there: Array, least: float) -> Array:
         share = jnp.mean(counts[num_seen:num_others] & is_there, axis=0)

@@ -43,10 +43,12 @@ from jaxlangnav.semantic_map.proposal.candidates import (
     list_candidates,
 )
 from jaxlangnav.semantic_map.proposal.enumerate import Proposals, meaning, propose
-from jaxlangnav.semantic_map.proposal.ranks import PLURAL, log_rank
+from jaxlangnav.semantic_map.proposal.ranks import log_rank
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query
 
 _LOG_FLOOR = -60.0
+PLURAL = 10.0
+"""Who says "the second" or "the rightmost" speaks of several: so much likelier is an unseen one."""
 
 
 def ground_relation(
