@@ -97,6 +97,10 @@ def test_a_region_without_a_figure_only_says_that_its_landmark_exists():
 def test_the_robot_is_a_landmark_and_ranks_are_kept():
     assert read(((relation_symbol(CONE, NEAR, ROBOT), 1),)).mentions == (ROBOT, CONE)
     assert read(((relation_symbol(CONE, NEAR, ROBOT), 2),)).relations == ((1, NEAR, 0, 2),)
+    # The robot's side comes after what ties the cone to a hydrant, which may show where it is.
+    assert [
+        one[2] for one in read((said(HYDRANT, BEHIND, CONE), said(CONE, NEAR, ROBOT))).relations
+    ] == [1, 0]
 
 
 def said(figure, relation, landmark, rank=0):

@@ -185,6 +185,10 @@ def read(*clauses: RankedAnnotations) -> Reading:
     for said in clauses:
         reader.read(said)
     relations = things_last(reader.relations, lambda one: (one[0], one[2]), reader.mentions)
+    robots = {index for index, kind in enumerate(reader.mentions) if kind == ROBOT}
+    joined = {end for one in relations if one[2] not in robots | {NONE} for end in (one[0], one[2])}
+    # What is seen of a pair shows where the other one is, which a side of the robot hardly does.
+    relations = sorted(relations, key=lambda one: one[2] in robots and one[0] in joined)
     return Reading(tuple(reader.mentions), tuple(relations))
 
 
