@@ -19,7 +19,7 @@ from jaxlangnav.planner.constraints import (
     price_along,
     safe_share,
 )
-from jaxlangnav.planner.detours import Detours, detours
+from jaxlangnav.planner.detours import detours
 from jaxlangnav.planner.situation import Situation
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
@@ -51,7 +51,7 @@ def shown(things, robot, share: float = 1.0) -> Situation:
     return replace(made, constraint=jnp.asarray(forbidden))
 
 
-def way_to(things, robot, places, spare: float = 0.0, share: float = 1.0) -> Detours:
+def way_to(things, robot, places, spare: float = 0.0, share: float = 1.0) -> tuple:
     x, y = jnp.asarray(places, jnp.float32).T
     return DETOURS(shown(things, robot, share), x, y, jnp.full(x.shape, jnp.float32(spare)))
 
@@ -81,7 +81,7 @@ def test_ways_are_the_shortest_that_keep_the_berth() -> None:
             continue
         best = shortest_way(robot, place, things, AREA, berth=BERTH, reach=0.05)
         length = np.hypot(*(place - robot))
-        found = length + float(way_to(things, robot, [place]).metres[0])
+        found = length + float(way_to(things, robot, [place])[0][0])
         # A gap that is a little too narrow may be cheaper than the way round.
         assert best > 0.95 * found - 0.1
         assert found > min(best, 1.5 * length) - 0.3
@@ -91,16 +91,15 @@ def test_ways_are_the_shortest_that_keep_the_berth() -> None:
 
 def test_with_nothing_forbidden_ways_are_straight() -> None:
     for share in (0.0, 0.02):
-        way = way_to([(3.0, 0.0)], (0.0, 0.0), [(6.0, 0.0), (1.0, 2.0)], share=share)
-        np.testing.assert_array_equal(way.metres, 0.0)
-        np.testing.assert_array_equal([way.x, way.y], [[6.0, 1.0], [0.0, 2.0]])
+        longer, *at = way_to([(3.0, 0.0)], (0.0, 0.0), [(6.0, 0.0), (1.0, 2.0)], share=share)
+        np.testing.assert_array_equal(longer, 0.0)
+        np.testing.assert_array_equal(at, [[6.0, 1.0], [0.0, 2.0]])
 
 
 def test_from_within_the_berth_the_way_leads_out() -> None:
     robot = np.array([-0.6, 0.1])
     for _ in range(3):
-        way = way_to([(0.0, 0.0)], robot, [(6.0, 0.0)])
-        corner = np.array([way.x[0], way.y[0]])
+        _, *corner = np.array(way_to([(0.0, 0.0)], robot, [(6.0, 0.0)]))[:, 0]
         assert np.hypot(*corner) > BERTH - 0.01
         after = robot + 0.4 * (corner - robot) / np.hypot(*(corner - robot))
         assert np.hypot(*after) > np.hypot(*robot) + 0.2
@@ -118,10 +117,10 @@ def test_from_within_the_berth_the_way_leads_out() -> None:
 def test_a_goal_in_the_berth_is_reached_from_its_far_side(things, start, goal) -> None:
     robot, path = np.array(start), [np.array(start)]
     for _ in range(14):
-        way = way_to(things, robot, [goal], spare=1.08)
-        assert 0.0 < float(way.metres[0]) < 12.0 or np.hypot(*(robot - goal)) < 1.2
-        span = np.array([way.x[0], way.y[0]]) - robot
-        short = 1.08 if abs(float(way.x[0]) - goal[0]) < 1e-6 else 0.0
+        longer, *corner = np.array(way_to(things, robot, [goal], spare=1.08))[:, 0]
+        assert 0.0 < longer < 12.0 or np.hypot(*(robot - goal)) < 1.2
+        span = corner - robot
+        short = 1.08 if abs(corner[0] - goal[0]) < 1e-6 else 0.0
         robot = robot + max(min(1.0, np.hypot(*span) - short), 0.0) * span / np.hypot(*span)
         path.append(robot)
     assert np.hypot(*(robot - goal)) < 1.2
@@ -135,8 +134,8 @@ def test_a_gap_is_taken_once_where_there_is_no_other_way() -> None:
     x, y, met = 0.0, 0.0, [(0.0, 0.0)]
     while x < 5.9 and len(met) < 20:
         made = replace(made, robot_x=jnp.float32(x), robot_y=jnp.float32(y))
-        way = DETOURS(made, jnp.array([6.0]), jnp.array([-0.8]), jnp.zeros(1))
-        span = np.array([float(way.x[0]) - x, float(way.y[0]) - y])
+        _, *corner = DETOURS(made, jnp.array([6.0]), jnp.array([-0.8]), jnp.zeros(1))
+        span = np.ravel(corner) - [x, y]
         x, y = np.array([x, y]) + span * min(1.0, 1.0 / np.hypot(*span))
         met.append((x, y))
     met = np.array(met)
@@ -147,14 +146,14 @@ def test_a_gap_is_taken_once_where_there_is_no_other_way() -> None:
 def test_a_corner_that_was_given_up_is_gone_round_by_the_other_side() -> None:
     made = shown([(3.0, 0.1)], (0.0, 0.0))
     place = jnp.array([6.0]), jnp.array([0.0]), jnp.zeros(1)
-    way = DETOURS(made, *place)
-    assert float(way.y[0]) < 0.0
-    given_up = {"closed_x": way.x[0], "closed_y": way.y[0], "closed_for": 9}
+    _, (x,), (y,) = DETOURS(made, *place)
+    assert y < 0.0
+    given_up = {"closed_x": x, "closed_y": y, "closed_for": 9}
     blocked = replace(
         made.way, **{name: getattr(made.way, name).at[0].set(at) for name, at in given_up.items()}
     )
-    other = DETOURS(replace(made, way=blocked), *place)
-    assert np.hypot(other.x[0] - way.x[0], other.y[0] - way.y[0]) > 0.7
+    _, (other_x,), (other_y,) = DETOURS(replace(made, way=blocked), *place)
+    assert np.hypot(other_x - x, other_y - y) > 0.7
 
 
 def test_stops_are_put_out_of_the_berth_where_one_sees_in() -> None:

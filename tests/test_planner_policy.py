@@ -17,7 +17,7 @@ from jaxlangnav.planner.informed import decide_on
 from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Decision, Waypoint
-from jaxlangnav.planner.search import CELLS, LATTICE, search_map, viewpoints, visibility
+from jaxlangnav.planner.search import CELLS, LATTICE, grid, search_map, visibility
 from jaxlangnav.planner.termination import Chances, chance_left, chances
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations.density import SIDE_CONCENTRATION
@@ -88,7 +88,7 @@ def test_free_hypotheses_are_where_words_place_them_against_the_robot() -> None:
 def test_visibility_is_a_disc() -> None:
     belief = believe(random_places(), is_hung=False)
     search = SEARCH_MAP(belief)
-    x, y = viewpoints(belief.coverage.area)
+    x, y = grid(belief.coverage.area, LATTICE)
     sees = np.asarray(visibility(x, y, search, jnp.float32(3.0), belief.coverage.area))
     assert sees.shape == (LATTICE**2, CELLS**2)
     distance = np.hypot(

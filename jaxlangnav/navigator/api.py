@@ -28,12 +28,12 @@ from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.limits import bounded
 from jaxlangnav.inputs.object_types import is_anything, name_of
 from jaxlangnav.inputs.observations import SLOTS, area_numbers, pose_numbers
-from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.sanitize import cut, quoted
 from jaxlangnav.language.halting import act_of
 from jaxlangnav.messages import Action, Observation, SensorParams, Status, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.navigator.candidates import Candidate, candidates, mentioned_types, unseen_types
-from jaxlangnav.navigator.canonicalize import canonicalize, check_set_sizes, check_state
+from jaxlangnav.navigator.canonicalize import MOST_BITS, canonicalize, check_state
 from jaxlangnav.navigator.deployment import deployment_config, deployment_params, with_numbers
 from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_measures
 from jaxlangnav.planner.config import AnyPolicy
@@ -102,7 +102,10 @@ class Navigator:
         """Refuse parameters with which the robot could never stop, and sizes that do not fit."""
         navigator.check(self.params, policy=self.config.planner.chosen)
         num_objects, num_mentions = self.config.map.num_objects, self.capacity.num_mentions
-        check_set_sizes(num_objects=num_objects, num_mentions=num_mentions)
+        for name, size in {"num_objects": num_objects, "num_mentions": num_mentions}.items():
+            if size > MOST_BITS:
+                most = f"at most {MOST_BITS} are told apart in a conversation"
+                raise ValueError(f"{name} is {quoted(size)}, but {most}")
 
     @property
     def type_names(self) -> tuple[str, ...]:

@@ -27,16 +27,6 @@ _FILLERS: dict[str, tuple[Any, Any]] = {
 """Of each field with a row a detection: dtype, and what empty slots hold."""
 
 
-def check_set_sizes(**sizes: int) -> None:
-    """Refuse more slots or mentions, by name, than sets of bits can hold, with a ValueError."""
-    for name, size in sizes.items():
-        if size > MOST_BITS:
-            raise ValueError(
-                f"{name} is {quoted(size)}, but at most {MOST_BITS} are told apart in a "
-                "conversation"
-            )
-
-
 def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -> NavigatorState:
     """Refuse, with a ValueError, what is no state or one of other labels or another policy.
 

@@ -155,7 +155,7 @@ def step(
         choice=choice,
         goals=task.goals,
         behavior=task.expected,
-        robot=jnp.stack([task.robot_x, task.robot_y]),
+        robot=jnp.stack(task.robot),
     )
     return after, action, info
 
@@ -222,14 +222,13 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     belief = about_robot(replace(state.belief, particles=dialogue.focus(particles, talk.words)))
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
-    robot_x, robot_y = robot_position(belief)
+    robot = robot_position(belief)
     has_open = has_open_partner(group, belief.particles)
     return InferredTask(
         fault=fault,
         belief=belief,
         stands=(fault != 0) | state.is_resting,
-        robot_x=robot_x,
-        robot_y=robot_y,
+        robot=robot,
         behavior=behavior,
         expected=jax.tree.map(
             lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
@@ -250,10 +249,10 @@ def _decide(
 ) -> tuple[NavigatorState, policy.Decision]:
     """Have the policy decide where to go (section 3.4); ``key`` is the whole cycle's."""
     goals, planner = task.goals, params.planner
-    robot_x, robot_y = task.robot_x, task.robot_y
+    robot_x, robot_y = task.robot
     visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)
     is_find, view = task.expected.action[ACTIONS.index("find")], task.belief.terrain.view
-    eye = Eye(robot_x, robot_y, sensor.range_max)
+    eye = Eye(*task.robot, sensor.range_max)
     may_stop = policy.may_stop(goals, eye, is_find, params=planner, view=view)
     readings, context = state.instruction.readings, state.talk.context
     situation = policy.Situation(
@@ -279,7 +278,7 @@ def _decide(
     )
     key = jax.random.fold_in(key, _PLANNING)
     memory, choice = policy.choose(config.planner.chosen, key, state.memory, situation)
-    robot, waypoint = (robot_x, robot_y), (choice.next_x, choice.next_y)
+    waypoint = choice.next_x, choice.next_y
     is_under_way = ~task.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
-    way = update_progress(state.way, waypoint, robot, is_under_way, patience=config.patience)
+    way = update_progress(state.way, waypoint, task.robot, is_under_way, patience=config.patience)
     return replace(state, visited=visited, memory=memory, way=way), choice

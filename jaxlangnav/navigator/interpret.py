@@ -165,7 +165,13 @@ class Listener:
         has_more = int(state.instruction.num_clauses) > 0 and not bool(state.is_done)
         if said.kind == Kind.ADDITION and has_more:
             how = How.APPEND
-            self._check_room(state, grounded, text)
+            left = int(state.instruction.num_clauses) - int(state.clause)
+            wanted, most = left + int(grounded.instruction.num_clauses), state.talk.viewer.shape[0]
+            if wanted > most:
+                raise ValueError(
+                    f"{cut(text)!r} makes {wanted} commands; at most {most} are held: say it again "
+                    "when one of them is carried out"
+                )
             if spoken.steps:
                 raise ValueError(
                     f"{cut(text)!r}: where the robot will stand when its task is done is not known "
@@ -216,16 +222,6 @@ class Listener:
         goal = int(np.asarray(state.talk.words.goal)[best, int(state.clause)])
         kind = NONE if goal == NONE else int(np.asarray(readings.mention_type)[best, goal])
         return (kind if kind >= 0 else NONE), False
-
-    def _check_room(self, state: NavigatorState, grounded: Grounded, text: str) -> None:
-        """Refuse more commands than are held."""
-        left = int(state.instruction.num_clauses) - int(state.clause)
-        wanted, most = left + int(grounded.instruction.num_clauses), state.talk.viewer.shape[0]
-        if wanted > most:
-            raise ValueError(
-                f"{cut(text)!r} makes {wanted} commands; at most {most} are held: say it again "
-                "when one of them is carried out"
-            )
 
     def _ruled_out(
         self, state: NavigatorState, said: Utterance, grounded: Grounded, text: str

@@ -136,8 +136,7 @@ class InferredTask(NamedTuple):
     fault: Array  # i32[] bits of Fault; 0 for a sound look and a task
     belief: ParticleBelief  # as far as the task speaks of it
     stands: Array  # bool[] the robot stands still: for a fault, or as it has been told or has ended
-    robot_x: Array  # f32[] believed position, metres, map frame
-    robot_y: Array  # f32[]
+    robot: tuple[Array, Array]  # f32[] x and y, believed position, metres, map frame
     behavior: Behavior  # leaves [..., P]
     expected: Behavior  # expectation over particles
     is_relevant: Array  # bool[M, P] mentions that bear on the goal of the present command
@@ -178,12 +177,11 @@ def make_action(
     """
     mode = jnp.argmax(task.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
-    robot = jnp.stack([task.robot_x, task.robot_y])
     waypoint = jnp.stack([choice.next_x, choice.next_y])
     stands = task.stands | (state.is_done & ~choice.is_stop)
-    waypoint = jnp.where(stands, robot, waypoint)
+    waypoint = jnp.where(stands, jnp.stack(task.robot), waypoint)
     travel = state.belief.terrain.travel
-    here, there = (task.robot_x, task.robot_y), tuple(waypoint)
+    here, there = task.robot, tuple(waypoint)
     next_x, next_y = travel.next_place(*here, *there)
     left, distance = travel.metres(*here, *there), travel.metres(*here, next_x, next_y)
     # A thing is gone up to, not into; anything else is a place to stand on.
@@ -220,9 +218,8 @@ def update_task_state(
     """Remember what the next decision needs; a command carried out makes way for the next one."""
     is_last = _is_last_clause(state)
     # Of the objects that would do, the last command ended at the one gone up to.
-    goals, robot_x, robot_y = task.goals, task.robot_x, task.robot_y
-    travel = state.belief.terrain.travel
-    away = travel.metres(robot_x, robot_y, goals.object_x, goals.object_y)[:-1]
+    goals, travel = task.goals, state.belief.terrain.travel
+    away = travel.metres(*task.robot, goals.object_x, goals.object_y)[:-1]
     will_do = goals.object_accepted[:-1] * params.planner.discount**away
     goal_slot = jnp.argmax(will_do).astype(jnp.int32)
     moves_on = choice.is_stop & ~is_last

@@ -139,10 +139,11 @@ def decide(
     kind = jnp.append(nodes.kind, last.kind)
     way = detours(situation, x, y, jnp.where(kind == OBJECT_NODE, APPROACH * params.reach, 0.0))
     doubt = _own_doubt(situation) if doubt is None else doubt
-    value, cost = _value(situation, valuation, way.metres[:-1], doubt)
+    value, cost = _value(situation, valuation, way[0][:-1], doubt)
     is_last = kept.is_active | jnp.all(value == -jnp.inf)
     index = jnp.where(is_last, value.shape[0], jnp.argmax(value))
-    (to_x, to_y, to_kind), first = select_row((x, y, kind), index), select_row(way, index)
+    to_x, to_y, to_kind = select_row((x, y, kind), index)
+    _, first_x, first_y = select_row(way, index)
     mass = valuation.stop_mass
     is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
     doubt = replace(doubt, asks=doubt.asks & ~situation.stands)
@@ -152,8 +153,8 @@ def decide(
         waypoint_y=to_y,
         kind=to_kind,
         is_stop=is_sure & situation.may_stop & ~doubt.looks_on & ~doubt.asks,
-        next_x=first.x,
-        next_y=first.y,
+        next_x=first_x,
+        next_y=first_y,
         is_approach=(to_kind == OBJECT_NODE) & is_goal,
         is_not_found=no,
         is_kept=kept.is_active,

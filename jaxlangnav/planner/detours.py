@@ -24,7 +24,6 @@ from jaxlangnav.planner.constraints import (
 )
 from jaxlangnav.planner.graph import VISITED, Nodes
 from jaxlangnav.planner.situation import Situation
-from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import Eye
 from jaxlangnav.terrain.view import NEVER
 
@@ -32,15 +31,6 @@ _MOST_CORNERS = 12  # corners of one way
 _UNDERFOOT = 0.1  # metres from a corner that count as having been there
 _TURNS = np.linspace(0.0, 2.0 * np.pi, NUM_TURNS, endpoint=False, dtype=np.float32)
 _PAIRS = np.array(list(itertools.combinations(range(MOST_FORBIDDEN), 2))).T
-
-
-@pytree
-class Detours:
-    """The cheapest ways to places."""
-
-    metres: Array  # f32[A] by how much they cost more than the straight line
-    x: Array  # f32[A] metres, map frame: their first corner, or the place itself
-    y: Array  # f32[A]
 
 
 def _corners(things: Forbidden, situation: Situation) -> Nodes:
@@ -61,7 +51,7 @@ def _corners(things: Forbidden, situation: Situation) -> Nodes:
 
 
 def _cheapest(x: Array, y: Array, spare: Array, things: Forbidden, situation: Situation) -> Array:
-    """Compute shortest paths (Bellman and Ford), f32[3, A]: the leaves of ``Detours``."""
+    """Compute shortest paths (Bellman and Ford), f32[3, A]: longer by, first corner's x, y."""
     corners, terrain = _corners(things, situation), situation.belief.terrain
     number = corners.x.shape[0]
     from_x = jnp.append(situation.robot_x, corners.x)[:, None]
@@ -98,10 +88,12 @@ def _cheapest(x: Array, y: Array, spare: Array, things: Forbidden, situation: Si
     return jnp.stack([longer, first_x, jnp.where(is_round, corners.y[corner], y)])
 
 
-def detours(situation: Situation, x: Array, y: Array, spare: Array) -> Detours:
+def detours(situation: Situation, x: Array, y: Array, spare: Array) -> tuple[Array, Array, Array]:
     """Find the cheapest ways to places round what is forbidden.
 
-    Places are f32[A] metres, map frame; to be ``spare`` metres short of each is enough. Limits:
+    Places are f32[A] metres, map frame; to be ``spare`` metres short of each is enough. f32[A]
+    each: metres by which the ways cost more than the straight line, and x and y of their first
+    corner, or of the place itself. Limits:
     with nothing forbidden they are straight, and nothing is computed; a place within the berth has
     a finite price. Corners behind walls are not made use of.
     """
@@ -114,5 +106,4 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> Detours:
         return _cheapest(x, y, spare, things, situation)
 
     longer, first_x, first_y = skip_unless_any(is_meant, weigh, (places, things))
-    x, y = jnp.where(is_meant, first_x, x), jnp.where(is_meant, first_y, y)
-    return Detours(metres=longer, x=x, y=y)
+    return longer, jnp.where(is_meant, first_x, x), jnp.where(is_meant, first_y, y)

@@ -36,14 +36,6 @@ def no_waypoint() -> Waypoint:
     return Waypoint(x=zero, y=zero, kind=jnp.int32(0), is_active=jnp.asarray(False))
 
 
-def with_frontiers(situation: Situation) -> Situation:
-    """Show the paper's nodes: frontiers, places visited, objects seen (eq. 9)."""
-    places = graph.frontiers(
-        situation.belief.coverage, situation.num_blocks, situation.params.frontier_miss
-    )
-    return replace(situation, nodes=graph.put_first(*places, situation.nodes))
-
-
 def qmdp_value(situation: Situation) -> Valuation:
     """Value nodes as the paper does (eq. 11, 12): by the goals that lie near, and nothing else."""
     params, goals = situation.params, situation.goals
@@ -84,7 +76,10 @@ class Keeping(Policy):
     def step(self, key: Array, memory: Waypoint, situation: Situation) -> tuple[Waypoint, Decision]:
         """Go on to the waypoint under way, or to the best node."""
         del key
-        situation = with_frontiers(situation)
+        # The paper's nodes: frontiers, places visited, objects seen (eq. 9).
+        coverage, least = situation.belief.coverage, situation.params.frontier_miss
+        places = graph.frontiers(coverage, situation.num_blocks, least)
+        situation = replace(situation, nodes=graph.put_first(*places, situation.nodes))
         keeps = ~situation.is_news & _is_worth_keeping(memory, situation)
         decision = decide(situation, self.value(situation), replace(memory, is_active=keeps))
         x, y, goes_on = decision.waypoint_x, decision.waypoint_y, ~decision.is_stop

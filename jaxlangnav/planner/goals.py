@@ -105,22 +105,6 @@ def _fits(behavior: Behavior, particles: SemanticMap, weight: Array) -> Array:
     return fits * jnp.concatenate([real, jnp.ones_like(fits[real.shape[0] :])])
 
 
-def _goal_places(
-    belief: ParticleBelief, behavior: Behavior, relations: RelationModel, metres: Array
-) -> tuple[Array, Array]:
-    """Find where the likeliest region of each slot is entered, f32[N + 1, P] metres; x, y."""
-    particles = belief.particles
-    num_objects, number = particles.object_type.shape[0], belief.log_weight.shape[0]
-    viewer_x = jnp.broadcast_to(belief.viewer[0], (1, number))
-    viewer_y = jnp.broadcast_to(belief.viewer[1], (1, number))
-    x = jnp.concatenate([particles.mean_x[:num_objects], particles.hypothesis_x, viewer_x])
-    y = jnp.concatenate([particles.mean_y[:num_objects], particles.hypothesis_y, viewer_y])
-    region = jnp.argmax(behavior.goal, axis=0)
-    is_robot = (jnp.arange(x.shape[0]) == x.shape[0] - 1)[:, None]
-    offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot, metres)
-    return x + offset_x, y + offset_y
-
-
 def gather(
     belief: ParticleBelief,
     behavior: Behavior,
@@ -137,8 +121,15 @@ def gather(
     num_objects = particles.object_type.shape[0]
     fits = _fits(behavior, particles, weight)
     mass = claim(fits, particles)
-    x, y = _goal_places(belief, behavior, relations, metres)
-    known = jnp.append(jnp.arange(num_objects), x.shape[0] - 1)
+    # Where the likeliest region of each slot is entered.
+    viewer = [jnp.broadcast_to(belief.viewer[axis], (1, weight.shape[0])) for axis in (0, 1)]
+    x = jnp.concatenate([particles.mean_x[:num_objects], particles.hypothesis_x, viewer[0]])
+    y = jnp.concatenate([particles.mean_y[:num_objects], particles.hypothesis_y, viewer[1]])
+    region, last = jnp.argmax(behavior.goal, axis=0), x.shape[0] - 1
+    is_robot = (jnp.arange(x.shape[0]) == last)[:, None]
+    offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot, metres)
+    x, y = x + offset_x, y + offset_y
+    known = jnp.append(jnp.arange(num_objects), last)
     on_known, on_hypotheses = mass[known], mass[num_objects:-1]
     total = jnp.sum(on_known, axis=1)
     # Objects without goal mass keep their plain weighted mean as a place to go to.

@@ -64,17 +64,15 @@ class SearchMap:
         return replace(self, free=kept * self.free, hung=hung)
 
 
-def _grid(area: Array, number: int) -> tuple[Array, Array]:
-    """Place number × number points at the centres of equal parts of the area."""
+def grid(area: Array, number: int) -> tuple[Array, Array]:
+    """Place points at the centres of number × number equal parts of an area f32[4].
+
+    f32[number²] x and y, metres, map frame.
+    """
     steps = (jnp.arange(number) + 0.5) / number
     x = area[0] + steps * (area[1] - area[0])
     y = area[2] + steps * (area[3] - area[2])
     return jnp.tile(x, number), jnp.repeat(y, number)
-
-
-def viewpoints(area: Array) -> tuple[Array, Array]:
-    """Build the lattice of viewpoints, f32[LATTICE²] x and y, metres, map frame."""
-    return _grid(area, LATTICE)
 
 
 def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -> Array:
@@ -166,7 +164,7 @@ def search_map(
     """
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
     area = belief.coverage.area
-    x, y = _grid(area, CELLS)
+    x, y = grid(area, CELLS)
     is_open = particles.is_hypothesised  # [M, P]
     is_free = is_open & (particles.root < 0)
     # A figure and landmark that are both unseen come into view together: they count once.

@@ -17,7 +17,7 @@ from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.planner.constraints import keep_out, price_of_stop
 from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_underfoot, latency
-from jaxlangnav.planner.search import SearchMap, viewpoints, visibility
+from jaxlangnav.planner.search import LATTICE, SearchMap, grid, visibility
 from jaxlangnav.pytree import pytree
 
 NUM_GREEDY = 3
@@ -34,7 +34,7 @@ def greedy(
 
     They are leaves [NUM_GREEDY, K], and start at different viewpoints; arguments as for ``plan``.
     """
-    view_x, view_y = viewpoints(area)
+    view_x, view_y = grid(area, LATTICE)
     sees = visibility(view_x, view_y, search, range_max, area)
     metres = search.terrain.travel.metres
     between = metres(view_x[:, None], view_y[:, None], view_x[None, :], view_y[None, :])

@@ -6,7 +6,9 @@ conditional distribution, so that the weight is the predictive probability of th
 Everything takes one particle, or all of them with the particle axis last ("…" in shapes).
 """
 
-from typing import NamedTuple
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -109,9 +111,10 @@ def associate(
     x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
     y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
     predicted = x, y, jnp.maximum(spread, 0.0) + noise_variance
+    weigh = functools.partial(_weigh, growth=growth, doubt=doubt, is_pooled=is_pooled)
 
     def ground(so_far: Association, one: tuple[Detections, Array]) -> tuple[Association, None]:
-        return _ground(so_far, *one, predicted, growth, doubt, is_pooled), None
+        return _ground(so_far, *one, predicted, weigh), None
 
     nobody, nowhere = jnp.zeros(x.shape, bool), jnp.zeros_like(x)
     before = Association(
@@ -132,15 +135,13 @@ def _ground(
     seen: Detections,
     chance: Array,
     predicted: tuple[Array, Array, Array],
-    growth: Array | float,
-    doubt: ClutterOdds | None,
-    is_pooled: bool,
+    weigh: Callable[..., Any],
 ) -> Association:
     """Ground one detection, leaves [], given how those before it are grounded."""
     num_objects, kind, is_there = so_far.object_type.shape[0], seen.object_type, seen.is_detection
     x, y, spread = predicted
     log_existing = gaussian.log_normal_isotropic(seen.offset_x - x, seen.offset_y - y, spread)
-    log_weight, doubted = _weigh(seen, log_existing, so_far, growth, doubt, is_pooled)
+    log_weight, doubted = weigh(seen, log_existing, so_far)
     choice, log_total = categorical.draw(log_weight, chance)
     slots = append_axes(jnp.arange(num_objects), so_far.object_type.ndim)
     free = jnp.min(jnp.where(so_far.object_type == NONE, slots, num_objects), axis=0)

@@ -1,7 +1,5 @@
 """What the robot believes: weighted particles and what they share (section 3.2)."""
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -34,25 +32,21 @@ class ParticleBelief:
     # far, relative to a constant per detection; what new groundings of the words add is left out
 
 
-class Fix(NamedTuple):
-    """Where particles have the robot on average."""
-
-    x: Array  # f32[] metres, map frame
-    y: Array  # f32[] metres
-    drift: Array  # f32[] radians by which the true heading exceeds odometry's
-
-
 def is_led(belief: ParticleBelief) -> Array:
     """Tell which particles drift as the robot goes by, bool[P]: all where nothing is steady."""
     return belief.particles.drift[1] * belief.bias_sign >= 0.0
 
 
-def fix(belief: ParticleBelief, is_chosen: Array) -> Fix:
-    """Compute where some particles, bool[P], have the robot; meaningless of none."""
+def fix(belief: ParticleBelief, is_chosen: Array) -> tuple[Array, Array, Array]:
+    """Compute where some particles, bool[P], have the robot on average; meaningless of none.
+
+    f32[] each: x and y, metres, map frame, and radians that the true heading exceeds odometry's by.
+    """
     weight = jnp.where(is_chosen, jnp.exp(belief.log_weight), 0.0)
     weight, held = weight / jnp.maximum(jnp.sum(weight), 1e-30), belief.particles
     places = held.mean_x[-1], held.mean_y[-1], held.drift[0]
-    return Fix(*(jnp.sum(weight * one) for one in places))
+    x, y, drift = (jnp.sum(weight * one) for one in places)
+    return x, y, drift
 
 
 def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
@@ -71,7 +65,7 @@ def mean_drift(belief: ParticleBelief) -> Array | None:
     """Compute by how much the true heading exceeds odometry's, f32[] radians; None: a compass."""
     if belief.particles.drift.shape[0] == 0:
         return None
-    return fix(belief, is_led(belief)).drift
+    return fix(belief, is_led(belief))[2]
 
 
 def in_map(belief: ParticleBelief, pose: Array) -> Array:

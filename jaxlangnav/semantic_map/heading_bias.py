@@ -58,8 +58,8 @@ def look_around(
     if drift is None:
         return ours, belief.alternate_miss
     is_other = ~is_led(belief)
-    other = fix(belief, is_other)
-    theirs = looked(belief.alternate_miss, other[:2], heading - drift + other.drift).log_miss
+    x, y, turned = fix(belief, is_other)
+    theirs = looked(belief.alternate_miss, (x, y), heading - drift + turned).log_miss
     return ours, jnp.where(jnp.any(is_other), theirs, belief.alternate_miss)
 
 

@@ -120,20 +120,14 @@ def _detections(
         offset_x, offset_y = (append_axes(offset, 3) for offset in (offset_x, offset_y))
         offset_x, offset_y = motion.rotated(offset_x, offset_y, own)
     log_unseen = log_missed(belief, offset_x, offset_y)
+    kinds, attributes = observation.detection_type, observation.detection_attribute
     return association.Detections(
-        object_type=kinds_seen(observation),
+        object_type=kinds if attributes is None else kind_of(kinds, attributes),
         offset_x=offset_x,
         offset_y=offset_y,
         log_new=log_density + jnp.maximum(log_unseen, association.LOG_SURPRISE),
         is_detection=observation.is_detection,
     )
-
-
-def kinds_seen(observation: Observation) -> Array:
-    """Put the types and the attributes of detections together, i32[D] kinds."""
-    if observation.detection_attribute is None:
-        return observation.detection_type
-    return kind_of(observation.detection_type, observation.detection_attribute)
 
 
 def _counted(

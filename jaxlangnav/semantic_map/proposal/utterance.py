@@ -117,19 +117,14 @@ def _ground_all(
     num_mentions: int, own: Own, queries: Query, scene: Unexplored, params: MapParams
 ) -> Grounding:
     """Ground the words of all particles of one lane: leaves [..., P]."""
-    seen, draws, reading = own
-    return _ground(num_mentions, seen, queries_of(queries, reading), draws, scene, params)
+    return _ground(num_mentions, own, queries_of(queries, own[2]), scene, params)
 
 
 def _ground(
-    num_mentions: int,
-    seen: Observed,
-    query: Query,
-    draws: Draws,
-    scene: Unexplored,
-    params: MapParams,
+    num_mentions: int, own: Own, query: Query, scene: Unexplored, params: MapParams
 ) -> Grounding:
     """Ground the words of particles, relation by relation; of what is said leaves [J, ..., P]."""
+    seen, draws, _ = own
     num_relations = jnp.max(jnp.sum(query.mention[:, FIGURE] != NONE, axis=0))
 
     def body(index: Array, grounding: Grounding) -> Grounding:
@@ -191,10 +186,9 @@ def _ground_gathered(
 
     def ground_piece(start: Array) -> Array:
         chosen = jax.lax.dynamic_slice_in_dim(order, start, piece)
-        seen, draws, reading = unpack(table[:, chosen], side_by_side)
-        lane = chosen // number
-        heard, theirs = lane * num_readings + reading, _scene_of(scene, chosen, lane)
-        return pack(_ground(num_mentions, seen, take(all_queries, heard), draws, theirs, params))
+        theirs, lane = unpack(table[:, chosen], side_by_side), chosen // number
+        heard, there = lane * num_readings + theirs[2], _scene_of(scene, chosen, lane)
+        return pack(_ground(num_mentions, theirs, take(all_queries, heard), there, params))
 
     form = jax.eval_shape(lambda: nothing_grounded(num_mentions, size))
     rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(form))
