@@ -10,7 +10,6 @@ from situations import CHOOSE, RANGE, goals_with, nodes_at, seen_goal, situation
 from jaxlangnav.messages import NONE, RIGHT, ROBOT
 from jaxlangnav.planner import policy, tours
 from jaxlangnav.planner.config import SHIPPED
-from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED, Nodes
 from jaxlangnav.planner.informed import decide_on
@@ -120,7 +119,8 @@ def choose(aims: Goals, robot=(0.0, 0.0), *, waypoint=None, places=(), **kwargs)
     log_miss[19, 9] = 0.0
     belief = by_hand.with_objects(by_hand.begin(config=CONFIG), list(places))
     shown = situation(by_hand.with_coverage(belief, log_miss), nodes(), aims, robot, **kwargs)
-    after, decision = CHOOSE(SHIPPED["faithful"], KEY, waypoint or no_waypoint(), shown)
+    faithful = SHIPPED["faithful"]
+    after, decision = CHOOSE(faithful, KEY, waypoint or faithful.init(shown.belief), shown)
     assert bool(after.is_active) is not bool(decision.is_stop)
     np.testing.assert_array_equal(after.x, decision.waypoint_x)
     return decision
@@ -258,7 +258,7 @@ def test_what_is_nowhere_ends_a_search_sooner_by_hand() -> None:
         np.testing.assert_allclose([found.any, found.nowhere], share[[0, 2]], rtol=1e-4)
         assert float(found.elsewhere) == pytest.approx(1 / (1 + (1 / 0.005 - 1) * odds), rel=1e-3)
         assert float(found.fitting) > float(found.any)
-        none = chances(jnp.float32(unseen), jnp.float32(0.0), maps)
+        none = chances(jnp.float32(unseen), jnp.float32(0.0), maps, jnp.float32(0.0))
         assert [float(one) for one in none[:3]] == [float(found.fitting)] * 2 + [0.0]
 
 

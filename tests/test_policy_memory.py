@@ -14,7 +14,6 @@ from test_planner_policy import CONFIG, under_way
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
-from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.planner.policy import Decision, Policy, Situation, Valuation, ahead, decide
 from jaxlangnav.pytree import replace
@@ -235,7 +234,9 @@ def choose(own, *, stop_mass: float | None = None, goal: float = 0.5) -> Decisio
             return valuation
         return dataclasses.replace(valuation, stop_mass=jnp.float32(stop_mass))
 
-    return CHOOSE(as_policy(decide), jax.random.key(0), no_waypoint(), show(goal))[1]
+    policy, now = as_policy(decide), show(goal)
+    memory = policy.init(now.belief)
+    return CHOOSE(policy, jax.random.key(0), memory, now)[1]
 
 
 def show(goal: float) -> Situation:

@@ -222,30 +222,25 @@ def update_task_state(
     away = travel.metres(*task.robot, goals.object_x, goals.object_y)[:-1]
     will_do = goals.object_accepted[:-1] * params.planner.discount**away
     goal_slot = jnp.argmax(will_do).astype(jnp.int32)
-    moves_on = choice.is_stop & ~is_last
+    moves_on, talk = choice.is_stop & ~is_last, state.talk
+    # What it goes up to is remembered for what may be said of it.
+    away = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
+    is_goal = goals.is_object & (goals.object_accepted >= policy.LEAST_GOAL)
+    aimed = jnp.argmin(jnp.where(is_goal, away, jnp.inf)[:-1]).astype(jnp.int32)
+    approached = jnp.where(choice.is_approach, aimed, talk.approached)
+    reached = jnp.where(jnp.any(is_goal[:-1]), goal_slot, talk.approached)
+    talk = replace(
+        talk,
+        approached=jnp.where(choice.is_stop, reached, approached),
+        ruled_out=jnp.where(moves_on, 0, talk.ruled_out),
+        closeness=jnp.where(moves_on, 1.0, talk.closeness),
+        candidate=jnp.where(goals.is_object, goals.object_mass, 0.0)[:-1],
+    )
     return replace(
         state,
         clause=state.clause + moves_on.astype(jnp.int32),
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
         status=_status(state, task, choice, config),
-        talk=_recall(state.talk, goals, choice, goal_slot, moves_on),
+        talk=talk,
         way=replace(state.way, num_closed=jnp.where(moves_on, 0, state.way.num_closed)),
-    )
-
-
-def _recall(
-    talk: Conversation, goals: Goals, choice: policy.Decision, goal_slot: Array, moves_on: Array
-) -> Conversation:
-    """Remember what the robot goes up to, for what may be said of it."""
-    away = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
-    is_goal = goals.is_object & (goals.object_accepted >= policy.LEAST_GOAL)
-    aimed = jnp.argmin(jnp.where(is_goal, away, jnp.inf)[:-1]).astype(jnp.int32)
-    approached = jnp.where(choice.is_approach, aimed, talk.approached)
-    goal_slot = jnp.where(jnp.any(is_goal[:-1]), goal_slot, talk.approached)
-    return replace(
-        talk,
-        approached=jnp.where(choice.is_stop, goal_slot, approached),
-        ruled_out=jnp.where(moves_on, 0, talk.ruled_out),
-        closeness=jnp.where(moves_on, 1.0, talk.closeness),
-        candidate=jnp.where(goals.is_object, goals.object_mass, 0.0)[:-1],
     )

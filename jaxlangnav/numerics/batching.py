@@ -131,7 +131,6 @@ def _keep(values: Any) -> Any:
 
 @_keep.def_vmap
 def _keep_batch(axis_size: int, in_batched: list[Any], values: Any) -> tuple[Any, Any]:
-    del axis_size
     return _keep(values), in_batched[0]
 
 

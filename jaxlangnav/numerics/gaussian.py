@@ -29,18 +29,6 @@ class Moments(NamedTuple):
     mean_y: Array  # f32[n, ...]
 
 
-def add_noise(covariance: Array, index: int, variance: Array) -> Array:
-    """Add independent noise to one coordinate: a motion whose old pose is marginalised out.
-
-        Σ' = Σ + q eᵢ eᵢᵀ
-
-    Of Σ f32[n, n, ...], the index i, and q ≥ 0, f32[], square metres per axis.
-    """
-    unit = jnp.arange(covariance.shape[0]) == index
-    own = append_axes(unit[:, None] & unit[None, :], covariance.ndim)
-    return covariance + jnp.where(own, variance, 0.0)
-
-
 def enter(
     moments: Moments,
     origin: int,

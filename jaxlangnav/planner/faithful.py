@@ -30,12 +30,6 @@ from jaxlangnav.semantic_map.coverage import cell_centres, cell_size
 from jaxlangnav.semantic_map.params import MapParams
 
 
-def no_waypoint() -> Waypoint:
-    """Build the waypoint of a robot that has not chosen yet."""
-    zero = jnp.float32(0.0)
-    return Waypoint(x=zero, y=zero, kind=jnp.int32(0), is_active=jnp.asarray(False))
-
-
 def qmdp_value(situation: Situation) -> Valuation:
     """Value nodes as the paper does (eq. 11, 12): by the goals that lie near, and nothing else."""
     params, goals = situation.params, situation.goals
@@ -70,12 +64,11 @@ class Keeping(Policy):
 
     def init(self, belief: ParticleBelief) -> Waypoint:
         """Begin on the way to nowhere."""
-        del belief
-        return no_waypoint()
+        zero = jnp.float32(0.0)
+        return Waypoint(x=zero, y=zero, kind=jnp.int32(0), is_active=jnp.asarray(False))
 
     def step(self, key: Array, memory: Waypoint, situation: Situation) -> tuple[Waypoint, Decision]:
         """Go on to the waypoint under way, or to the best node."""
-        del key
         # The paper's nodes: frontiers, places visited, objects seen (eq. 9).
         coverage, least = situation.belief.coverage, situation.params.frontier_miss
         places = graph.frontiers(coverage, situation.num_blocks, least)

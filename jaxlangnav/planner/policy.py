@@ -97,7 +97,6 @@ class Policy(Protocol):
         Returns:
             The memory, of the same shapes and dtypes, and the decision.
         """
-        ...
 
     def map_params(self, params: MapParams) -> MapParams:
         """Tell by which numbers the robot filters what it sees and hears: by those given."""

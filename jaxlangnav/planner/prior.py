@@ -42,17 +42,6 @@ def table() -> np.ndarray:
     return found
 
 
-def depth_ahead(area: Array, viewer: Array) -> Array:
-    """Compute how far an area f32[4] reaches ahead of a viewer f32[3]: to its farthest corner.
-
-    f32[], metres along the heading; at least a centimetre.
-    """
-    corner_x, corner_y = area[jnp.array([0, 0, 1, 1])], area[jnp.array([2, 3, 2, 3])]
-    ahead_x, ahead_y = jnp.cos(viewer[2]), jnp.sin(viewer[2])
-    ahead = (corner_x - viewer[0]) * ahead_x + (corner_y - viewer[1]) * ahead_y
-    return jnp.maximum(jnp.max(ahead), 0.01)
-
-
 def relative_density(
     coverage: Coverage, viewer: Array, x: Array, y: Array, share: Array, ahead: Array
 ) -> Array:
@@ -77,8 +66,12 @@ def relative_density(
     left, onward = offset_y * ahead_x - offset_x * ahead_y, offset_x * ahead_x + offset_y * ahead_y
     bearing = jnp.abs(jnp.arctan2(left, onward))
     away = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
+    # The area reaches as far ahead as its farthest corner, and at least a centimetre.
+    corner_x = coverage.area[jnp.array([0, 0, 1, 1])] - viewer[0]
+    corner_y = coverage.area[jnp.array([2, 3, 2, 3])] - viewer[1]
+    depth = jnp.maximum(jnp.max(corner_x * ahead_x + corner_y * ahead_y), 0.01)
     rows, columns = learned.shape
-    row = jnp.floor(away / depth_ahead(coverage.area, viewer) / RANGE_MAX * rows)
+    row = jnp.floor(away / depth / RANGE_MAX * rows)
     column = jnp.floor(bearing / BEARING_MAX * columns)
     is_in = (row < rows) & (column < columns)
     flat = jnp.where(is_in, row * columns + column, 0.0).astype(jnp.int32)

@@ -40,7 +40,6 @@ from jaxlangnav.semantic_map.params import MapParams
 
 MOST_UNLOOKED = 0.02
 """u above which nothing is given up as nowhere in a thorough search."""
-_NONE = np.float32(0.0)
 MOST_UNLOOKED_ROUND = 0.002
 """The same where something forbidden is gone round: what it hides lies in one place."""
 
@@ -74,9 +73,7 @@ class Chances(NamedTuple):
     elsewhere: Array | float = 0.0  # f32[] s, that it is not as is said, if it is there
 
 
-def chances(
-    unseen: Array, absent: Array, maps: MapParams, missed: Array | np.float32 = _NONE
-) -> Chances:
+def chances(unseen: Array, absent: Array, maps: MapParams, missed: Array | np.float32) -> Chances:
     """Compute how likely it is that what has not been seen is there.
 
     ``unseen`` is u, ``absent`` ν and ``missed`` v, f32[]. Limits: at ν = 0 both are the same, and q

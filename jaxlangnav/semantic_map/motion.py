@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import MotionParams
-from jaxlangnav.numerics import gaussian
 from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -51,14 +50,19 @@ def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: Moti
 def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -> SemanticMap:
     """Move the robot by a measured step with independent noise in each axis.
 
-    The step, odometry u, is f32[] or f32[1, ...] metres, map axes; its variance f32[] m² per axis.
+        Σ' = Σ + q e eᵀ,   μ' = μ + e u
+
+    with e the robot's unit vector: its old pose is marginalised out. The step, odometry u, is f32[]
+    or f32[1, ...] metres, map axes; its variance q ≥ 0, f32[] m² per axis.
     Limits: no noise translates the robot rigidly; objects never move.
     """
     robot = particle.object_type.shape[0]
-    unit = append_axes((jnp.arange(robot + 1) == robot).astype(jnp.float32), particle.mean_x.ndim)
+    is_robot = jnp.arange(robot + 1) == robot
+    own = append_axes(is_robot[:, None] & is_robot[None], particle.covariance.ndim)
+    unit = append_axes(is_robot.astype(jnp.float32), particle.mean_x.ndim)
     return replace(
         particle,
-        covariance=gaussian.add_noise(particle.covariance, robot, variance),
+        covariance=particle.covariance + jnp.where(own, variance, 0.0),
         mean_x=particle.mean_x + unit * step_x,
         mean_y=particle.mean_y + unit * step_y,
     )

@@ -77,10 +77,10 @@ def observe(
     grounded = association.associate(
         believed, seen, uniform, noise_variance, growth, doubt, is_pooled=is_pooled
     )
-    belief = replace(belief, particles=condition(believed, grounded, noise_variance))
-    if belief.particles.existence.shape[0] > 0:  # some doubt is left of all that is held
-        existence = jnp.minimum(belief.particles.existence, 1.0 - LEAST_DOUBT)
-        belief = replace(belief, particles=replace(belief.particles, existence=existence))
+    held = condition(believed, grounded, noise_variance)
+    # Some doubt is left of all that is held.
+    existence = jnp.minimum(held.existence, 1.0 - LEAST_DOUBT)
+    belief = replace(belief, particles=replace(held, existence=existence))
     exposed_by = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
     before = exposed_by(share_unseen(belief.coverage))
     coverage, alternate_miss = look_around(belief, observation, sensor)

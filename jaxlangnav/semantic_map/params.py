@@ -4,6 +4,7 @@ import dataclasses
 
 from jax import Array
 
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import MotionParams, default_motion
 from jaxlangnav.pytree import field, pytree
 from jaxlangnav.relations import RelationModel, default_params, prepare
@@ -56,9 +57,7 @@ class MapConfig:
         """Refuse sizes the filter cannot work with."""
         least_sizes = {"num_particles": 2, "num_objects": 1, "num_cells": 4, "num_bystanders": 0}
         for name, least in least_sizes.items():
-            value = getattr(self, name)
-            if value < least:
-                raise ValueError(f"{name} is {value}, but must be at least {least}")
+            refuse_below(least, **{name: getattr(self, name)})
 
 
 def default_map_params() -> MapParams:

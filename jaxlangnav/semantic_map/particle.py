@@ -105,14 +105,3 @@ def clear(particle: SemanticMap, is_gone: Array) -> SemanticMap:
         mean_y=jnp.where(gone, 0.0, particle.mean_y),
         existence=jnp.where(is_gone, 0.0, particle.existence) if has_doubts else particle.existence,
     )
-
-
-def positions(particle: SemanticMap) -> tuple[Array, Array]:
-    """Gather the mean positions of one particle's slots, observed first, then hypothesised.
-
-    x and y, f32[N] each, metres, map frame; zero where a slot is empty.
-    """
-    num_objects = particle.object_type.shape[0]
-    x = jnp.concatenate([particle.mean_x[:num_objects], particle.hypothesis_x])
-    y = jnp.concatenate([particle.mean_y[:num_objects], particle.hypothesis_y])
-    return x, y

@@ -11,7 +11,7 @@ from jaxlangnav.numerics import gaussian
 from jaxlangnav.numerics.batching import append_axes, lookup
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.association import Association
-from jaxlangnav.semantic_map.particle import SemanticMap, positions
+from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.terrain.view import View, eye_of
 
 
@@ -91,7 +91,8 @@ def log_absence(
         and how probable the observed objects are now to exist, as in the particle.
     """
     num_objects = particle.object_type.shape[0]
-    x, y = positions(particle)
+    x = jnp.concatenate([particle.mean_x[:num_objects], particle.hypothesis_x])
+    y = jnp.concatenate([particle.mean_y[:num_objects], particle.hypothesis_y])
     robot_x, robot_y = particle.mean_x[num_objects:], particle.mean_y[num_objects:]
     in_view = view.share(eye_of(robot_x, robot_y, heading, sensor), x, y, softness)
     probability = jnp.minimum(sensor.detection_probability, 0.999)

@@ -92,7 +92,7 @@ class Geodesic:
 def geodesic(walls: Walls) -> Geodesic:
     """Work out the shortest ways between the ends of walls, for any number of questions."""
     one, other = walls.ends.T.reshape(2, 2, -1)  # x and y of either end
-    past = CLEARANCE * (other - one) / StraightLines().metres(*one, *other)
+    past = CLEARANCE * (other - one) / StraightLines().metres(*one, *other)[None]
     x, y = jnp.concatenate([one - past, other + past], axis=1)
     pairs = x[:, None], y[:, None], x[None], y[None]
     start = jnp.where(walls.is_between(*pairs), NEVER, StraightLines().metres(*pairs))

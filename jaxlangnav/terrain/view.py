@@ -196,7 +196,6 @@ class StraightLines:
         self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
     ) -> tuple[Array, Array]:
         """Make for the end of the way itself."""
-        del from_x, from_y
         return to_x, to_y
 
     def first_sight(

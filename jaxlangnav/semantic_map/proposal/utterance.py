@@ -142,8 +142,7 @@ def _ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
 
     @custom_vmap
     def ground(is_asked: Array, *arguments: Any) -> Grounding:
-        del is_asked  # of one lane all are grounded
-        return dense(*arguments)
+        return dense(*arguments)  # of one lane all are grounded
 
     def rule(num_lanes: int, is_batched: Any, *arguments: Any) -> tuple[Grounding, Grounding]:
         if any(jax.tree.leaves(is_batched[-1])):
