@@ -91,11 +91,15 @@ class Geodesic:
 @jax.jit
 def geodesic(walls: Walls) -> Geodesic:
     """Work out the shortest ways between the ends of walls, for any number of questions."""
-    one, other = walls.ends.T.reshape(2, 2, -1)  # x and y of either end
-    past = CLEARANCE * (other - one) / StraightLines().metres(*one, *other)[None]
-    x, y = jnp.concatenate([one - past, other + past], axis=1)
-    pairs = x[:, None], y[:, None], x[None], y[None]
-    start = jnp.where(walls.is_between(*pairs), NEVER, StraightLines().metres(*pairs))
+    one_x, one_y, other_x, other_y = walls.ends.T
+    length = StraightLines().metres(one_x, one_y, other_x, other_y)
+    past_x = CLEARANCE * (other_x - one_x) / length
+    past_y = CLEARANCE * (other_y - one_y) / length
+    x = jnp.concatenate([one_x - past_x, other_x + past_x])
+    y = jnp.concatenate([one_y - past_y, other_y + past_y])
+    line = StraightLines().metres(x[:, None], y[:, None], x[None], y[None])
+    is_shut = walls.is_between(x[:, None], y[:, None], x[None], y[None])
+    start = jnp.where(is_shut, NEVER, line)
 
     def through(turn: int, ways: Array) -> Array:
         return jnp.minimum(ways, ways[:, turn][:, None] + ways[turn][None])
