@@ -25,8 +25,6 @@ from jaxlangnav.semantic_map.observe import MeasurementUpdate
 from jaxlangnav.semantic_map.particle import SemanticMap
 
 _ASKED = 16  # particles that ground the words at every step, to tell the mean of the evidence
-WordGrounding = Callable[..., tuple[SemanticMap, Array]]
-"""Draws groundings of the words, as ``ground_words`` does (eq. 7a)."""
 
 
 class Regrounded(NamedTuple):
@@ -46,7 +44,7 @@ def reground(
     belief: ParticleBelief,
     readings: Readings,
     weighed: MeasurementUpdate,
-    ground: WordGrounding,
+    ground: Callable[..., tuple[SemanticMap, Array]],
 ) -> Regrounded:
     """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
 
