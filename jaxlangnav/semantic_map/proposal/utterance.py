@@ -113,13 +113,6 @@ def _of_relation(uniform: Array, shuffle_key: Array, step: Array, places: Array)
     )
 
 
-def _ground_all(
-    num_mentions: int, own: Own, queries: Query, scene: Unexplored, params: MapParams
-) -> Grounding:
-    """Ground the words of all particles of one lane: leaves [..., P]."""
-    return _ground(num_mentions, own, queries_of(queries, own[2]), scene, params)
-
-
 def _ground(
     num_mentions: int, own: Own, query: Query, scene: Unexplored, params: MapParams
 ) -> Grounding:
@@ -137,8 +130,10 @@ def _ground(
 
 @functools.cache
 def _ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
-    """Build ``_ground_all`` with a rule of its own for ``vmap`` over lanes."""
-    dense = functools.partial(_ground_all, num_mentions)
+    """Build ``_ground`` of all particles, with a rule of its own for ``vmap`` over lanes."""
+
+    def dense(own: Own, queries: Query, *numbers: Any) -> Grounding:
+        return _ground(num_mentions, own, queries_of(queries, own[2]), *numbers)
 
     @custom_vmap
     def ground(is_asked: Array, *arguments: Any) -> Grounding:
@@ -269,7 +264,7 @@ def ground_words(
     if is_sparse:
         grounding = _ground_sparse(num_mentions)(asked, own, queries, scene, params)
     else:
-        grounding = _ground_all(num_mentions, own, queries, scene, params)
+        grounding = _ground(num_mentions, own, queries_of(queries, reading), scene, params)
     fresh = replace(
         particles,
         reading=reading,
