@@ -256,11 +256,11 @@ def _refilling(bench: Workbench) -> Measurement:
 
 def _limits(bench: Workbench) -> list[Measurement]:
     """Measure where a cycle's time goes, and how far it is from this machine's limits."""
-    measuring = functools.partial(
-        measure_parts, bench.tasks, bench.instructions, repetitions=bench.repetitions
-    )
-    parts, params = measuring(params=bench.params), deployment_params()
-    large = measuring(params=params, config=deployment_config(POLICY, params=params))
+    params, given = deployment_params(), (bench.tasks, bench.instructions)
+    config, number = deployment_config(POLICY, params=params), bench.repetitions
+    usual = navigator_config(POLICY)
+    parts = measure_parts(*given, params=bench.params, repetitions=number, config=usual)
+    large = measure_parts(*given, params=params, repetitions=number, config=config)
     tables, pretrained = share_entries(parts), share_entries(large, ", as Navigator.pretrained")
     pretrained[0] |= {"target": 2500.0, "holds": pretrained[0]["value"] <= 2500.0}
     return [*tables, *pretrained, *roofline.distances(parts, roofline.measure_peaks())]

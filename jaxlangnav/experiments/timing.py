@@ -18,7 +18,7 @@ from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import PRINTED
 from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 
@@ -86,12 +86,12 @@ def measure_parts(
     *,
     params: NavigatorParams,
     repetitions: int,
+    config: NavigatorConfig,
 ) -> list[Part]:
     """Measure a cycle in one batch of lanes, its sensor, its filter, behavior in every particle.
 
     ``tasks``, leaves [E ≥ lanes, …]; ``instructions``, leaves [I, …].
     """
-    config = navigator_config(POLICY)
 
     def sense_and_filter(progress: EpisodeState) -> Any:
         state = progress.navigator
@@ -161,13 +161,13 @@ def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
     ``wall_s``. A part that is left over may come out below zero by the noise of the others; it is
     then counted as nothing.
     """
-    start = time.perf_counter()
-    machine = describe_machine()
+    start, machine = time.perf_counter(), describe_machine()
     settings, number = [one.setting(seed=_SEED) for one in PRINTED], -(-LANES // len(PRINTED))
     grid = Grid(settings=settings, arms=(), episodes=number, names=())
     tasks = grid.draw(np.random.default_rng(0).permutation(number * len(settings)))
     instructions = ground_sentences(list(SENTENCES.values())).instructions
-    measured = measure_parts(tasks, instructions, params=params, repetitions=3)
+    config = navigator_config(POLICY)
+    measured = measure_parts(tasks, instructions, params=params, repetitions=3, config=config)
     return {
         "experiment": "time",
         "cycle_us": 1e6 * measured[0].seconds,
