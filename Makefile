@@ -58,7 +58,7 @@ format: $(STAMPS)/dev ## mend what ruff can mend
 	@$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-types: $(STAMPS)/dev ## pyright on the package
+types: $(STAMPS)/dev ## pyright on the package, studies, benchmarks and scripts
 	@$(BIN)/pyright --pythonpath $(BIN)/python
 
 budget: $(STAMPS)/dev ## lines and files beside what pyproject.toml allows

@@ -281,7 +281,7 @@ def share_entries(parts: list[Part], label: str = "") -> list[Measurement]:
 def _compilation(bench: Workbench) -> list[Measurement]:
     """Measure compilation without the persistent cache, and count recompilations."""
     config = navigator_config(POLICY)
-    was_kept = jax.config.jax_enable_compilation_cache
+    was_kept = jax.config.read("jax_enable_compilation_cache")
     try:
         jax.config.update("jax_enable_compilation_cache", False)
         compilation_cache.reset_cache()

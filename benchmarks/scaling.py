@@ -51,6 +51,7 @@ def cycle(bench: Workbench, sizes: NavigatorConfig, repetitions: int) -> tuple[f
     progress = jax.vmap(lambda task: begin(task, bench.instructions, config=sizes))(tasks)
     program = jax.jit(jax.vmap(one)).lower(progress).compile()
     memory = program.memory_analysis()
+    assert memory is not None, "this backend does not say how much memory a program takes"
     for _ in range(_WARM_UP):
         progress = program(progress)
 

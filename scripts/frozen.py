@@ -156,8 +156,7 @@ def main() -> int:
             return int(bool(old or books))
         remake(texts, Path(name) / "demo" / "belief.png")
     for path in books:
-        why = notebooks.lacking(path)
-        if why:
+        if why := notebooks.lacking(path):
             print(f"left as it is: {path.relative_to(ROOT)}: {why}")
             continue
         print(f"made: {notebooks.build(path).relative_to(ROOT)}", flush=True)

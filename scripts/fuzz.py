@@ -276,7 +276,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from fuzz_targets import TARGETS
 
     names = [one.name for one in TARGETS]
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=10.0, help="how long (10)")
     parser.add_argument("--seed", type=int, default=0, help="of the damage (0)")
     parser.add_argument("--target", action="append", choices=names, help="only these; repeatable")

@@ -97,6 +97,7 @@ def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorl
         robot = (round(x, 2), round(y, 2), round(heading, 2))
     places: list[tuple[float, float]] = []
     for _ in kinds:
+        place = robot[:2]
         for _ in range(50):
             if places and rng.random() < 0.7:
                 x, y = rng.choice([*places, robot[:2]])

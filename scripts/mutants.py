@@ -86,7 +86,7 @@ def is_killed(mutant: Mutant, tree: Path) -> bool:
 
 def main() -> int:
     """Run the mutants and print which live."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", default="", help="run those whose name has this in it")
     mutants = read_mutants(Path(__file__).with_suffix(".toml"), parser.parse_args().only)
     living = []

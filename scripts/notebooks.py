@@ -14,6 +14,7 @@ palette, which keeps a notebook well below ``MAX_BYTES``.
 import argparse
 import ast
 import base64
+import importlib
 import io
 import re
 import sys
@@ -109,11 +110,10 @@ def build(path: Path) -> Path:
         ValueError: the notebook is larger than ``MAX_BYTES``.
         CellExecutionError: a cell has failed.
     """
-    from nbclient import NotebookClient
-
+    nbclient = importlib.import_module("nbclient")
     notebook = jupytext.read(path)
     resources = {"metadata": {"path": str(path.parent)}}
-    client = NotebookClient(
+    client = nbclient.NotebookClient(
         notebook, timeout=_SECONDS, kernel_name="python3", resources=resources, record_timing=False
     )
     client.execute()
@@ -180,8 +180,7 @@ def main() -> int:
     parser.add_argument("--draw", type=Path, help="run without Jupyter, pictures into this folder")
     arguments = parser.parse_args()
     known = {path.stem: path for path in sources()}
-    unknown = [name for name in arguments.names if name not in known]
-    if unknown:
+    if unknown := [name for name in arguments.names if name not in known]:
         print(f'no notebook "{unknown[0]}": choose from {", ".join(known)}', file=sys.stderr)
         return 2
     for path in [known[name] for name in arguments.names] or list(known.values()):
