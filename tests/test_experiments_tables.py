@@ -25,7 +25,7 @@ from jaxlangnav.experiments.table import Section, Table, _render_report, write_r
 from jaxlangnav.experiments.table1 import _accuracy, _on_new_words, draw_splits, evaluate, table_1
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.messages import Status
-from jaxlangnav.training.scoring import Models, Scores, score_annotations, score_behaviors
+from jaxlangnav.training.scoring import Scores, score_annotations, score_behaviors
 from jaxlangnav.world.templates import TABLE_2
 
 TABLE = paper.table_2()
@@ -435,7 +435,7 @@ def test_exact_scores_are_those_of_the_beam_where_both_are_sure():
         num_worlds=2,
         sentences=("go to the box near the tree", "find the car", "go to the other box"),
     )
-    both = [Models.of([one]) for one in (model.annotation, model.behavior)]
+    both = [[one] for one in (model.annotation, model.behavior)]
     found = score_annotations(instructions, both[0], None, TYPES, is_exact=True)
     beam, exact = found.by_width[4][0], found.exact[0]
     assert exact.is_proven.all()

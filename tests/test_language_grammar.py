@@ -141,8 +141,8 @@ def test_eight_types_in_order_and_legal_senses():
         sense
         for entries in lexicon.entries.values()
         for entry in entries.values()
-        for word in entry.senses
-        for sense in word
+        for word in entry
+        for sense in word.senses
     }
     assert found <= legal
 
@@ -335,8 +335,8 @@ def test_own_lines_come_after_those_of_the_package() -> None:
         base, "[types]\nLamp = ['Lamp']\ncone = ['Pylon']\n[class.adj]\nplain = ['teal']\n"
     )
     assert lexicon.type_names == ("cone", "lamp")
-    assert lexicon.entries["type"]["pylons",].senses == (("type:cone",),)
-    assert lexicon.entries["adj"]["teal",].tags == ("JJ",)
+    assert lexicon.entries["type"]["pylons",][0].senses == ("type:cone",)
+    assert lexicon.entries["adj"]["teal",][0].tag == "JJ"
 
 
 @pytest.mark.parametrize(

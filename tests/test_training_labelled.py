@@ -31,7 +31,7 @@ from jaxlangnav.training.examples import (
     read_behavior,
     read_examples,
 )
-from jaxlangnav.training.scoring import Models, score_annotations, score_behaviors
+from jaxlangnav.training.scoring import score_annotations, score_behaviors
 
 
 def test_symbols_are_read_by_name():
@@ -96,7 +96,7 @@ def test_each_factor_is_an_example():
 
 
 def scores_of(model, instructions):
-    both = [Models.of([one]) for one in (model.annotation, model.behavior)]
+    both = [[one] for one in (model.annotation, model.behavior)]
     annotation = score_annotations(instructions, both[0], None, TYPES)
     behavior = score_behaviors(instructions, *both, None, TYPES)
     return annotation.by_width[4][0], behavior.by_width[4][0]
@@ -182,7 +182,7 @@ def alone_behaviors(annotation, model, labelled, width):
 
 def test_each_of_many_models_is_scored_as_alone(instructions, models):
     """Sentences that a model is not tested on are left out of its own results alone."""
-    stacked = [Models.of(one) for one in models]
+    stacked = models
     widths = (4, 1)
     found = (
         score_annotations(instructions, stacked[0], IS_TESTED, TYPES, widths=widths),
@@ -211,7 +211,7 @@ def test_each_of_many_models_is_scored_as_alone(instructions, models):
 
 
 def test_a_mask_of_other_models_or_sentences_is_refused(instructions, models):
-    annotation, behavior = (Models.of(one) for one in models)
+    annotation, behavior = models
     for wrong, said in ((IS_TESTED[:2], "shape"), (IS_TESTED.astype(float), "type")):
         with pytest.raises(AssertionError, match=said):
             score_annotations(instructions, annotation, wrong, TYPES, widths=(4,))

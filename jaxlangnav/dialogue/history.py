@@ -6,7 +6,7 @@ serves a whole batch that has heard the same: it says where in the old arrays ea
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,9 +31,8 @@ class Joined:
     from_mention: jax.Array  # i32[K, M] likewise, k M + m
 
 
-@dataclasses.dataclass(frozen=True)
-class Edge:
-    """One relation, and who said it."""
+class Edge(NamedTuple):
+    """One relation, as ``Relation`` has it, and who said it."""
 
     figure: int
     relation: int
@@ -45,7 +44,7 @@ class Edge:
     def moved(self, places: Sequence[int]) -> "Edge":
         """Renumber its mentions."""
         figure, landmark = moved((self.figure, self.landmark), places)
-        return dataclasses.replace(self, figure=figure, landmark=landmark)
+        return self._replace(figure=figure, landmark=landmark)
 
 
 def moved(mentions: Sequence[int], places: Sequence[int]) -> list[int]:
@@ -152,7 +151,7 @@ def new_accounts(
     words = heard_alone(instruction, heard, is_asked=is_asked, xp=np)
     found = accounts_of(instruction.readings, words)
     for reading in found:
-        reading.edges = [dataclasses.replace(one, source=NONE) for one in reading.edges]
+        reading.edges = [one._replace(source=NONE) for one in reading.edges]
         landmarks = {one.landmark for one in reading.edges}
         reading.new_goals = _goals(reading, told, landmarks, number)
         for index, one in enumerate(reading.mentions):
@@ -186,9 +185,9 @@ def written(
 
     things = ([dataclasses.astuple(it) for it in one.mentions] for one in ranked)
     kind, is_asked, avoid, from_mention = table(things, num_mentions, (NONE, 0, 0, NONE))
-    ties, blank = ([dataclasses.astuple(it) for it in one.edges] for one in ranked), (NONE,) * 3
+    ties = (one.edges for one in ranked)
     figure, relation, landmark, rank, said, from_relation = table(
-        ties, num_edges, (*blank, 0, 0, NONE)
+        ties, num_edges, Edge(NONE, NONE, NONE, 0, 0)
     )
     old = (
         [

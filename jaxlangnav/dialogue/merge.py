@@ -78,12 +78,12 @@ def _product(
         known.is_asked = known.is_asked or one.is_asked
         known.avoid = max(known.avoid, one.avoid)
     edges = list(old.edges)
-    known_edges = {dataclasses.replace(one, heard=0, source=NONE) for one in edges}
+    known_edges = {one._replace(heard=0, source=NONE) for one in edges}
     for one in (edge.moved(places) for edge in new.edges):
         # From another place "behind the cone" is another side of it: said again, it is news.
         # What lies between two things does so from anywhere.
         is_news = one.relation != NONE and one.rank != BETWEEN
-        if is_news or dataclasses.replace(one, heard=0) not in known_edges:
+        if is_news or one._replace(heard=0) not in known_edges:
             edges.append(one)
     total, goals = old.log_probability + new.log_probability, moved(new.new_goals, places)
     return Account(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
@@ -141,16 +141,12 @@ def _fitted(reading: Account, num_mentions: int, num_relations: int) -> Account:
         ]
         dropped += 1
     place = [kept.index(m) if m in touched else NONE for m in range(len(reading.mentions))]
-
-    def ends(one: Edge) -> tuple[int, int]:
-        return one.figure, one.landmark
-
     mentions = [reading.mentions[m] for m in kept]
-    edges = in_order([one.moved(place) for one in reading.edges], ends)
+    edges = in_order([one.moved(place) for one in reading.edges])
     return dataclasses.replace(
         reading,
         mentions=mentions,
-        edges=things_last(edges, ends, [one.kind for one in mentions]),
+        edges=things_last(edges, [one.kind for one in mentions]),
         goals=moved(reading.goals, place),
         new_goals=moved(reading.new_goals, place),
         num_dropped=reading.num_dropped + dropped,

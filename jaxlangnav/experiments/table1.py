@@ -28,7 +28,6 @@ from jaxlangnav.training.examples import LabelledInstruction, read_examples
 from jaxlangnav.training.fit import Fit, fit
 from jaxlangnav.training.scoring import (
     ExactScores,
-    Models,
     Results,
     Scores,
     score_annotations,
@@ -88,7 +87,7 @@ def _score_all(
     on_progress: OnProgress | None,
     **searched: Any,
 ) -> dict[str, Results]:
-    annotation, behavior = (Models.of(fitted[name].models) for name in MODELS)
+    annotation, behavior = (fitted[name].models for name in MODELS)
     splits, sentences = held_out.shape
     count = itertools.count(1)
 

@@ -20,6 +20,7 @@ from jaxlangnav.grounding.readings import (
     NUM_RELATIONS_SAID,
     CapacityError,
     Reading,
+    Relation,
     in_order,
     pad_readings,
 )
@@ -92,16 +93,16 @@ def returning() -> Instruction:
 
 def _reading(form: FormReading, path: str) -> Reading:
     """Turn one reading into mentions and relations, landmarks before the figures beside them."""
-    said = in_order(form.relations, lambda one: (one.figure, one.landmark))
+    said = in_order(form.relations)
     touched = [end for one in said for end in (one.landmark, one.figure)]
     alone = [thing for thing in range(len(form.types)) if thing not in touched]
     things = list(dict.fromkeys((*touched, *range(len(form.types)))))
     place = {thing: mention for mention, thing in enumerate(things)}
     relations = [
-        (place[one.figure], one.relation, place[one.landmark], one.rank)
+        one._replace(figure=place[one.figure], landmark=place[one.landmark])
         for one in dict.fromkeys(said)
     ]
-    relations += [(place[thing], NONE, NONE, 0) for thing in alone]
+    relations += [Relation(place[thing], NONE, NONE, 0) for thing in alone]
     if len(things) > NUM_MENTIONS:
         raise CapacityError(
             f"{path} speaks of {len(things)} things, with the robot; at most {NUM_MENTIONS} are "

@@ -153,7 +153,7 @@ def _ways_to_say(noun: str) -> Iterator[frozenset[str]]:
 def _names_of_types() -> dict[str, frozenset[str]]:
     names: dict[str, set[str]] = {}
     for words, entry in load_lexicon().entries[TYPE_CLASS].items():
-        for sense in (sense for senses in entry.senses for sense in senses):
+        for sense in (sense for word in entry for sense in word.senses):
             names.setdefault(sense.removeprefix(_TYPE), set()).add(" ".join(words))
     return {kind: frozenset(found) for kind, found in names.items()}
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NoReturn
 
+from jaxlangnav.grounding.readings import Relation
 from jaxlangnav.inputs.documents import read_shipped
 from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.messages import (
@@ -75,16 +76,6 @@ def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str =
 
 
 @dataclasses.dataclass(frozen=True)
-class FormRelation:
-    """Where a thing of a reading is; things are counted from 0, or ``ROBOT``."""
-
-    figure: int
-    relation: int  # index into RELATIONS
-    landmark: int
-    rank: int  # 0 plain, 1 the extreme one of its type, 2 the second, ...; BETWEEN, of two
-
-
-@dataclasses.dataclass(frozen=True)
 class FormCommand:
     """Something to be done."""
 
@@ -102,7 +93,7 @@ class FormReading:
 
     probability: float
     types: tuple[int, ...]  # object type of each thing
-    relations: tuple[FormRelation, ...]
+    relations: tuple[Relation, ...]  # things are counted from 0, or ``ROBOT``
     commands: tuple[FormCommand, ...]
 
     def type_of(self, thing: int) -> int:
@@ -243,9 +234,7 @@ def _look_up(name: str, index: Mapping[str, int], path: str, *, may_be_robot: bo
     return index[name]
 
 
-def _read_relation(
-    document: Mapping[str, Any], index: Mapping[str, int], path: str
-) -> FormRelation:
+def _read_relation(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> Relation:
     figure = _look_up(document["figure"], index, f"{path}.figure", may_be_robot=False)
     landmark = _look_up(document["landmark"], index, f"{path}.landmark")
     if figure == landmark:
@@ -262,14 +251,14 @@ def _read_relation(
                 f"{path}.landmark is 'robot', but what lies between the robot and a thing cannot "
                 "be told: say that it is near, or in front"
             )
-        return FormRelation(figure, NEAR, landmark, BETWEEN)
+        return Relation(figure, NEAR, landmark, BETWEEN)
     relation = RELATIONS.index(document["relation"])
     if rank and relation not in ORDERS:
         raise ValueError(
             f"{path}.rank is {rank}, but nothing is ordered by {RELATIONS[relation]}: use near, "
             "far, left or right"
         )
-    return FormRelation(figure, relation, landmark, rank)
+    return Relation(figure, relation, landmark, rank)
 
 
 def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> FormCommand:

@@ -8,14 +8,14 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
 
 from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
 from jaxlangnav.grounding.search import add_up
-from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
+from jaxlangnav.grounding.symbols import OBJECT, REGION
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.inputs.sanitize import shown
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
@@ -42,47 +42,55 @@ class Capacity:
                 )
 
 
+class Relation(NamedTuple):
+    """Where a figure is; figure and landmark are things, types or mentions by their number."""
+
+    figure: int
+    relation: int  # index into RELATIONS; NONE, with the landmark, where it only exists
+    landmark: int
+    rank: int  # 0 plain, 1 the extreme one of its type, 2 the second, ...; BETWEEN, of two
+
+
 @dataclasses.dataclass(frozen=True)
 class Reading:
     """One reading: mentions and relations between them."""
 
     mentions: tuple[int, ...]  # type index, ANYTHING or ROBOT
-    relations: tuple[tuple[int, int, int, int], ...]  # figure, relation, landmark, rank
+    relations: tuple[Relation, ...]
 
 
 class CapacityError(ValueError):
     """A sentence says more than the arrays hold."""
 
 
-Entry = TypeVar("Entry")
+Entry = TypeVar("Entry", bound=tuple[int, ...])
+"""A relation, whatever else is known of it: its figure stands first, its landmark third."""
 
 
-def in_order(relations: Iterable[Entry], ends: Callable[[Entry], tuple[int, int]]) -> list[Entry]:
-    """Put a relation after those that place its landmark; ``ends`` tells its figure and landmark.
+def in_order(relations: Iterable[Entry]) -> list[Entry]:
+    """Put a relation after those that place its landmark.
 
     Where figures and landmarks go round in a circle, the first of them comes first.
     """
     left, ordered = list(relations), []
     while left:
-        waiting = {ends(entry)[0] for entry in left}
-        ready = [e for e in left if ends(e)[1] not in waiting - {ends(e)[0]}]
+        waiting = {entry[0] for entry in left}
+        ready = [entry for entry in left if entry[2] not in waiting - {entry[0]}]
         ordered.append((ready or left)[0])
         left.remove(ordered[-1])
     return ordered
 
 
-def things_last(
-    relations: Sequence[Entry], ends: Callable[[Entry], tuple[int, int]], kinds: Sequence[int]
-) -> list[Entry]:
+def things_last(relations: Sequence[Entry], kinds: Sequence[int]) -> list[Entry]:
     """Put what is said of things called by no type last: they are none of the others.
 
-    Where such a thing is a landmark, the entries, in order, stay as they are. ``ends`` tells figure
-    and landmark of one, ``kinds`` are those of all mentions.
+    Where such a thing is a landmark, the entries, in order, stay as they are. ``kinds`` are those
+    of all mentions.
     """
     things = {index for index, kind in enumerate(kinds) if is_anything(kind)}
-    if things & {ends(entry)[1] for entry in relations}:
+    if things & {entry[2] for entry in relations}:
         return list(relations)
-    return sorted(relations, key=lambda entry: ends(entry)[0] in things)
+    return sorted(relations, key=lambda entry: entry[0] in things)
 
 
 Description = frozenset[tuple[int, int, int]]
@@ -95,14 +103,18 @@ class _Reader:
     def __init__(self) -> None:
         self.mentions: list[int] = []
         self.described: list[Description] = []
-        self.relations: list[tuple[int, int, int, int]] = []
+        self.relations: list[Relation] = []
 
     def read(self, said: RankedAnnotations) -> None:
         """Read one clause."""
-        related = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
+        related = [
+            Relation(*symbol[1:], rank)
+            for symbol, rank in said
+            if symbol.kind not in (OBJECT, REGION)
+        ]
         told: dict[int, set[tuple[int, int, int]]] = {}
-        for symbol, rank in related:
-            told.setdefault(symbol.figure, set()).add((symbol.relation, symbol.landmark, rank))
+        for figure, relation, landmark, rank in related:
+            told.setdefault(figure, set()).add((relation, landmark, rank))
         own: list[tuple[int, int]] = []  # mentions of this clause, and how each is ranked
 
         def mention(kind: int, *others: int, rank: int = 0, is_pair: bool = False) -> int:
@@ -121,18 +133,18 @@ class _Reader:
             own.append((index, rank))
             return index
 
-        ordered = in_order(related, lambda entry: (entry[0].figure, entry[0].landmark))
-        for place, (symbol, rank) in enumerate(ordered):
-            if rank != BETWEEN:
-                landmark = mention(symbol.landmark)
-                figure = mention(symbol.figure, landmark, rank=rank)
-                self._say([(figure, symbol.relation, landmark, rank)])
+        ordered = in_order(related)
+        for place, one in enumerate(ordered):
+            if one.rank != BETWEEN:
+                landmark = mention(one.landmark)
+                figure = mention(one.figure, landmark, rank=one.rank)
+                self._say([Relation(figure, one.relation, landmark, one.rank)])
                 continue
-            is_one = [how == BETWEEN and it.figure == symbol.figure for it, how in ordered]
-            if not any(is_one[place + 1 :]):  # with the last, both landmarks are placed
-                pairs = zip(ordered, is_one, strict=True)
-                sides = [it.landmark for (it, _), one in pairs if one]
-                self._lie_between(symbol, sides, mention)
+            pair = [
+                k for k, it in enumerate(ordered) if (it.figure, it.rank) == (one.figure, BETWEEN)
+            ]
+            if place == pair[-1]:  # with the last, both landmarks are placed
+                self._lie_between(one, [ordered[k].landmark for k in pair], mention)
         # Objects and regions come last: things exist of which nothing has been said yet.
         for symbol, _ in said:
             for kind in (symbol.landmark, symbol.figure):
@@ -140,14 +152,12 @@ class _Reader:
                     is_new = kind not in self.mentions
                     index = mention(kind)
                     if is_new:
-                        self.relations.append((index, NONE, NONE, 0))
+                        self.relations.append(Relation(index, NONE, NONE, 0))
 
-    def _say(self, edges: Sequence[tuple[int, int, int, int]]) -> None:
+    def _say(self, edges: Sequence[Relation]) -> None:
         self.relations += [edge for edge in edges if edge not in self.relations]
 
-    def _lie_between(
-        self, symbol: Annotation, sides: list[int], mention: Callable[..., int]
-    ) -> None:
+    def _lie_between(self, symbol: Relation, sides: list[int], mention: Callable[..., int]) -> None:
         """Say that a thing lies between two others; of one type alone there are two of it."""
         first, second = (sides * 2)[:2]
         if symbol.figure in (first, second):
@@ -161,7 +171,7 @@ class _Reader:
         one = mention(first)
         other = mention(second, one, is_pair=first == second)
         figure = mention(symbol.figure, one, other)
-        self._say([(figure, symbol.relation, side, BETWEEN) for side in (one, other)])
+        self._say([symbol._replace(figure=figure, landmark=side) for side in (one, other)])
 
     def _find(self, kind: int, description: Description, others: Sequence[int]) -> int:
         """Find a thing of an earlier clause that this may be: what is said of one is no less."""
@@ -184,11 +194,12 @@ def read(*clauses: RankedAnnotations) -> Reading:
     reader = _Reader()
     for said in clauses:
         reader.read(said)
-    relations = things_last(reader.relations, lambda one: (one[0], one[2]), reader.mentions)
+    relations = things_last(reader.relations, reader.mentions)
     robots = {index for index, kind in enumerate(reader.mentions) if kind == ROBOT}
-    joined = {end for one in relations if one[2] not in robots | {NONE} for end in (one[0], one[2])}
+    apart = [one for one in relations if one.landmark not in robots | {NONE}]
+    joined = {end for one in apart for end in (one.figure, one.landmark)}
     # What is seen of a pair shows where the other one is, which a side of the robot hardly does.
-    relations = sorted(relations, key=lambda one: one[2] in robots and one[0] in joined)
+    relations = sorted(relations, key=lambda one: one.landmark in robots and one.figure in joined)
     return Reading(tuple(reader.mentions), tuple(relations))
 
 
@@ -258,7 +269,7 @@ def unpad_readings(readings: Readings) -> list[tuple[Reading, float]]:
     found = []
     for k in np.flatnonzero(np.isfinite(fields.log_probability)):
         edges = fields.edges(int(k))
-        relations = tuple(tuple(edge) for edge in edges[fields.figure[k] != NONE].tolist())
+        relations = tuple(map(Relation._make, edges[fields.figure[k] != NONE].tolist()))
         kinds = fields.mention_type[k]
         mentions = tuple(kinds[kinds != NONE].tolist())
         found.append((Reading(mentions, relations), float(fields.log_probability[k])))

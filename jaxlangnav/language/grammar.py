@@ -96,10 +96,10 @@ def _lexical_rules(
         rules += [(name, (f'"{mark}"',), known * share, None) for mark, share in marks.items()]
     # Words known only from fixed expressions ("plant yourself") are nouns alone.
     closed = set(lexicon.tags) | set(lexicon.refused)
-    for entry in itertools.chain(*(entries.values() for entries in lexicon.entries.values())):
-        senses = itertools.chain(*entry.senses)
-        if len(entry.words) == 1 or any(sense.startswith("relation") for sense in senses):
-            closed.update(entry.words)
+    for key, entry in itertools.chain(*(one.items() for one in lexicon.entries.values())):
+        senses = itertools.chain(*(word.senses for word in entry))
+        if len(key) == 1 or any(sense.startswith("relation") for sense in senses):
+            closed.update(key)
     free = sorted(word for word in lexicon.vocabulary - closed if word.isalpha())
     rules += [("unknown_noun", (f'"{word}"',), W_EXPRESSION, None) for word in free]
     marks = zip(PUNCTUATION, MARKS, strict=True)

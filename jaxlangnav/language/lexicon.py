@@ -12,6 +12,7 @@ from functools import cache, cached_property
 from typing import Any
 
 from jaxlangnav.inputs.documents import naming, parse_toml, read_shipped, read_text
+from jaxlangnav.language.phrase import Word
 
 OWN_LEXICON = "JAXLANGNAV_LEXICON"
 """Environment variable that names a lexicon file of one's own, joined to the package's."""
@@ -29,14 +30,8 @@ SINGULARS = {many: one for one, many in _PLURALS.items()}
 """Nouns by their irregular plurals."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LexicalEntry:
-    """An expression of one or more words in one class."""
-
-    words: tuple[str, ...]
-    tags: tuple[str, ...]  # Penn, per word
-    lemmas: tuple[str, ...]
-    senses: tuple[tuple[str, ...], ...]  # per word; empty but for the head of the expression
+LexicalEntry = tuple[Word, ...]
+"""An expression of one or more words in one class; only its head has senses."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,20 +77,17 @@ def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -
     """Read one expression; ``*`` marks the word that carries the senses, by default the last."""
     marked = text.split()
     head = next((i for i, word in enumerate(marked) if word[0] == "*"), len(marked) - 1)
-    words = tuple(word.lstrip("*") for word in marked)
-    return LexicalEntry(
-        words=words,
-        tags=(tag,) if len(words) == 1 else tuple(tags.get(word, tag) for word in words),
-        lemmas=words,
-        senses=tuple(senses if index == head else () for index in range(len(words))),
+    words = [word.lstrip("*") for word in marked]
+    own = tags if words[1:] else {}
+    return tuple(
+        Word(text=word, tag=own.get(word, tag), lemma=word, senses=senses if i == head else ())
+        for i, word in enumerate(words)
     )
 
 
 def _derived(entry: LexicalEntry, index: int, form: str, tag: str) -> LexicalEntry:
     """Copy an entry with one word put in another form; its lemma stays."""
-    words, tags = list(entry.words), list(entry.tags)
-    words[index], tags[index] = form, tag
-    return replace(entry, words=tuple(words), tags=tuple(tags))
+    return (*entry[:index], replace(entry[index], text=form, tag=tag), *entry[index + 1 :])
 
 
 def _entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
@@ -104,8 +96,7 @@ def _entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
         for name in dict.fromkeys([type_name, *names]):
             entry = _entry(name, "NN", (f"type:{type_name}",), {})
             yield TYPE_CLASS, entry
-            last = len(entry.words) - 1
-            yield TYPE_CLASS, _derived(entry, last, plural(entry.words[last]), "NNS")
+            yield TYPE_CLASS, _derived(entry, len(entry) - 1, plural(entry[-1].text), "NNS")
     tags = document["tags"]
     for name, table in document["class"].items():
         for senses, texts in table.items():
@@ -114,14 +105,14 @@ def _entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
                 entry = _entry(text, table["tag"], told, tags)
                 yield name, entry
                 # "I am looking" has no -ing form of its own: its first word is no verb.
-                if "ing" in table and tags.get(entry.words[0], "VB") == "VB":
-                    yield table["ing"], _derived(entry, 0, ing_form(entry.words[0]), "VBG")
+                if "ing" in table and tags.get(entry[0].text, "VB") == "VB":
+                    yield table["ing"], _derived(entry, 0, ing_form(entry[0].text), "VBG")
 
 
 def type_called(name: str) -> str | None:
     """Find the lexicon's type of a name, in small letters: a house is a building; or None."""
     entry = load_lexicon().entries[TYPE_CLASS].get(tuple(name.split()))
-    return None if entry is None else entry.senses[-1][0].removeprefix("type:")
+    return None if entry is None else entry[-1].senses[0].removeprefix("type:")
 
 
 @cache
@@ -165,7 +156,7 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
         raise ValueError(f"lexicon: [refused] has unknown reasons {sorted(unknown)}")
     entries: dict[str, dict[tuple[str, ...], LexicalEntry]] = {}
     for name, entry in _entries(document):
-        entries.setdefault(name, {}).setdefault(entry.words, entry)
+        entries.setdefault(name, {}).setdefault(tuple(word.text for word in entry), entry)
     refused: dict[str, str] = {}
     expressions: dict[tuple[str, ...], str] = {}
     for reason, listed in document["refused"].items():

@@ -48,7 +48,7 @@ def not_errors() -> frozenset[str]:
 def _meanings(word: str) -> frozenset[tuple[str, tuple[str, ...]]]:
     """Collect what a word can mean alone: class and senses."""
     found = ((name, one.get((word,))) for name, one in load_lexicon().entries.items())
-    return frozenset((name, entry.senses[0]) for name, entry in found if entry is not None)
+    return frozenset((name, entry[0].senses) for name, entry in found if entry is not None)
 
 
 @cache

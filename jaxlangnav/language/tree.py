@@ -10,7 +10,7 @@ tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from lark.parsers.earley_forest import PackedNode, SymbolNode
@@ -126,10 +126,7 @@ def build_phrases(
         """Make the word of a token under a lexical or literal production."""
         text, position, entry = token.text, token.position, node.production.entry
         if entry is not None:
-            return Word(
-                text=text, tag=entry.tags[index], lemma=entry.lemmas[index],
-                senses=entry.senses[index], position=position,
-            )  # fmt: skip
+            return replace(entry[index], text=text, position=position)
         left = node.production.left
         if left in UNKNOWN_CLASSES:
             tag, _ = UNKNOWN_CLASSES[left]

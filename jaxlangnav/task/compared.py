@@ -11,8 +11,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from jaxlangnav.grounding.asked import infer_commands
-from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.readings import Relation
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.inputs.object_types import noun_of
 from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, ROBOT, relation_name
@@ -21,7 +21,7 @@ from jaxlangnav.task.labelled import ALIKE, LEAST, Meaning
 
 _EXACT = 0.01
 """Metres by which a distance may differ from the label's, which may leave it out."""
-Relation = tuple[str, str, str, int]
+NamedRelation = tuple[str, str, str, int]
 """Types of figure and landmark around the relation's name, and the rank."""
 
 
@@ -41,11 +41,11 @@ def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...
     """Say how an instruction differs first from what its label means; empty where nothing does."""
     types, relations = _said(instruction, names)
 
-    def turned(one: FormRelation) -> FormRelation:
+    def turned(one: Relation) -> Relation:
         """Turn round what is said the other way round: a tree behind a cone, a cone before it."""
         if one.rank or one.landmark == ROBOT:
             return one
-        other = FormRelation(one.landmark, CONVERSE[one.relation], one.figure, 0)
+        other = Relation(one.landmark, CONVERSE[one.relation], one.figure, 0)
         own, instead = (_named(meaning, it) for it in (one, other))
         return other if instead in relations and own not in relations else one
 
@@ -77,7 +77,7 @@ def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...
     return next((f"command {i} {why}" for i, why in enumerate(whys, start=1) if why), "")
 
 
-def _named(meaning: Meaning, one: FormRelation) -> Relation:
+def _named(meaning: Meaning, one: Relation) -> NamedRelation:
     figure, landmark = (
         "robot" if thing == ROBOT else meaning.type_of(thing)
         for thing in (one.figure, one.landmark)
@@ -85,7 +85,7 @@ def _named(meaning: Meaning, one: FormRelation) -> Relation:
     return figure, relation_name(one.relation, one.rank), landmark, max(one.rank, 0)
 
 
-def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], set[Relation]]:
+def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], set[NamedRelation]]:
     """Collect the types and relations of the likeliest reading."""
     fields = instruction.readings
     kinds = np.asarray(fields.mention_type[0])

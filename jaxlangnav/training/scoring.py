@@ -9,7 +9,7 @@ models that have not seen it.
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import chex
@@ -62,15 +62,6 @@ class Results(NamedTuple):
 
     by_width: dict[int, list[Scores]]  # beam width → K scores
     exact: list[ExactScores]  # K scores; empty where the exact search was left out
-
-
-class Models(tuple[CorrespondenceModel, ...]):
-    """K models side by side."""
-
-    @classmethod
-    def of(cls, models: Iterable[CorrespondenceModel]) -> "Models":
-        """Take models in order."""
-        return cls(models)
 
 
 class _Tally:
@@ -142,7 +133,7 @@ def _tested(
 
 def score_annotations(
     instructions: Sequence[LabelledInstruction],
-    models: Models,
+    models: Sequence[CorrespondenceModel],
     is_tested: np.ndarray | None,
     type_names: tuple[str, ...],
     *,
@@ -171,8 +162,8 @@ def score_annotations(
 
 def score_behaviors(
     instructions: Sequence[LabelledInstruction],
-    annotation: Models,
-    behavior: Models,
+    annotation: Sequence[CorrespondenceModel],
+    behavior: Sequence[CorrespondenceModel],
     is_tested: np.ndarray | None,
     type_names: tuple[str, ...],
     *,

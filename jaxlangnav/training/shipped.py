@@ -36,7 +36,6 @@ from jaxlangnav.training.examples import (
 )
 from jaxlangnav.training.fit import build_design, fit
 from jaxlangnav.training.scoring import (
-    Models,
     Scores,
     calibration_error,
     fit_temperature,
@@ -225,12 +224,12 @@ def _train_one(
     def score(
         model: CorrespondenceModel, temperature: float, which: Sequence[LabelledInstruction]
     ) -> Scores:
-        judged = Models.of([dataclasses.replace(model, temperature=temperature)])
+        judged = [dataclasses.replace(model, temperature=temperature)]
         if name == "annotation":
             return score_annotations(which, judged, None, type_names).by_width[BEAM_WIDTH][0]
         if "annotation" not in models:
             raise ValueError("the behavior model needs an annotation model: give weights as base")
-        ranks = Models.of([models["annotation"]])
+        ranks = [models["annotation"]]
         return score_behaviors(which, ranks, judged, None, type_names).by_width[BEAM_WIDTH][0]
 
     tuning = [*itertools.compress(train, is_tuning)]

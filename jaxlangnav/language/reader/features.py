@@ -53,7 +53,7 @@ def _classes() -> dict[str, tuple[str, ...]]:
         if name in _LEFT_OUT or name.startswith("g_") or name.endswith("_ing"):
             continue
         for words, entry in entries.items():
-            is_manner = any(sense.startswith("mode") for of in entry.senses for sense in of)
+            is_manner = any(s.startswith("mode") for word in entry for s in word.senses)
             one = "manner" if is_manner else _SAME.get(name, name)
             found.setdefault(words[0], {})[f"{one}.." if words[1:] else one] = None
     names = {reason: name for name, reason in REASONS.items()}

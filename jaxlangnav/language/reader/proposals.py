@@ -252,7 +252,7 @@ def _relations(words: Sequence[str]) -> set[int]:
         for name in ("rel", "beside", "side", "rel_robot")
         for key, entry in load_lexicon().entries[name].items()
         if f" {' '.join(key)} " in text
-        for sense in itertools.chain(*entry.senses)
+        for sense in itertools.chain(*(word.senses for word in entry))
         if sense.startswith("relation:")
     }
 
