@@ -183,15 +183,8 @@ def test_an_error_is_said_in_one_line() -> None:
 @pytest.mark.parametrize("words", [["--help"], ["folow"], ["follow", "--help"], ["follow", "--x"]])
 def test_help_and_errors_load_nothing_heavy(words: list[str]) -> None:
     code = f"import sys; from jaxlangnav.cli.main import main; main({words})"
-    result = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            f"{code}; sys.exit(not {{'jax', 'numpy'}}.isdisjoint(sys.modules))",
-        ],
-        capture_output=True,
-        check=False,
-    )
+    code += "; sys.exit(not {'jax', 'numpy'}.isdisjoint(sys.modules))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
     assert result.returncode == 0, result.stderr
 
 

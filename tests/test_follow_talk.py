@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import subprocess
 import sys
 
@@ -190,9 +191,30 @@ except KeyboardInterrupt:
 TERMINAL = """
 import os, pty, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_DFL)
-sys.exit(os.waitstatus_to_exitcode(pty.spawn([sys.executable, "-c", *sys.argv[1:]])))
+sys.exit(os.waitstatus_to_exitcode(pty.spawn([sys.executable, *sys.argv[1:]])))
 """
-FOLLOW = TERMINAL.replace('"-c", ', "")
+
+
+def at_a_terminal(words: list[str], *typed: tuple[bytes, bytes]) -> tuple[int, str]:
+    """Type keys, each once what is awaited is shown: the exit code, and all that was shown."""
+    call, pipe = [sys.executable, "-c", TERMINAL, *words], subprocess.PIPE
+    with subprocess.Popen(call, stdin=pipe, stdout=pipe, stderr=pipe) as terminal:
+        assert terminal.stdin is not None
+        assert terminal.stdout is not None
+        assert terminal.stderr is not None
+        told = shown = b""
+        for awaited, keys in typed:
+            while not (found := re.search(awaited, shown)):
+                piece = terminal.stdout.read1(4096)
+                assert piece, shown
+                shown += piece
+            told, shown = told + shown[: found.end()], shown[found.end() :]
+            terminal.stdin.write(keys)
+            terminal.stdin.flush()
+        told += shown + terminal.stdout.read()
+        assert terminal.stderr.read() == b""
+        assert b"Traceback" not in told
+        return terminal.wait(), told.decode()
 
 
 @pytest.mark.parametrize(
@@ -206,28 +228,10 @@ FOLLOW = TERMINAL.replace('"-c", ', "")
     ],
 )
 def test_one_answers_and_leaves_at_a_terminal(way: str, keys: bytes, code: int, heard: str) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", TERMINAL, TYPIST, way],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    ) as terminal:
-        assert terminal.stdin is not None
-        assert terminal.stdout is not None
-        shown = b""
-        while b"Answer" not in shown and b"Say something" not in shown:
-            piece = terminal.stdout.read1(4096)
-            assert piece, shown
-            shown += piece
-        terminal.stdin.write(keys)
-        terminal.stdin.flush()
-        shown += terminal.stdout.read()
-        assert terminal.stderr is not None
-        assert terminal.stderr.read() == b""
-        assert terminal.wait() == code
-    lines = shown.decode().splitlines()
+    ended, shown = at_a_terminal(["-c", TYPIST, way], (b"Answer|Say something", keys))
+    assert ended == code
+    lines = shown.splitlines()
     assert "|".join(line for line in lines if line.startswith("heard")) == heard
-    assert "Traceback" not in shown.decode()
     if way == "ask":
         assert "  2. the hydrant at (5.0, 1.0) m, 50 %" in lines
 
@@ -235,30 +239,13 @@ def test_one_answers_and_leaves_at_a_terminal(way: str, keys: bytes, code: int, 
 @pytest.mark.slow
 def test_one_talks_to_a_whole_episode_and_leaves() -> None:
     """Halted, sent on, sent to the other one, and left alone: the story tells all of it."""
-    follow = ["follow", "go to the hydrant", "--world", "2H1C", "--talk"]
-    call = [sys.executable, "-c", FOLLOW, "-m", "jaxlangnav", *follow]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(call, stdin=pipe, stdout=pipe, stderr=pipe) as terminal:
-        assert terminal.stdin is not None
-        assert terminal.stdout is not None
-        assert terminal.stderr is not None
-        told = shown = b""
-        # An episode that has ended waits, too: whatever is typed finds the robot standing still.
-        for typed in (b"stop\n", b"resume\n", b"go to the other hydrant\n", b"\x04"):
-            while typed != b"stop\n" and b"stands still" not in shown:
-                piece = terminal.stdout.read1(4096)
-                assert piece, shown
-                shown += piece
-            before, _, shown = shown.partition(b"stands still")
-            told += before
-            terminal.stdin.write(typed)
-            terminal.stdin.flush()
-        told += shown + terminal.stdout.read()
-        errors = terminal.stderr.read()
-        assert terminal.wait() == 0, errors
-    story = b" ".join(told.split()).decode()
+    words = ["-m", "jaxlangnav", "follow", NULL, "--world", "2H1C", "--talk"]
+    # An episode that has ended waits, too: whatever is typed finds the robot standing still.
+    still = b"stands still"
+    typed = (b"", b"stop\n"), (still, b"resume\n"), (still, b"go to the other hydrant\n")
+    code, told = at_a_terminal(words, *typed, (still, b"\x04"))
+    assert code == 0, told
+    story = " ".join(told.split())
     for part in ("“stop”, a halt", "“resume”, a resume", "other hydrant”, a command. Rules out"):
         assert part in story
     assert story.endswith(" m.")
-    assert "Traceback" not in story
-    assert errors == b""
