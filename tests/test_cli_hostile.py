@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from jaxlangnav.cli import main as cli, settings
-from jaxlangnav.cli.arguments import parse_arguments
 from jaxlangnav.cli.follow import Follow
+from jaxlangnav.cli.main import parse_arguments
 from jaxlangnav.cli.output import Output, UsageError, platform_fault, write_document
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.language.parser import parse

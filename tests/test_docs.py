@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlangnav.cli.arguments import parse_arguments
+from jaxlangnav.cli.main import parse_arguments
 from jaxlangnav.experiments.sweep_config import config_from_dict
 from jaxlangnav.language.lexicon import read_lexicon
 from jaxlangnav.world.files import world_from_dict

@@ -87,6 +87,13 @@ class Study(Told):
 TEXT = SENTENCES["behind"]  # the sentence of all three figures
 
 
+_FIGURE_NOTES = [
+    "Probabilities that the goal is an object seen, or unseen left or right of where the robot "
+    "faced at first; the spread of the unseen goal; the share of the area seen.",
+    "The paper prints no coordinates; the arrangement is ours, a world of the package.",
+]
+
+
 def _figure(
     title: str, name: str, num_panels: int, draw: Callable[..., Any], paper: str, ours: str
 ) -> Study:
@@ -142,11 +149,7 @@ def _figure(
         lead=f"{paper} {ours}",
         run=run,
         tables=lambda document: [moments_table(document["moments"])],
-        notes=lambda _: [
-            "Probabilities that the goal is an object seen, or unseen left or right of where "
-            "the robot faced at first; the spread of the unseen goal; the share of the area seen.",
-            "The paper prints no coordinates; the arrangement is ours, a world of the package.",
-        ],
+        notes=lambda _: _FIGURE_NOTES,
         made=lambda one: {
             "episode": f"world {one['world']}, policy {one['policy']}, seed {one['seed']}, "
             f"{one['num_particles']} particles, sensing range {one['range']:g} m",

@@ -71,13 +71,8 @@ def read_shard(path: Path, *, sweep: str, index: int) -> pa.Table:
     content = _read(path)
     found = _record(content)
     _compare(found, Shard(sweep=sweep, index=index, rows=found.rows))
-    try:
-        table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
-    except (pa.ArrowException, OSError) as error:
-        raise ShardError(f"cannot be read: {' '.join(str(error).split())}") from None
-    if table.num_rows != found.rows:
-        raise ShardError(f"has {table.num_rows} rows, but {found.rows} were written")
-    return table
+    # To the last byte what ``write_shard`` has written, so it can be read and has those rows.
+    return pq.read_table(pa.BufferReader(content))
 
 
 def _read(path: Path) -> bytes:

@@ -3,7 +3,6 @@
 import dataclasses
 import os
 import platform
-import statistics
 import time
 from collections.abc import Callable
 from typing import Any
@@ -64,10 +63,8 @@ def measure(work: Callable[[], Any], repetitions: int, *, patience: float = floa
         jax.block_until_ready(work())
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
         costs.append((cpu if is_local else wall, wall))
-    return Cost(
-        cpu=statistics.median(cost[0] for cost in costs),
-        wall=statistics.median(cost[1] for cost in costs),
-    )
+    cpu, wall = np.median(costs, axis=0).tolist()
+    return Cost(cpu=cpu, wall=wall)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

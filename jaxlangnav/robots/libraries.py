@@ -44,7 +44,6 @@ class MissingSystemLibraryError(ValueError):
 
 def mujoco() -> Any:
     """Load MuJoCo, set up to render off screen; a missing extra or library raises."""
-    require("mujoco", extra="robot")
     if "mujoco" in sys.modules and os.environ.get(_BACKEND) is None:
         raise MissingSystemLibraryError(
             f"mujoco was imported before jaxlangnav.robots could ask it to render off screen: set "
@@ -52,7 +51,7 @@ def mujoco() -> Any:
         )
     os.environ.setdefault(_BACKEND, "egl")
     try:
-        return importlib.import_module("mujoco")
+        return require("mujoco", extra="robot")
     except (ImportError, AttributeError, OSError) as error:
         raise _no_rendering(error) from error
 
@@ -67,14 +66,12 @@ def renderer(model: Any, height: int, width: int) -> Any:
 
 def opencv() -> Any:
     """Load OpenCV, the module ``cv2``, or raise a ``MissingExtraError``."""
-    require("cv2", extra="robot")
-    return importlib.import_module("cv2")
+    return require("cv2", extra="robot")
 
 
 def apriltags() -> Any:
     """Load the detector of AprilTags, or raise a ``MissingExtraError``."""
-    require("pupil_apriltags", extra="robot")
-    return importlib.import_module("pupil_apriltags")
+    return require("pupil_apriltags", extra="robot")
 
 
 def check_libraries() -> None:

@@ -3,7 +3,6 @@
 Everything lies in the plane z = 0 of a right-handed frame, metres; the timeline is ``step``.
 """
 
-import importlib
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,7 @@ _APPLICATION = "jaxlangnav"
 
 def write_rrd(recording: Recording, path: Path | str) -> Path:
     """Write an episode for the rerun viewer, ``.rrd``; ``MissingExtraError`` without rerun."""
-    style.require("rerun", extra="rerun")
-    rerun: Any = importlib.import_module("rerun")
+    rerun = style.require("rerun", extra="rerun")
     path = Path(path)
     with replacing(path) as temporary:
         stream = rerun.RecordingStream(_APPLICATION, recording_id=recording.scene.text or None)

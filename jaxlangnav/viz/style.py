@@ -5,6 +5,7 @@ that nothing is lost in grey. matplotlib belongs to the extra ``viz``. It is imp
 used and never through pyplot: no window, no global figure, no style left behind in a notebook.
 """
 
+import importlib
 import importlib.util
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
@@ -68,12 +69,13 @@ class MissingExtraError(ValueError):
     """A picture was asked for, but what draws it is not installed; the message is one line."""
 
 
-def require(module: str, *, extra: str = "viz") -> None:
-    """Raise ``MissingExtraError``, which says what to install, where a module is not there."""
+def require(module: str, *, extra: str = "viz") -> Any:
+    """Load a module, or raise ``MissingExtraError``, which says what to install."""
     if importlib.util.find_spec(module) is None:
         raise MissingExtraError(
             f"{module} is not installed: pip install 'jaxlangnav[{extra}]' brings it"
         )
+    return importlib.import_module(module)
 
 
 def type_color(object_type: int) -> str:
@@ -173,11 +175,7 @@ def rc() -> dict[str, Any]:
 @contextmanager
 def house_style() -> Iterator[None]:
     """Draw in the house style inside the block; settings outside stay as they were."""
-    require("matplotlib")
-    import matplotlib as mpl
-
-    settings: Any = rc()
-    with mpl.rc_context(settings):
+    with require("matplotlib").rc_context(rc()):
         yield
 
 

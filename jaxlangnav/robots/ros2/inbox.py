@@ -91,9 +91,7 @@ class Track:
         return bisect.bisect_left(self._log, stamp, key=operator.itemgetter(0))
 
     def at(self, stamp: float) -> np.ndarray | None:
-        """Tell where the robot was at a stamp, f64[3], map frame; None if no odometry is near."""
-        if not self._log:
-            return None
+        """Tell where a robot with a pose was at a stamp, f64[3]; None if no odometry is near."""
         after = self._place(stamp)
         near = self._log[max(after - 1, 0) : after + 1]
         (begin, first), (end, last) = near[0], near[-1]
