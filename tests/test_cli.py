@@ -14,7 +14,7 @@ import tyro
 from test_cli_hostile import document, refused
 
 from jaxlangnav import __version__
-from jaxlangnav.cli import SUMMARIES, arguments, main as cli
+from jaxlangnav.cli import SUMMARIES, main as cli
 from jaxlangnav.cli.output import Output, UsageError, is_refusal, one_line, to_json
 from jaxlangnav.world import files
 
@@ -58,7 +58,7 @@ class Echo:
 @pytest.fixture
 def echo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(SUMMARIES, "echo", "Say a sentence again.")
-    monkeypatch.setattr(arguments, "_command_class", lambda name: {"echo": Echo}[name])
+    monkeypatch.setattr(cli, "_command_class", lambda name: {"echo": Echo}[name])
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

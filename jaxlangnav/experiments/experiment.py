@@ -40,6 +40,7 @@ from jaxlangnav.experiments.tasks import (
     take_tasks,
 )
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorParams, check
 from jaxlangnav.world.templates import TABLE_2
@@ -211,8 +212,7 @@ class Experiment(Told):
         """
         judged, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
         arms = [dataclasses.replace(one, judged=one.judged or judged) for one in self.arms(options)]
-        if options.episodes < 1:
-            raise ValueError(f"episodes is {options.episodes}, but must be at least 1")
+        refuse_below(1, episodes=options.episodes)
         # Tasks and columns are laid out in parts and then put together: for a moment twice.
         each = 2 * rows * (task_bytes() + len(arms) * (result_bytes() + _NAMES))
         beside = f"{rows} rows run {len(arms)} times"

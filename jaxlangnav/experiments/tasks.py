@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.episode import Task
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.places import PlaceLaw, draw_place
@@ -192,10 +193,8 @@ def _describe(one: Cell) -> dict[str, Any]:
 
 def make_tasks(one: Cell) -> Task:
     """Draw the worlds and keys of a cell, at least one, leaves [E, …]."""
-    if one.episodes < 1:
-        raise ValueError(f"episodes is {one.episodes}, but must be at least 1")
-    if one.environments < 0:
-        raise ValueError(f"environments is {one.environments}, but must be at least 0")
+    refuse_below(1, episodes=one.episodes)
+    refuse_below(0, environments=one.environments)
     numbers = one.first_episode + np.arange(one.episodes)
     return draw_tasks([one], np.zeros(one.episodes, np.int32), numbers)
 

@@ -119,12 +119,11 @@ class RosRobot:
         """
         bus, began = self._bus, self._bus.now()
         # What has come during a long decision is no silence.
-        bus.spin(_TURN)
-        found = bus.inbox.take()
-        while found is None and self._may_come(began):
+        while True:
             bus.spin(_TURN)
             found = bus.inbox.take()
-        return found
+            if found is not None or not self._may_come(began):
+                return found
 
     def _may_come(self, began: float) -> bool:
         """Tell whether it is of use to wait on for a look."""
