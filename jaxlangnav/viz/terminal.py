@@ -141,6 +141,8 @@ def watch(
             seen.append(moment)
             if console.is_terminal:
                 time.sleep(seconds_per_step)
+    if not seen:
+        raise ValueError("an episode needs at least one step")
     return stack_frames(scene, [one.frame for one in seen], seen[-1].result)
 
 
