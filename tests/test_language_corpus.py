@@ -195,7 +195,7 @@ def changed(*path, value):
         (changed("worlds", 0, "previous", value=7), "below 4, not 7"),
         ("[" * 100_000, "nested more than 32 deep"),
         (changed("template", value="a\x1b[31m"), "template has the control character U+001B"),
-        (changed("worlds", 0, "objects", 0, 1, value=1e39), "must lie between"),
+        (changed("worlds", 0, "objects", 0, 1, value=1e39), "objects[0][1] is 1e+39, but must"),
         (changed("worlds", 0, "objects", 0, 0, value=["cone"]), "[0][0] is ['cone'], but must"),
     ],
 )

@@ -137,13 +137,8 @@ def test_eight_types_in_order_and_legal_senses():
     legal |= {f"mode:{name}" for name in MODES} | {f"rank:{n}" for n in range(1, 5)}
     legal |= {"superlative", "constraint", "robot", "other", "anaphor", "place", "foreign"}
     legal |= {"pronoun", "any", "between"}
-    found = {
-        sense
-        for entries in lexicon.entries.values()
-        for entry in entries.values()
-        for word in entry
-        for sense in word.senses
-    }
+    entries = [entry for of in lexicon.entries.values() for entry in of.values()]
+    found = {sense for entry in entries for word in entry for sense in word.senses}
     assert found <= legal
 
 

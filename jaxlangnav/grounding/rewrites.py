@@ -25,6 +25,7 @@ from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Ground
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
 from jaxlangnav.grounding.search import add_up
 from jaxlangnav.inputs.documents import naming, parse_json, read_lines
+from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.pytree import pytree, replace
 
@@ -234,6 +235,17 @@ _LARGEST_FILE = 32 * 1024 * 1024
 """Bytes of such a file."""
 
 
+class _Recorded(Schema):
+    text: str
+    rewrites: list[Rewrite]
+
+    def __post_init__(self) -> None:
+        """Take any characters, and finite numbers alone."""
+        for one, score in self.rewrites:
+            if not math.isfinite(score):
+                raise ValueError(f"rewrites has {score} for {quote(one)}, but must be finite")
+
+
 class RecordedRewrites:
     """A source that answers from a file, so that nothing has to be asked again.
 
@@ -251,36 +263,17 @@ class RecordedRewrites:
         self.answers: dict[str, tuple[Rewrite, ...]] = {}
         for number, line in read_lines(path, at_most=_LARGEST_FILE):
             with naming(f"{path}:{number}"):
-                said, rewrites = _read_line(parse_json(line))
-                if said in self.answers:
-                    raise ValueError(f"text {quote(said)} stands in an earlier line already")
-            self.answers[said] = rewrites
+                document = parse_json(line)
+                if not isinstance(document, dict):
+                    why = "must be an object with text and rewrites"
+                    raise ValueError(f"is {quote(document)}, but {why}")
+                one = convert(document, _Recorded)
+                if one.text in self.answers:
+                    raise ValueError(f"text {quote(one.text)} stands in an earlier line already")
+            self.answers[one.text] = tuple(one.rewrites)
         if not self.answers:
             raise ValueError(f"{path}: holds no rewriting: write one JSON object a line")
 
     def __call__(self, text: str) -> Sequence[Rewrite]:
         """Look a sentence up; nothing where it was not recorded."""
         return self.answers.get(text, ())
-
-
-def _read_line(document: Any) -> tuple[str, tuple[Rewrite, ...]]:
-    if not isinstance(document, dict) or set(document) != {"text", "rewrites"}:
-        raise ValueError(f"is {quote(document)}, but must be an object with text and rewrites")
-    text, rewrites = document["text"], document["rewrites"]
-    if not isinstance(text, str):
-        raise ValueError(f"text is {quote(text)}, but must be a string")
-    if not isinstance(rewrites, list):
-        raise ValueError(f"rewrites is {quote(rewrites)}, but must be a list of pairs")
-    found = []
-    for index, one in enumerate(rewrites):
-        match one:
-            case [str(said), float() | int() as score] if not isinstance(
-                score, bool
-            ) and math.isfinite(score):
-                found.append((said, float(score)))
-            case _:
-                raise ValueError(
-                    f"rewrites[{index}] is {quote(one)}, but must be a sentence and its "
-                    'log-probability, as in ["go to the cone", -0.7]'
-                )
-    return text, tuple(found)

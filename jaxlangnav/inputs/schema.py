@@ -27,6 +27,7 @@ _WORDS: dict[type, str] = {
     inspect.StructType: "a table of keys and values",
     inspect.DictType: "a table of keys and values",
     inspect.ListType: "a list",
+    inspect.TupleType: "a list",
     inspect.StrType: "a text that is not empty",
     inspect.FloatType: "a number",
     inspect.IntType: "a whole number",
@@ -81,6 +82,8 @@ def _explain(complaint: str, value: Any, kind: inspect.Type, where: str) -> str:
         value = value[name or int(index)]
         if isinstance(kind, inspect.StructType):
             below = next(one.type for one in kind.fields if one.encode_name == name)
+        elif isinstance(kind, inspect.TupleType):
+            below = kind.item_types[int(index)]
         else:
             below = kind.item_type if isinstance(kind, inspect.ListType) else inspect.AnyType()
         kind = _meant(below, value)
@@ -115,6 +118,8 @@ def _fault(value: Any, kind: inspect.Type) -> str:
     if isinstance(value, list) and isinstance(kind, inspect.ListType):
         limits = f"{kind.min_length or 0} to {most}" if most else f"at least {kind.min_length}"
         return f"has {len(value)} entries, but must have {limits}: add or remove"
+    if isinstance(value, list) and isinstance(kind, inspect.TupleType):
+        return f"has {len(value)} entries, but must have {len(kind.item_types)}: add or remove"
     found = ((words, getattr(kind, name, None)) for words, name in _LIMITS)
     limits = " and ".join(f"{words} {limit:.10g}" for words, limit in found if limit is not None)
     wanted = _WORDS.get(type(kind), "something else")

@@ -65,11 +65,8 @@ class _Clause(Schema, forbid_unknown_fields=False):
 
 
 class _World(Schema, forbid_unknown_fields=False):
-    objects: Annotated[
-        list[Annotated[list[str | float], Meta(min_length=3, max_length=3)]],
-        Meta(max_length=_MOST_OBJECTS),
-    ]
-    robot: Annotated[list[_Coordinate], Meta(min_length=3, max_length=3)]
+    objects: Annotated[list[tuple[str, _Coordinate, _Coordinate]], Meta(max_length=_MOST_OBJECTS)]
+    robot: tuple[_Coordinate, _Coordinate, _Coordinate]
     previous: Annotated[int, Meta(ge=0)] | None
     behavior: list[list[list[str]]]
 
@@ -151,14 +148,10 @@ def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
 
 
 def _read_world(record: _World, found: Parse) -> WorldLabels:
-    types, objects = load_lexicon().type_names, []
-    for kind, *place in record.objects:
+    types = load_lexicon().type_names
+    for kind, _, _ in record.objects:
         _check(kind in types, f"object type {shown(kind)} is none of {', '.join(types)}")
-        for at in place:
-            is_near = isinstance(at, float) and abs(at) <= FARTHEST
-            _check(is_near, f"{shown(at)} must lie between {-FARTHEST:g} and {FARTHEST:g}")
-        objects.append((kind, *place))
-    previous, count = record.previous, len(objects)
+    previous, count = record.previous, len(record.objects)
     _check(
         previous is None or previous < count,
         f"previous must be null or an object's index below {count}, not {previous}",
@@ -171,9 +164,9 @@ def _read_world(record: _World, found: Parse) -> WorldLabels:
         phrases = len(list(root.walk()))
         _check(len(labels) == phrases, f"behavior: {len(labels)} labels for {phrases} phrases")
         _check_symbols(labels, legal)
-    x, y, heading = record.robot
+    objects = tuple(record.objects)
     return WorldLabels(
-        world=PlacedWorld(objects=tuple(objects), robot=(x, y, heading), previous=previous),
+        world=PlacedWorld(objects=objects, robot=record.robot, previous=previous),
         behavior=tuple(tuple(map(frozenset, labels)) for labels in record.behavior),
     )
 

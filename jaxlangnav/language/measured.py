@@ -43,19 +43,6 @@ class _Motion:
 
 
 @dataclass(frozen=True)
-class _Words:
-    """The contents of ``measures.toml``."""
-
-    units: dict[str, float]
-    numbers: dict[str, float]
-    motions: tuple[_Motion, ...]
-    distance: re.Pattern[str]
-    angle: re.Pattern[str]
-    places: re.Pattern[str]  # a held distance before what stands between it and a landmark
-    instead: dict[str, str]
-
-
-@dataclass(frozen=True)
 class _Held:
     """A distance taken out of the sentence, where ``#`` and its index stand for it."""
 
@@ -72,48 +59,47 @@ class PlacedMeasure:
     words: str = ""  # of a distance from a thing: its place begins with that very word
 
 
+_TABLE = parse_toml(read_shipped("language", "measures.toml"))
+_UNITS, _NUMBERS, _PLACES = _TABLE["units"], _TABLE["numbers"], _TABLE["places"]
+
+
+def _one_of(texts: Iterable[str]) -> str:
+    return "|".join(sorted(texts, key=len, reverse=True))
+
+
+_TENS = _one_of(name for name, value in _NUMBERS.items() if value in range(20, 100, 10))
+_ONES = _one_of(name for name, value in _NUMBERS.items() if 0 < value < 10)
+_NUMBER = rf"\d+(?:\.\d+)?|(?:{_TENS})[ -](?:{_ONES})|{_one_of(_NUMBERS)}"
+_DISTANCE = re.compile(
+    r"(?<![^ ])(?:(?P<half>half) (?:an? )?|(?P<number>\d+(?:\.\d+)?) ?"
+    rf"|(?P<word>{_NUMBER}) )"
+    rf"(?:(?P<and>and a half) )?(?P<unit>{_one_of(_UNITS)})(?P<later> and a half)?(?![^ ])"
+)
+_ANGLE = re.compile(rf"(?<![^ ])({_NUMBER}) ?(?:degrees?|deg)(?![^ ])")
+_FROM_THING = re.compile(rf"(?:(?:{_ABOUT}) )*#(\d+) ({_one_of(_PLACES)})(?= )")
+"""A held distance before what stands between it and a landmark."""
+
+
 @cache
-def _words() -> _Words:
-    document = parse_toml(read_shipped("language", "measures.toml"))
-    numbers, units, places = document["numbers"], document["units"], document["places"]
-
-    def one_of(texts: Iterable[str]) -> str:
-        return "|".join(sorted(texts, key=len, reverse=True))
-
-    tens = one_of(name for name, value in numbers.items() if value in range(20, 100, 10))
-    ones = one_of(name for name, value in numbers.items() if 0 < value < 10)
-    number = rf"\d+(?:\.\d+)?|(?:{tens})[ -](?:{ones})|{one_of(numbers)}"
-    sets = {"N": number, "HOW": rf"(?:(?:{_ABOUT}) )*#\d+"}
+def _motions() -> tuple[_Motion, ...]:
+    """Read the ways to tell a robot how to move, the names of alternatives written out."""
+    sets = {"N": _NUMBER, "HOW": rf"(?:(?:{_ABOUT}) )*#\d+"}
 
     def whole(pattern: str) -> str:
         return _SET.sub(lambda match: f"(?:{sets[match[1]]})", pattern)
 
-    for name, pattern in document["sets"].items():
+    for name, pattern in _TABLE["sets"].items():
         sets[name] = whole(pattern)
-    return _Words(
-        units=units,
-        numbers=numbers,
-        motions=tuple(
-            _Motion(
-                re.compile(whole(one["said"])), "turn" in one, one.get("turn", one.get("toward"))
-            )
-            for one in document["motions"]
-        ),
-        distance=re.compile(
-            r"(?<![^ ])(?:(?P<half>half) (?:an? )?|(?P<number>\d+(?:\.\d+)?) ?"
-            rf"|(?P<word>{number}) )"
-            rf"(?:(?P<and>and a half) )?(?P<unit>{one_of(units)})(?P<later> and a half)?(?![^ ])"
-        ),
-        angle=re.compile(rf"(?<![^ ])({number}) ?(?:degrees?|deg)(?![^ ])"),
-        places=re.compile(rf"(?:(?:{_ABOUT}) )*#(\d+) ({one_of(places)})(?= )"),
-        instead=places,
+    return tuple(
+        _Motion(re.compile(whole(one["said"])), "turn" in one, one.get("turn", one.get("toward")))
+        for one in _TABLE["motions"]
     )
 
 
 def _number(text: str) -> float:
     if text[0].isdigit():
         return float(text)
-    return float(sum(_words().numbers[word] for word in re.split("[ -]", text)))
+    return float(sum(_NUMBERS[word] for word in re.split("[ -]", text)))
 
 
 def _text(tokens: Sequence[SpokenToken]) -> str:
@@ -154,12 +140,12 @@ def _stuck(tokens: Sequence[SpokenToken], held: Sequence[_Held], reason: str) ->
 def _hold(tokens: list[SpokenToken]) -> list[_Held]:
     """Put one token in the place of each distance."""
     held: list[_Held] = []
-    while (match := _words().distance.search(text := _text(tokens))) is not None:
+    while (match := _DISTANCE.search(text := _text(tokens))) is not None:
         first, last = _span(text, match)
         number = 0.5 if match["half"] else _number(match["number"] or match["word"])
         if not match["half"] and (match["and"] or match["later"]):
             number += 0.5
-        metres = number * _words().units[match["unit"]]
+        metres = number * _UNITS[match["unit"]]
         if not MEASURE_MIN <= metres <= MEASURE_MAX:
             limits = f"{metres:.3g} m: distances of {MEASURE_MIN:g} m to {MEASURE_MAX:g} m"
             reason = f"{limits} are measured; say one of them"
@@ -172,7 +158,7 @@ def _hold(tokens: list[SpokenToken]) -> list[_Held]:
 def _from_things(tokens: list[SpokenToken], held: list[_Held]) -> list[PlacedMeasure]:
     """Take out distances from things: "10 feet past the cone"."""
     said: list[PlacedMeasure] = []
-    while (match := _words().places.search(text := _text(tokens))) is not None:
+    while (match := _FROM_THING.search(text := _text(tokens))) is not None:
         first, last = _span(text, match)
         after = tokens[last].text if last < len(tokens) else ""
         if after in ("you", "your") or after in MARKS:
@@ -180,7 +166,7 @@ def _from_things(tokens: list[SpokenToken], held: list[_Held]) -> list[PlacedMea
         place = _span(text, match, 2)[0]
         one = held[int(match[1])]
         said.append(PlacedMeasure(Measure(metres=one.metres), tokens[place].position, one.words))
-        tokens[first:last] = _placed(_words().instead[match[2]], tokens[place:last])
+        tokens[first:last] = _placed(_PLACES[match[2]], tokens[place:last])
     return said
 
 
@@ -205,7 +191,7 @@ def _around() -> frozenset[tuple[str, ...]]:
 def _motion_of(words: Sequence[str]) -> _Motion | None:
     """Find the motion that words say, all of them."""
     text = " ".join(words)
-    found = (one for one in _words().motions if one.said.fullmatch(text))
+    found = (one for one in _motions() if one.said.fullmatch(text))
     return next(found, None) if len(_HELD.findall(text)) < 2 else None
 
 
@@ -276,7 +262,7 @@ def _follow(
             raise _stuck(tokens[part], held, why_lost)
         first = part.start if first is None else first
         if motion.is_turn:
-            angle = None if abs(motion.degrees) == 180 else _words().angle.search(text)
+            angle = None if abs(motion.degrees) == 180 else _ANGLE.search(text)
             degrees = motion.degrees
             turned += degrees if angle is None else round(math.copysign(_number(angle[1]), degrees))
             if index + 1 < len(motions):

@@ -14,13 +14,6 @@ from jaxlangnav.language.lexicon import REASONS, SINGULARS, TYPE_CLASS, WORDS, l
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import NOUN, Token
 
-_VERBAL = frozenset({REASONS[name] for name in ("such an action", "containment", "path")})
-"""Reasons for which words are refused that may be the first half of a name: "the exit sign"."""
-_BEFORE_NOUNS = frozenset(
-    {"adj", "nmod", TYPE_CLASS, "place_noun", "one", "foreign", "sup_adj", "ordinal", "side_adj"}
-)
-"""Classes that go on with a noun phrase."""
-
 
 @dataclass(frozen=True)
 class Nouns:
@@ -80,8 +73,11 @@ def _single_verbs() -> frozenset[str]:
     lexicon = load_lexicon()
     names = [name for name in lexicon.entries if name.startswith("v_")]
     verbs = {key[0] for name in names for key in lexicon.entries[name] if len(key) == 1}
-    refused = {word for word, reason in lexicon.refused.items() if reason in _VERBAL}
-    return frozenset((verbs | refused) - words_in_classes(*_BEFORE_NOUNS) - set(lexicon.tags))
+    verbal = {REASONS[name] for name in WORDS["verbal"]}
+    refused = {word for word, reason in lexicon.refused.items() if reason in verbal}
+    return frozenset(
+        (verbs | refused) - words_in_classes(*WORDS["before_nouns"]) - set(lexicon.tags)
+    )
 
 
 def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]:
@@ -134,7 +130,7 @@ def _is_after_determiner(tokens: list[Token], index: int) -> bool:
 def _is_head(tokens: list[Token], index: int) -> bool:
     """Tell whether a word that is no side is the noun of its phrase: "close to the _"."""
     after = [token.text for token in tokens[index + 1 : index + 3]]
-    is_last = not after or after[0] not in words_in_classes(*_BEFORE_NOUNS) | {"of"}
+    is_last = not after or after[0] not in words_in_classes(*WORDS["before_nouns"]) | {"of"}
     is_before_place = len(after) > 1 and after[1] in words_in_classes("det")  # "near the"
     is_unknown = bool(after) and tokens[index + 1].terminal.startswith("?")
     return (is_last or is_before_place) and not is_unknown and _is_after_determiner(tokens, index)
@@ -152,7 +148,8 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
     if before in ("on", "at", "in") or (before == "to" and has_noun):
         return False
     is_followed = any(
-        one.terminal.startswith("?") or one.text in words_in_classes(*_BEFORE_NOUNS) | {"of"}
+        one.terminal.startswith("?")
+        or one.text in words_in_classes(*WORDS["before_nouns"]) | {"of"}
         for one in tokens[index + 1 : index + 2]
     )
     return not is_followed and _is_after_determiner(tokens, index)

@@ -11,7 +11,7 @@ from typing import Any
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.inputs.sanitize import cut, fault_of_name, printable, shown
 from jaxlangnav.language.halting import halts_alone
-from jaxlangnav.language.lexicon import plural
+from jaxlangnav.language.lexicon import WORDS, plural
 from jaxlangnav.language.tokens import is_word, plainly
 
 MOST_EXPRESSIONS = 1000
@@ -20,15 +20,6 @@ MOST_WORDS = 8
 """Words of one expression."""
 LONGEST_WORD = 30
 """Letters of one word."""
-_OPEN = frozenset({"adj", "nmod", "adv", "foreign", "place_noun"})
-"""Classes whose words may be names of things as well: "the light", "the park"."""
-_TALK = frozenset({"opener", "note"})
-"""Classes of what is only said around a command: "well"."""
-_MEANT = frozenset(
-    {"such an action", "such a relation", "path", "containment", "a turn", "the compass"}
-    | {"two sides", "between"}
-)
-"""Reasons for which words are refused that somebody may give a meaning of their own."""
 _MARKS = frozenset({"comma", "fullstop", "robot"})
 """What stands for something else within the grammar and the labels."""
 
@@ -160,28 +151,30 @@ class _Known:
         uses = self._senses.get(bare, set())
         is_other = any(meant != senses for _, meant in uses) or bare in self._owners
         is_closed = " " not in bare and self._is_closed(bare)
-        is_refused = self._refused.get(bare, "path") not in _MEANT
+        is_refused = self._refused.get(bare, "path") not in WORDS["meant"]
         if (name, senses) not in uses and (is_other or is_closed or is_refused):
             raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
 
     def is_word_of_grammar(self, name: str) -> bool:
         """Tell whether a name is a word of the grammar; "thing" names any class, a well is one."""
-        uses = {one for one, _ in self._senses.get(name, ())} - _OPEN - _TALK - {"one"}
+        uses = (
+            {one for one, _ in self._senses.get(name, ())} - WORDS["open"] - WORDS["talk"] - {"one"}
+        )
         return self._is_closed(name) or any(not one.startswith("v_") for one in uses)
 
     def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
         """Tell whether a word may not be a name, or may not be at the end of one."""
-        if self._is_closed(word) or self._refused.get(word, "path") not in _MEANT:
+        if self._is_closed(word) or self._refused.get(word, "path") not in WORDS["meant"]:
             return True
         uses = {name for name, _ in self._senses.get(word, ())}
-        is_known = any(name not in _OPEN and not name.startswith("v_") for name in uses)
+        is_known = any(name not in WORDS["open"] and not name.startswith("v_") for name in uses)
         is_refused = self._refused.get(word, "such an action") != "such an action"
         return is_alone and (is_known or is_refused or word in self._tags)
 
     def _is_closed(self, word: str) -> bool:
         """Tell whether a word belongs to the grammar: articles, links, the rules' own words."""
         uses = {name for name, _ in self._senses.get(word, ())}
-        return bool(uses & {"det", "rel", "be", "link", "conn", "beside"}) or word in self._literals
+        return bool(uses & WORDS["closed"]) or word in self._literals
 
 
 def _check_halting(expression: str, where: str) -> None:

@@ -8,15 +8,9 @@ from functools import cache
 from string import ascii_lowercase
 
 from jaxlangnav.inputs.documents import read_shipped
-from jaxlangnav.language.lexicon import TYPE_CLASS, WORDS, load_lexicon
+from jaxlangnav.language.lexicon import WORDS, load_lexicon
 
 MIN_LETTERS, _MAX_LETTERS = 5, 20
-# Small talk holds many words that say nothing of the task ("plan", "time"): no repairs to them,
-# or "plant" would become "plan".
-_SMALL_TALK = frozenset({"opener", "opener_ing", "fragment_opener", "closer", "note", "see"})
-_SMALL_TALK |= frozenset({"conn", "conn_then"})
-_NOUNS = (TYPE_CLASS, "place_noun", "robot", "one")
-"""Classes whose words are the noun of a phrase."""
 
 
 def edits(word: str) -> set[str]:
@@ -33,7 +27,9 @@ def edits(word: str) -> set[str]:
 def repairable() -> frozenset[str]:
     """Collect the words of the lexicon that typing errors are repaired to."""
     lexicon = load_lexicon()
-    classes = [entries for name, entries in lexicon.entries.items() if name not in _SMALL_TALK]
+    classes = [
+        entries for name, entries in lexicon.entries.items() if name not in WORDS["small_talk"]
+    ]
     words = {word for entries in classes for key in entries for word in key}
     return frozenset(words | set(lexicon.refused) | WORDS["courtesies"])
 
@@ -54,7 +50,7 @@ def _meanings(word: str) -> frozenset[tuple[str, tuple[str, ...]]]:
 @cache
 def _nominal() -> frozenset[str]:
     entries = load_lexicon().entries
-    return frozenset(word for name in _NOUNS for key in entries[name] for word in key)
+    return frozenset(word for name in WORDS["nominal"] for key in entries[name] for word in key)
 
 
 @cache

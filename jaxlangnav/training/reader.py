@@ -22,11 +22,9 @@ import optax
 from jax import Array
 
 from jaxlangnav.inputs.documents import parse_json, read_lines, shipped_file
+from jaxlangnav.language.lexicon import WORDS
 from jaxlangnav.language.parser import split_text
 from jaxlangnav.language.reader.features import (
-    CHOOSING,
-    CONTRARY,
-    IMPOSSIBLE,
     ReaderSentence,
     featurize,
     load_verbs,
@@ -37,7 +35,7 @@ from jaxlangnav.language.tokens import MARKS
 
 _LARGEST = 1 << 24
 """Bytes of a corpus."""
-_TELLING = CONTRARY | IMPOSSIBLE
+_TELLING = WORDS["contrary"] | WORDS["impossible"]
 _PLAIN = frozenset({"=go", "=go to", "=stop"})
 _TALKATIVE = 0.3
 """Share of plain sentences to which talk is added."""
@@ -238,7 +236,7 @@ def train_reader(
             for one in labelled
             for run in one.runs
             if any(one.labels[i] != LEFT_OUT for i in run)
-            or any(CHOOSING.isdisjoint(one.sentence.classes[i]) for i in run)
+            or any(WORDS["choosing"].isdisjoint(one.sentence.classes[i]) for i in run)
         ),
         emission=np.round(emission[is_used], 3),
         transition=np.asarray(weights.transition),
@@ -268,7 +266,8 @@ def _left_out(examples: Sequence[ReaderExample]) -> frozenset[str]:
             after = range(index + 1, min(index + 3, len(one.words)))
             names = any(sentence.is_name[i] or "det" in sentence.classes[i] for i in after)
             forbids = "refused:negation" in classes and any(
-                sentence.is_verb(i) or not IMPOSSIBLE.isdisjoint(sentence.classes[i]) for i in after
+                sentence.is_verb(i) or not WORDS["impossible"].isdisjoint(sentence.classes[i])
+                for i in after
             )
             is_telling = not _TELLING.isdisjoint(classes)
             if label == LEFT_OUT and is_telling and not (names or forbids):

@@ -18,22 +18,12 @@ from jaxlangnav.language.tokens import MARKS
 NAME, _RELATION = "N", "rel"
 PREPOSITION, PATH_WORD = "refused:such a relation", "refused:path"
 SPEAKER = "refused:the speaker's own place"
-IMPOSSIBLE = frozenset({"refused:such an action", PATH_WORD})
-"""Classes of words of what the robot cannot carry out."""
-CONTRARY = frozenset({"refused:negation", "refused:condition"})
-"""Classes of words that turn round what is said."""
-CHOOSING = frozenset({_RELATION, "ordinal", "side_adj", "sup_adj", "sup", "avoid", "manner"})
-CHOOSING |= frozenset({"refused:quantity"})
-"""Classes of words that choose a thing or a place, or say how to go there."""
 MOTION = "verb:"
 """Begins the classes of verbs of ``verbs.toml``."""
 _LONGEST_NAME = 4
 _JOINTS = frozenset({"and", "then", "so", "but", "because", "since", "cause"})
 _SAME = {"mid": _RELATION, "sup_robot": "sup_adj"}
 """Classes that differ for the grammar alone."""
-_LEFT_OUT = ("type", "foreign", "nmod", "pair", "stop_tail", "count", "from_side")
-"""Classes that tell nothing beside the others."""
-_ORDERS = frozenset({"v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid"})
 _ENDINGS = ("ly", "ing", "ed", "s")
 _NOTHING = "#"
 
@@ -50,7 +40,7 @@ def _classes() -> dict[str, tuple[str, ...]]:
     """Collect the classes of each word: of the lexicon, of what is refused, of verbs."""
     found: dict[str, dict[str, None]] = {}
     for name, entries in load_lexicon().entries.items():
-        if name in _LEFT_OUT or name.startswith("g_") or name.endswith("_ing"):
+        if name in WORDS["untold"] or name.startswith("g_") or name.endswith("_ing"):
             continue
         for words, entry in entries.items():
             is_manner = any(s.startswith("mode") for word in entry for s in word.senses)
@@ -126,7 +116,7 @@ class ReaderSentence:
 
     def is_verb(self, index: int) -> bool:
         """Tell whether a word may be the verb of an order."""
-        return any(one in _ORDERS or one.startswith(MOTION) for one in self.classes[index])
+        return any(one in WORDS["orders"] or one.startswith(MOTION) for one in self.classes[index])
 
 
 def _classes_of(word: str, is_name: bool) -> tuple[str, ...]:

@@ -16,9 +16,6 @@ import numpy as np
 from jaxlangnav.language.lexicon import WORDS, load_lexicon
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.reader.features import (
-    CHOOSING,
-    CONTRARY,
-    IMPOSSIBLE,
     MOTION,
     NAME,
     PATH_WORD,
@@ -47,10 +44,6 @@ _MOST = 8
 """Sentences that are proposed: each takes a parse."""
 _ORDERING = frozenset({"go", "go to", "stop", "stop at"})
 """What a verb may be read as without having been met in training."""
-_TOLD = frozenset({"be", "be..", "exist", "exist..", "see", "see..", "link", "link.."})
-"""Classes of words that make a statement."""
-_IDLE = frozenset({"opener", "closer", "conn", "adv", "degree", "particle", "but"})
-"""Classes of words that say nothing of a goal without a verb."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +127,7 @@ class Labelling:
         is_undone = bool(named) and any(words[i] in WORDS["undoing"] for i in run if i > named[0])
         if named and not is_undone:
             kept = {singular(words[i]) for i, one in enumerate(self.kept) if one and is_name[i]}
-            is_chosen = any(not CHOOSING.isdisjoint(classes[i]) for i in run)
+            is_chosen = any(not WORDS["choosing"].isdisjoint(classes[i]) for i in run)
             if is_chosen or not kept.issuperset(singular(words[i]) for i in named):
                 return False
         if run.start > 0 and run.stop < len(words) and not is_undone:
@@ -154,10 +147,10 @@ class Labelling:
         classes, word = self.sentence.classes[index], self.sentence.words[index]
         if " ".join(self.sentence.words[index : index + 3]) in self.seen:
             return True
-        if not CONTRARY.isdisjoint(classes):
+        if not WORDS["contrary"].isdisjoint(classes):
             is_gone = word not in WORDS["conditions"] and self.is_gone(index)
             return is_gone or (is_undone and word == "no")
-        if not IMPOSSIBLE.isdisjoint(classes) and _IDLE.isdisjoint(classes):
+        if not WORDS["impossible"].isdisjoint(classes) and WORDS["idle"].isdisjoint(classes):
             if self.labels[index] != LEFT_OUT:
                 return True
             # A clause that says what somebody does asks for nothing.
@@ -178,7 +171,7 @@ class Labelling:
             return PATH_WORD not in classes and (before[0] != KEPT or ">" in behind)
         if self.labels[index] != LEFT_OUT:
             return True
-        is_choosing = not CHOOSING.isdisjoint(classes) or word in WORDS["degrees"]
+        is_choosing = not WORDS["choosing"].isdisjoint(classes) or word in WORDS["degrees"]
         if index and classes[0][0] == "?" and self.sentence.words[index - 1] in WORDS["articles"]:
             is_choosing = True  # it may be a thing that nobody knows
         is_moved = any(label == f"{KEPT}>{word}" for label in self.labels)
@@ -207,11 +200,13 @@ class Labelling:
             not any(sentence.is_name[i] for i in kept)
             or any(self.labels[i] not in (KEPT, LEFT_OUT) for i in clause)
             or any(
-                sentence.is_verb(i) or not _TOLD.isdisjoint(sentence.classes[i])
+                sentence.is_verb(i) or not WORDS["telling"].isdisjoint(sentence.classes[i])
                 for i in kept
                 if not sentence.is_name[i]
             )
-            or all(self.kept[i] or not _IDLE.isdisjoint(sentence.classes[i]) for i in clause)
+            or all(
+                self.kept[i] or not WORDS["idle"].isdisjoint(sentence.classes[i]) for i in clause
+            )
         )
 
     def proposal(self, tokens: Sequence[SpokenToken], probability: float) -> Proposal:
