@@ -31,6 +31,8 @@ FRONT, BEHIND, LEFT, RIGHT, NEAR, FAR = range(6)
 AT = 6
 """Region "at an object": the seventh region of the behavior symbols."""
 REGIONS = (*RELATIONS, "at")
+BETWEEN = 7
+"""The relation with two landmarks ("between the cone and the car"): a reading has it with each."""
 ACTIONS = ("navigate", "find")
 MODES = ("normal", "quickly", "carefully")
 NONE = -1
@@ -40,14 +42,6 @@ ROBOT = -2
 FAR_SIGHTED = 1000.0
 """Metres of a sensing range beyond which it is rather in millimetres."""
 _log = logging.getLogger(__name__)
-BETWEEN = -1
-"""Sentinel rank: the figure is near the landmark in that it lies between it and another one, which
-it has another relation of this rank with ("between the cone and the car")."""
-
-
-def relation_name(relation: int, rank: int) -> str:
-    """Name what is said of a figure and a landmark: one of ``RELATIONS``, or "between"."""
-    return "between" if rank == BETWEEN else RELATIONS[relation]
 
 
 class Fault(enum.IntFlag):
@@ -100,9 +94,9 @@ class Readings:
 
     mention_type: Array  # i32[K, M] object type (``object_types``); ROBOT; NONE in empty slots
     figure: Array  # i32[K, J] mention index of what is placed; NONE in empty slots
-    relation: Array  # i32[K, J] relation index; NONE where the thing merely exists
+    relation: Array  # i32[K, J] in ``relations.REGISTRY``; NONE where the thing merely exists
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
-    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; BETWEEN; or 0
+    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; or 0
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
     def edges(self, reading: int = 0) -> np.ndarray:

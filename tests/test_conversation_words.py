@@ -168,8 +168,8 @@ def test_between_is_dropped_as_a_whole() -> None:
     for side in ("left of", "behind", "in front of", "near", "right of"):
         talk.say(f"the hydrant is {side} the barrel", is_asked=False)
         talk.say(f"the cone is {side} the building", is_asked=False)
-        assert (np.asarray(talk.readings.rank[0]) == BETWEEN).sum() in (0, 2)
-    assert (np.asarray(talk.readings.rank[0]) == BETWEEN).sum() == 0
+        assert (np.asarray(talk.readings.relation[0]) == BETWEEN).sum() in (0, 2)
+    assert (np.asarray(talk.readings.relation[0]) == BETWEEN).sum() == 0
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_of_one_type_said_again_nothing_changes_places(text: str) -> None:
     talk.say(text)
     assert talk.kinds == kinds
     assert talk.said == said
-    is_between = np.asarray(talk.readings.rank[0]) == BETWEEN
+    is_between = np.asarray(talk.readings.relation[0]) == BETWEEN
     assert is_between.sum() == (2 if "between" in text else 0)
     assert int(talk.words.goal[0, 0]) == goal
 

@@ -127,7 +127,7 @@ def test_things_of_later_clauses(first, second, number):
     assert len(set(reading.relations)) == len(reading.relations)
 
 
-BETWEEN_TWO = (said(HYDRANT, NEAR, CONE, BETWEEN), said(HYDRANT, NEAR, CAR, BETWEEN))
+BETWEEN_TWO = (said(HYDRANT, BETWEEN, CONE), said(HYDRANT, BETWEEN, CAR))
 
 
 @pytest.mark.parametrize(
@@ -135,10 +135,10 @@ BETWEEN_TWO = (said(HYDRANT, NEAR, CONE, BETWEEN), said(HYDRANT, NEAR, CAR, BETW
     [
         (BETWEEN_TWO, (CONE, CAR, HYDRANT), [(2, 0), (2, 1)]),
         # of one type alone there are two; and the figure is a third
-        ((said(HYDRANT, NEAR, CONE, BETWEEN),), (CONE, CONE, HYDRANT), [(2, 0), (2, 1)]),
-        ((said(CONE, NEAR, CONE, BETWEEN),), (CONE, CONE, CONE), [(2, 0), (2, 1)]),
+        ((said(HYDRANT, BETWEEN, CONE),), (CONE, CONE, HYDRANT), [(2, 0), (2, 1)]),
+        ((said(CONE, BETWEEN, CONE),), (CONE, CONE, CONE), [(2, 0), (2, 1)]),
         (
-            (said(CONE, NEAR, CONE, BETWEEN), said(CONE, NEAR, CAR, BETWEEN)),
+            (said(CONE, BETWEEN, CONE), said(CONE, BETWEEN, CAR)),
             (CONE, CAR, CONE),
             [(2, 0), (2, 1)],
         ),
@@ -171,7 +171,7 @@ def test_between_is_read_as_its_two_relations(model, text, landmarks):
     assert {one["landmark"] for one in between if one["probability"] > 0.95} == landmarks
     assert {one["figure"] for one in between} == {"hydrant"}
     readings = understood.instruction.readings
-    is_pair = np.asarray(readings.rank[0]) == BETWEEN
+    is_pair = np.asarray(readings.relation[0]) == BETWEEN
     assert is_pair.sum() == 2
     assert len(set(np.asarray(readings.landmark[0])[is_pair].tolist())) == 2
 

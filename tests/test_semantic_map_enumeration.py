@@ -192,7 +192,7 @@ def test_the_farthest_equals_enumeration_where_one_of_the_two_is_seen() -> None:
 def test_between_two_landmarks_equals_enumeration(kinds) -> None:
     """Of figure and both landmarks each may be seen or not, and none is another."""
     truth = exact.between(small_world(fineness=1), kinds)
-    _, weight = hold(truth, kinds, [(0, NEAR, 1, BETWEEN), (0, NEAR, 2, BETWEEN)], 4)
+    _, weight = hold(truth, kinds, [(0, BETWEEN, 1, 0), (0, BETWEEN, 2, 0)], 4)
     assert weight.mean(1).std() < 0.6 * truth.sum()
     assert (truth > 0.02 * truth.sum()).sum() > 4
 

@@ -67,7 +67,7 @@ def readings_of(types, edges, superlative=False):
             "a hydrant behind a cone near a car",
         ),
         (
-            readings_of([HYDRANT, CONE, 2], [(0, NEAR, 1), (0, NEAR, 2)], BETWEEN),
+            readings_of([HYDRANT, CONE, 2], [(0, BETWEEN, 1), (0, BETWEEN, 2)]),
             "a hydrant between a cone and a car",
         ),
         (readings_of([HYDRANT, CONE], [(0, NONE, NONE), (1, NONE, NONE)]), "a hydrant and a cone"),

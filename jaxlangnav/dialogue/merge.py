@@ -82,7 +82,7 @@ def _product(
     for one in (edge.moved(places) for edge in new.edges):
         # From another place "behind the cone" is another side of it: said again, it is news.
         # What lies between two things does so from anywhere.
-        is_news = one.relation != NONE and one.rank != BETWEEN
+        is_news = one.relation not in (NONE, BETWEEN)
         if is_news or one._replace(heard=0) not in known_edges:
             edges.append(one)
     total, goals = old.log_probability + new.log_probability, moved(new.new_goals, places)
@@ -132,12 +132,12 @@ def _fitted(reading: Account, num_mentions: int, num_relations: int) -> Account:
             break
         oldest = min(reading.edges, key=lambda one: (_is_needed(reading, one), one.heard))
         # "Between" says nothing by halves: a relation goes where its other one does.
-        is_half = oldest.rank == BETWEEN
+        is_half = oldest.relation == BETWEEN
         reading.edges = [
             one
             for one in reading.edges
             if one is not oldest
-            and not (is_half and one.rank == BETWEEN and one.figure == oldest.figure)
+            and not (is_half and one.relation == BETWEEN and one.figure == oldest.figure)
         ]
         dropped += 1
     place = [kept.index(m) if m in touched else NONE for m in range(len(reading.mentions))]

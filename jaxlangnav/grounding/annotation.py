@@ -29,7 +29,8 @@ from jaxlangnav.grounding.symbols import (
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.phrase import Parse, Phrase
 from jaxlangnav.language.reference import is_thing
-from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT
+from jaxlangnav.relations import REGISTRY
 
 RankedAnnotations = tuple[tuple[Annotation, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
@@ -62,7 +63,7 @@ def describe_annotation(
 ) -> dict[str, object]:
     """Name an annotation for people and for ``ground --json``.
 
-    ``rank`` is 1 where the extreme is meant, 2 where the second is, ``BETWEEN``, 0 otherwise.
+    ``rank`` is 1 where the extreme is meant, 2 where the second is, 0 otherwise.
 
     Returns:
         figure ("thing" of any type), relation, landmark (None where it has none), superlative,
@@ -81,7 +82,7 @@ def annotation_document(
     """Write an annotation of things by their names; see ``describe_annotation``."""
     document: dict[str, object] = {
         "figure": figure,
-        "relation": None if relation == NONE else relation_name(relation, rank),
+        "relation": None if relation == NONE else REGISTRY[relation].name,
         "landmark": landmark,
         "superlative": rank == 1,
         "probability": round(probability, 6),
@@ -90,12 +91,10 @@ def annotation_document(
 
 
 def _rank_chances(
-    paths: list[Path], rank: Mapping[Path, np.ndarray], between: frozenset[Path]
+    paths: list[Path], rank: Mapping[Path, np.ndarray], *, is_between: bool
 ) -> list[tuple[int, float]]:
     """List the two likeliest ranks of a symbol with their log-probabilities."""
-    if between.intersection(paths):
-        return [(BETWEEN, 0.0)]
-    if not paths:
+    if is_between or not paths:
         return [(0, 0.0)]
     chances = min((rank[path] for path in paths), key=lambda chance: chance[0])
     order = np.argsort(-chances, kind="stable")[:2]
@@ -103,7 +102,7 @@ def _rank_chances(
 
 
 def _by_rank(
-    paths: list[Path], rank: Mapping[Path, np.ndarray], between: frozenset[Path]
+    paths: list[Path], rank: Mapping[Path, np.ndarray], *, is_between: bool
 ) -> list[list[Path]]:
     """Part the phrases of a symbol that say different ranks: they speak of different things.
 
@@ -111,7 +110,7 @@ def _by_rank(
     """
     likeliest = {path: int(np.argmax(rank[path])) for path in paths}
     ranks = sorted({*likeliest.values()} - {0})
-    if len(ranks) < 2 or between.intersection(paths):
+    if len(ranks) < 2 or is_between:
         return [paths]
     return [[path for path in paths if likeliest[path] == one] for one in ranks]
 
@@ -155,11 +154,13 @@ def _clause_sets(
                     for path in saying  # those that first express it: none below does
                     if not any(path == below[: len(path)] != below for below in saying)
                 ]
+            is_between = bool(between.intersection(paths))
+            symbol = symbol._replace(relation=BETWEEN) if is_between else symbol
             of_thing = symbol._replace(kind=RELATION, figure=ANYTHING)
-            for own in _by_rank(paths, rank, between):
+            for own in _by_rank(paths, rank, is_between=is_between):
                 is_of_thing = symbol.kind == REGION and things.intersection(own)
                 symbols.append(of_thing if is_of_thing else symbol)
-                chances.append(_rank_chances(own, rank, between))
+                chances.append(_rank_chances(own, rank, is_between=is_between))
         for choice in itertools.product(*chances):
             said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
             yield said, hypothesis.log_probability + sum(log_chance for _, log_chance in choice)

@@ -19,13 +19,10 @@ from jaxlangnav.messages import (
     AT,
     BETWEEN,
     MODES,
-    NEAR,
     REGIONS,
-    RELATIONS,
     ROBOT,
-    relation_name,
 )
-from jaxlangnav.relations.table import ORDERS
+from jaxlangnav.relations.table import ORDERS, REGISTRY
 
 MAX_FORM_CHARACTERS = 65_536
 """Longer texts are no forms: the largest that the arrays hold has a tenth of it."""
@@ -206,9 +203,9 @@ def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> 
         for i, one in enumerate(document.get("relations", ()))
     )
     ids = {thing: quote(name) for name, thing in index.items()}
-    for figure in dict.fromkeys(one.figure for one in relations if one.rank == BETWEEN):
-        its = [one for one in relations if one.rank == BETWEEN and one.figure == figure]
-        landmarks = sorted({one.landmark for one in its})
+    between = [one for one in relations if one.relation == BETWEEN]
+    for figure in dict.fromkeys(one.figure for one in between):
+        landmarks = sorted({one.landmark for one in between if one.figure == figure})
         if len(landmarks) != 2:
             raise ValueError(
                 f"{path}.relations has {ids[figure]} between "
@@ -243,20 +240,16 @@ def _read_relation(document: Mapping[str, Any], index: Mapping[str, int], path: 
             "nothing is its own landmark"
         )
     rank = int(document.get("rank", 0))
-    if document["relation"] == relation_name(NEAR, BETWEEN):
-        if rank:
-            raise ValueError(f"{path}.rank is {rank}, but nothing is ordered by between: leave it")
-        if landmark == ROBOT:
-            raise ValueError(
-                f"{path}.landmark is 'robot', but what lies between the robot and a thing cannot "
-                "be told: say that it is near, or in front"
-            )
-        return Relation(figure, NEAR, landmark, BETWEEN)
-    relation = RELATIONS.index(document["relation"])
+    relation = [one.name for one in REGISTRY].index(document["relation"])
     if rank and relation not in ORDERS:
         raise ValueError(
-            f"{path}.rank is {rank}, but nothing is ordered by {RELATIONS[relation]}: use near, "
+            f"{path}.rank is {rank}, but nothing is ordered by {document['relation']}: use near, "
             "far, left or right"
+        )
+    if relation == BETWEEN and landmark == ROBOT:
+        raise ValueError(
+            f"{path}.landmark is 'robot', but what lies between the robot and a thing cannot "
+            "be told: say that it is near, or in front"
         )
     return Relation(figure, relation, landmark, rank)
 

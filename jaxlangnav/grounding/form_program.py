@@ -36,6 +36,7 @@ from jaxlangnav.grounding.program import (
 from jaxlangnav.grounding.readings import CapacityError
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.messages import NEAR, NONE, REGIONS
+from jaxlangnav.relations.table import SYMBOL
 
 Place = tuple[int, int, "ThingDescription"]
 """Relation, rank, and what the landmark is."""
@@ -70,7 +71,7 @@ def _description_of(
     path = (*behind, thing)
     # Behavior knows what lies between two things as near each of them.
     places = {
-        (one.relation, max(one.rank, 0), _description_of(reading, one.landmark, path))
+        (SYMBOL[one.relation], one.rank, _description_of(reading, one.landmark, path))
         for one in reading.relations
         if one.figure == thing and one.landmark not in path
     }
@@ -93,7 +94,7 @@ def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
     def is_told(relation: int, rank: int, landmark: ThingDescription) -> bool:
         # The nearest is near, too; of later ranks, a particle does not know which.
         return any(
-            one.relation == relation
+            SYMBOL[one.relation] == relation
             and (rank == 0 or min(rank, 2) == min(one.rank, 2))
             and _fits(landmark, reading, one.landmark)
             for one in told

@@ -46,9 +46,9 @@ class Relation(NamedTuple):
     """Where a figure is; figure and landmark are things, types or mentions by their number."""
 
     figure: int
-    relation: int  # index into RELATIONS; NONE, with the landmark, where it only exists
+    relation: int  # in ``relations.REGISTRY``; NONE, with the landmark, where it only exists
     landmark: int
-    rank: int  # 0 plain, 1 the extreme one of its type, 2 the second, ...; BETWEEN, of two
+    rank: int  # 0 plain, 1 the extreme one of its type, 2 the second, ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,14 +135,12 @@ class _Reader:
 
         ordered = in_order(related)
         for place, one in enumerate(ordered):
-            if one.rank != BETWEEN:
+            if one.relation != BETWEEN:
                 landmark = mention(one.landmark)
                 figure = mention(one.figure, landmark, rank=one.rank)
                 self._say([Relation(figure, one.relation, landmark, one.rank)])
                 continue
-            pair = [
-                k for k, it in enumerate(ordered) if (it.figure, it.rank) == (one.figure, BETWEEN)
-            ]
+            pair = [k for k, it in enumerate(ordered) if it[:2] == (one.figure, BETWEEN)]
             if place == pair[-1]:  # with the last, both landmarks are placed
                 self._lie_between(one, [ordered[k].landmark for k in pair], mention)
         # Objects and regions come last: things exist of which nothing has been said yet.
@@ -163,8 +161,8 @@ class _Reader:
         if symbol.figure in (first, second):
             # In an earlier clause it has been settled which of its type is which.
             said: dict[int, set[int]] = {}
-            for own, _, landmark, rank in self.relations:
-                if rank == BETWEEN and self.mentions[own] == symbol.figure:
+            for own, relation, landmark, _ in self.relations:
+                if relation == BETWEEN and self.mentions[own] == symbol.figure:
                     said.setdefault(own, set()).add(self.mentions[landmark])
             if {first, second} in said.values():
                 return

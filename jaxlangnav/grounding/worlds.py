@@ -9,10 +9,10 @@ import numpy as np
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.inputs.object_types import fits, kind_of, label_of, name_of
 from jaxlangnav.language.geometry import SIDE_RANGE, Geometry, PlacedWorld
-from jaxlangnav.messages import BETWEEN, NONE, RELATIONS, ROBOT, BehaviorWorld, Readings
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.relations.between import lies_between
 from jaxlangnav.relations.strength import num_before
-from jaxlangnav.relations.table import NUM_RANKS, RELATION_WORDS
+from jaxlangnav.relations.table import NUM_RANKS, REGISTRY, SYMBOL
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,19 +88,19 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
     nothing else of its type is.
     """
     world = place(placed, type_names, side_range=np.inf)
-    if not placed.objects or not np.asarray(readings.rank[0]).any():
+    edges = readings.edges()
+    edges = edges[edges[:, 1] != NONE]
+    if not placed.objects or not ((edges[:, 1] == BETWEEN) | (edges[:, 3] > 0)).any():
         return world
     strength = Geometry(placed).strength
     kinds = np.asarray(readings.mention_type[0])
     is_kind = [fits(world.object_type, kind) for kind in kinds]
-    edges = readings.edges()
-    edges = edges[edges[:, 1] != NONE]
     _put_between(world, placed, is_kind, edges)
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
         own = allowed = is_kind[figure][:-1]
         for other, place_said, by, other_rank in edges:
             if other == figure and other_rank == 0:
-                allowed = allowed & world.is_related[place_said][:-1, is_kind[by]].any(1)
+                allowed = allowed & world.is_related[SYMBOL[place_said]][:-1, is_kind[by]].any(1)
         table = world.is_ranked[min(rank, 2) - 1, relation]
         for index in np.flatnonzero(is_kind[landmark]):
             rivals = allowed & (np.arange(len(own)) != index)
@@ -130,12 +130,11 @@ def why_nothing_fits(
         if relation == NONE:
             continue
         table = world.is_ranked[min(rank, 2) - 1] if rank > 0 else world.is_related
-        if table[relation][np.ix_(is_kind[figure], is_kind[landmark])].any():
+        if table[SYMBOL[relation]][np.ix_(is_kind[figure], is_kind[landmark])].any():
             continue
-        if rank == BETWEEN:
+        if relation == BETWEEN:
             return [f"no {names[figure]} is between two things as is said"]
-        place = RELATION_WORDS[RELATIONS[relation]]
-        return [f"no {names[figure]} is {place} the {names[landmark]}"]
+        return [f"no {names[figure]} is {REGISTRY[relation].words} the {names[landmark]}"]
     return []
 
 
@@ -143,7 +142,7 @@ def _put_between(
     world: World, placed: PlacedWorld, is_kind: Sequence[np.ndarray], edges: np.ndarray
 ) -> None:
     """Put what lies between two things in place of what is near them, of mentions bool[n + 1]."""
-    told = edges[edges[:, 3] == BETWEEN]
+    told = edges[edges[:, 1] == BETWEEN]
     x, y = np.array([[x, y] for _, x, y in placed.objects]).T
     lies = lies_between(*((x[ends], y[ends]) for ends in np.ix_(*[range(len(x))] * 3)))
     for figure, relation, landmark, _ in told:
@@ -151,7 +150,7 @@ def _put_between(
         is_other = np.any([is_kind[other][:-1] for other in others], axis=0)
         own = np.any(lies & is_other, axis=-1)
         is_figure, is_landmark = is_kind[figure][:-1], is_kind[landmark][:-1]
-        ends = np.ix_([relation], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
+        ends = np.ix_([SYMBOL[relation]], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
         world.is_related[ends] = own[is_figure][:, is_landmark]
 
 

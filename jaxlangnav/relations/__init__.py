@@ -26,11 +26,14 @@ from jaxlangnav.relations.strength import (
     is_so as is_so,
 )
 from jaxlangnav.relations.table import (
+    REGISTRY as REGISTRY,
     SIDES as SIDES,
     ReferenceFrame as ReferenceFrame,
     RelationParams as RelationParams,
+    SpatialRelation as SpatialRelation,
     default_params as default_params,
     robot_frame as robot_frame,
+    symbol_of as symbol_of,
     to_frame as to_frame,
     to_map as to_map,
     viewer_frame as viewer_frame,

@@ -10,9 +10,9 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.messages import FAR, LEFT, NEAR, RIGHT
 from jaxlangnav.relations.table import (
-    AXIS,
     NUM_RANKS,
     ORDERS,
+    REGISTRY,
     SIDES,
     ReferenceFrame,
     robot_frame,
@@ -26,9 +26,9 @@ HOLDS_MIN_COSINE = 0.7071
 """Directed relations hold within 45 degrees of their axis."""
 _HOLDS_MAX_DISTANCE = 5.0  # metres; "far" begins where the others end
 _COSINE, _SINE = (
-    np.array([of(AXIS[one]) for one in range(len(AXIS))], np.float32) for of in (math.cos, math.sin)
+    np.array([of(one.axis or 0.0) for one in REGISTRY], np.float32) for of in (math.cos, math.sin)
 )
-_IS_RING = np.array([one not in SIDES for one in range(len(AXIS))])  # "near", "far"
+_IS_RING = np.array([one.axis is None for one in REGISTRY])  # "near", "far"
 
 
 def degree_of(relation: int, distance: Values, sideways: Values) -> Values:
@@ -95,7 +95,8 @@ def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Referen
     backward, leftward = to_frame(robot, offset_x, offset_y)
     holds = jnp.ones(jnp.broadcast_shapes(relation.shape, offset_x.shape), bool)
     for side in SIDES:
-        inward = backward * math.cos(AXIS[side]) + leftward * math.sin(AXIS[side])
+        axis = REGISTRY[side].axis or 0.0
+        inward = backward * math.cos(axis) + leftward * math.sin(axis)
         holds = jnp.where(relation == side, inward > 0, holds)
     return holds
 

@@ -1,10 +1,11 @@
-"""The axes, free parameters and frames of the relations (section 3.2, eq. 7a): the only place.
+"""The registry of relations, their free parameters and their frames (section 3.2, eq. 7a).
 
 A relation is understood in the frame of the viewer at the moment of the utterance: "behind the
 cone" lies beyond the cone as seen from where the person spoke. Where the robot itself is the
 landmark ("on your left"), the frame is the robot's own at that moment.
 """
 
+import dataclasses
 import math
 
 import jax
@@ -12,29 +13,62 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
+from jaxlangnav.messages import AT, BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
 from jaxlangnav.pytree import field, pytree
 
-SIDES = (FRONT, BEHIND, LEFT, RIGHT)
+
+@dataclasses.dataclass(frozen=True)
+class SpatialRelation:
+    """One relation: what it is called, and where it places its figure.
+
+    With one landmark the figure's distance is log-normal and its direction von Mises about the axis
+    (``density``); with two landmarks the relation has a module of its own (``between``).
+    """
+
+    name: str
+    """In documents."""
+    words: str
+    """What people say before its landmark."""
+    converse: int | None
+    """What a landmark is to its figure: "a cone with a tree behind it" is in front of a tree."""
+    axis: float | None = None
+    """Radians from the frame's ``along``, counter-clockwise: behind is further along the line of
+    sight. None: all round."""
+    distance: float = 2.4
+    """Metres, median."""
+    distance_sd: float = 0.35
+    """Of the log of the distance."""
+    is_order: bool = False
+    """Things are ordered by it: "leftmost", "the second on your right", "nearest"."""
+    num_landmarks: int = 1
+    symbol: int | None = None
+    """Annotation symbol by which the graph expresses what has none of its own."""
+
+
+REGISTRY = (
+    SpatialRelation("front", "in front of", BEHIND, math.pi),
+    SpatialRelation("behind", "behind", FRONT, 0.0),
+    SpatialRelation("left", "to the left of", RIGHT, math.pi / 2, is_order=True),
+    SpatialRelation("right", "to the right of", LEFT, -math.pi / 2, is_order=True),
+    SpatialRelation("near", "near", NEAR, distance=2.2, is_order=True),
+    SpatialRelation("far", "far from", FAR, distance=8.0, distance_sd=0.4, is_order=True),
+    SpatialRelation("at", "at", AT, distance=0.0),
+    SpatialRelation("between", "between", None, num_landmarks=2, symbol=NEAR),
+)
+"""All relations, in the order of ``messages.RELATIONS``, ``AT`` and ``BETWEEN``. A neighbourhood is
+a few metres."""
+SIDES = tuple(index for index, one in enumerate(REGISTRY) if one.axis is not None)
 """Relations with an axis: of the robot itself they are its sides."""
-AXIS = {FRONT: math.pi, BEHIND: 0.0, LEFT: math.pi / 2, RIGHT: -math.pi / 2, NEAR: 0.0, FAR: 0.0}
-"""Radians from the frame's ``along``, counter-clockwise: behind is further along the line of sight.
-"Near" and "far" lie all round, and have none."""
-RELATION_WORDS = {
-    "front": "in front of",
-    "behind": "behind",
-    "left": "to the left of",
-    "right": "to the right of",
-    "near": "near",
-    "far": "far from",
-}
-"""What people say for a relation, before its landmark."""
-CONVERSE = {FRONT: BEHIND, BEHIND: FRONT, LEFT: RIGHT, RIGHT: LEFT, NEAR: NEAR, FAR: FAR}
-"""What a landmark is to its figure: "a cone with a tree behind it" is a cone in front of a tree."""
-ORDERS = (LEFT, RIGHT, NEAR, FAR)
-"""Relations by which things are ordered: "leftmost", "the second on your right", "nearest"."""
+ORDERS = tuple(index for index, one in enumerate(REGISTRY) if one.is_order)
+SYMBOL = tuple(i if one.symbol is None else one.symbol for i, one in enumerate(REGISTRY))
+"""Annotation symbol of each relation."""
 NUM_RANKS = 4
 """Ranks that can be told: nearest (first), second, third, fourth."""
+
+
+def symbol_of(relation: Array) -> Array:
+    """Look up the annotation symbols of relations, i32[...]; NONE stays."""
+    return jnp.where(relation < 0, relation, jnp.asarray(SYMBOL, jnp.int32)[relation])
 
 
 @pytree
@@ -48,12 +82,13 @@ class RelationParams:
 
 
 def default_params() -> RelationParams:
-    """Build plausible relations: an object's neighbourhood is a few metres."""
+    """Build the relations as the registry has them; those with an axis have κ of 12."""
+    six = REGISTRY[: len(RELATIONS)]
     return RelationParams(
-        log_distance=jnp.log(jnp.array([2.4, 2.4, 2.4, 2.4, 2.2, 8.0], jnp.float32)),
-        log_distance_sd=jnp.array([0.35, 0.35, 0.35, 0.35, 0.35, 0.4], jnp.float32),
-        axis=jnp.array([AXIS[index] for index in range(len(RELATIONS))], jnp.float32),
-        concentration=jnp.array([12.0, 12.0, 12.0, 12.0, 0.0, 0.0], jnp.float32),
+        log_distance=jnp.log(jnp.array([one.distance for one in six], jnp.float32)),
+        log_distance_sd=jnp.array([one.distance_sd for one in six], jnp.float32),
+        axis=jnp.array([one.axis or 0.0 for one in six], jnp.float32),
+        concentration=jnp.array([0.0 if one.axis is None else 12.0 for one in six], jnp.float32),
     )
 
 

@@ -8,6 +8,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.numerics.batching import select_row
+from jaxlangnav.relations import symbol_of
 from jaxlangnav.semantic_map.particle import SemanticMap
 
 
@@ -37,7 +38,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         for one in (read.figure, read.landmark)
     )
     edge = (  # [J, 6, N, N]
-        (read.relation[:, None] == jnp.arange(len(RELATIONS))[None])[:, :, None, None]
+        (symbol_of(read.relation)[:, None] == jnp.arange(len(RELATIONS))[None])[:, :, None, None]
         & (figure[:, None] == slots[None])[:, None, :, None]
         & (landmark[:, None] == slots[None])[:, None, None, :]
     )

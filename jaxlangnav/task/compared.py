@@ -15,8 +15,8 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.readings import Relation
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.inputs.object_types import noun_of
-from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, ROBOT, relation_name
-from jaxlangnav.relations.table import CONVERSE
+from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, ROBOT
+from jaxlangnav.relations.table import REGISTRY, SYMBOL
 from jaxlangnav.task.labelled import ALIKE, LEAST, Meaning
 
 _EXACT = 0.01
@@ -43,9 +43,10 @@ def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...
 
     def turned(one: Relation) -> Relation:
         """Turn round what is said the other way round: a tree behind a cone, a cone before it."""
-        if one.rank or one.landmark == ROBOT:
+        converse = REGISTRY[one.relation].converse
+        if one.rank or one.landmark == ROBOT or converse is None:
             return one
-        other = Relation(one.landmark, CONVERSE[one.relation], one.figure, 0)
+        other = Relation(one.landmark, converse, one.figure, 0)
         own, instead = (_named(meaning, it) for it in (one, other))
         return other if instead in relations and own not in relations else one
 
@@ -82,7 +83,7 @@ def _named(meaning: Meaning, one: Relation) -> NamedRelation:
         "robot" if thing == ROBOT else meaning.type_of(thing)
         for thing in (one.figure, one.landmark)
     )
-    return figure, relation_name(one.relation, one.rank), landmark, max(one.rank, 0)
+    return figure, REGISTRY[one.relation].name, landmark, one.rank
 
 
 def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], set[NamedRelation]]:
@@ -95,7 +96,7 @@ def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], s
         return "robot" if kind == ROBOT else noun_of(kind, names)
 
     relations = {
-        (name(figure), relation_name(relation, rank), name(landmark), max(int(rank), 0))
+        (name(figure), REGISTRY[relation].name, name(landmark), int(rank))
         for figure, relation, landmark, rank in fields.edges()
         if relation != NONE
     }
@@ -135,10 +136,10 @@ def _world(meaning: Meaning, kinds: Sequence[int]) -> World:
     """Build a world in which exactly what the label says holds; the robot has the last slot."""
     last = len(kinds)
     edges = [
-        (one.rank, one.relation, one.figure, last if one.landmark == ROBOT else one.landmark)
-        for one in meaning.reading.relations
+        (rank, SYMBOL[relation], figure, last if landmark == ROBOT else landmark)
+        for figure, relation, landmark, rank in meaning.reading.relations
     ]
-    related = [edge for rank, *edge in edges if rank <= 0 or edge[0] == NEAR]
+    related = [edge for rank, *edge in edges if rank == 0 or edge[0] == NEAR]
     # The device has one table of later ranks: whichever the sentence means.
     ranked = [(min(rank, 2) - 1, *edge) for rank, *edge in edges if rank > 0]
     return World.of_edges([*kinds, ROBOT], related, ranked)
@@ -176,7 +177,7 @@ def _fitting(meaning: Meaning, thing: int, world: World) -> set[int]:
         if one.figure == thing:
             landmark = last if one.landmark == ROBOT else one.landmark
             holds = world.is_ranked[min(one.rank, 2) - 1] if one.rank > 0 else world.is_related
-            fitting = fitting & holds[one.relation, :, landmark]
+            fitting = fitting & holds[SYMBOL[one.relation], :, landmark]
     return set(np.flatnonzero(fitting).tolist())
 
 

@@ -17,8 +17,8 @@ from jaxlangnav.grounding.properties import Annotations
 from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.language.phrase import Parse
-from jaxlangnav.messages import NONE, RELATIONS, ROBOT
-from jaxlangnav.relations.table import RELATION_WORDS
+from jaxlangnav.messages import NONE, ROBOT
+from jaxlangnav.relations.table import REGISTRY
 from jaxlangnav.viz import style
 from jaxlangnav.viz.sentences import percent
 
@@ -41,7 +41,7 @@ def _symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
     things = {NONE: "", ROBOT: "robot", **dict(enumerate(type_names))}
     parts = [things[symbol.figure]]
     if symbol.relation != NONE:
-        parts += [RELATION_WORDS[RELATIONS[symbol.relation]], things[symbol.landmark]]
+        parts += [REGISTRY[symbol.relation].words, things[symbol.landmark]]
     return " ".join(parts).strip()
 
 

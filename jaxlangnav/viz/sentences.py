@@ -10,9 +10,9 @@ import numpy as np
 from jaxlangnav.episode.recording import Frame, Moment, Remark, StaticScene, missing_names
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.language.lexicon import plural
-from jaxlangnav.messages import AT, NONE, REGIONS, ROBOT, Fault, Status, relation_name
+from jaxlangnav.messages import AT, NONE, ROBOT, Fault, Status
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
-from jaxlangnav.relations.table import RELATION_WORDS
+from jaxlangnav.relations.table import REGISTRY
 from jaxlangnav.viz import summary
 
 SUPERLATIVE_WORDS = {
@@ -96,11 +96,11 @@ def _thing_words(scene: StaticScene, index: int, mention: int) -> str:
 
     def relation_words(edge: int) -> str:
         rank = int(readings.rank[index, edge])
-        name = relation_name(int(relations[edge]), rank)
-        if rank <= 0:
-            return RELATION_WORDS.get(name, name)
+        relation = REGISTRY[int(relations[edge])]
+        if rank == 0:
+            return relation.words
         place = f"{ORDINALS[min(rank, 4) - 2]} " if rank > 1 else ""
-        return place + SUPERLATIVE_WORDS[name]
+        return place + SUPERLATIVE_WORDS[relation.name]
 
     def thing(mention: int, path: tuple[int, ...]) -> str:
         if mention == ROBOT or int(types[mention]) == ROBOT:
@@ -130,7 +130,7 @@ def describe_asked(scene: StaticScene) -> list[str]:
     def asked(one: Asked) -> str:
         goal = "another one than before" if one.mention == NONE else thing(one.mention)
         if one.mention != NONE and one.region != AT:
-            goal = f"{RELATION_WORDS[REGIONS[one.region]]} {goal}"
+            goal = f"{REGISTRY[one.region].words} {goal}"
         verb = "find" if one.action == "find" else "go to" if one.region == AT else "go"
         pace = "" if one.mode == "normal" else f" {one.mode}"
         keep = [thing(mention) for _, mention, _ in one.avoid]
@@ -250,7 +250,7 @@ def _goal_name(scene: StaticScene, frame: Frame, slot: int) -> str:
     # A region is only asked for where there is goal probability; elsewhere it is the object.
     if region == AT or float(frame.goal_mass[slot]) < 0.02:
         return thing
-    return f"the place {RELATION_WORDS[REGIONS[region]]} {thing}"
+    return f"the place {REGISTRY[region].words} {thing}"
 
 
 def believed(scene: StaticScene, frame: Frame) -> str:

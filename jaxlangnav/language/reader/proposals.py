@@ -34,7 +34,7 @@ from jaxlangnav.language.reader.model import (
 )
 from jaxlangnav.language.tokens import MARKS, SpokenToken, without_idle_marks
 from jaxlangnav.messages import RELATIONS
-from jaxlangnav.relations.table import CONVERSE
+from jaxlangnav.relations.table import REGISTRY
 
 _LABELLINGS = 30
 """Labellings that are looked at."""
@@ -185,7 +185,7 @@ class Labelling:
             return True
         clause = self.sentence.clauses[self.sentence.clause[index]]
         gone = _relations([self.sentence.words[i] for i in clause if self.labels[i] == LEFT_OUT])
-        return put <= {CONVERSE[one] for one in gone}
+        return put <= {REGISTRY[one].converse for one in gone}
 
     def _governs_kept(self, index: int) -> bool:
         """Tell whether the name that a preposition stands before is kept."""

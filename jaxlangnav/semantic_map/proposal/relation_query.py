@@ -30,6 +30,7 @@ from jaxlangnav.relations import (
     log_density_of,
     robot_frame,
     sample_law,
+    symbol_of,
     to_frame,
     to_map,
     viewer_frame,
@@ -44,8 +45,8 @@ class Query(NamedTuple):
 
     mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
     kind: Array  # i32[2, ...] their kinds; ROBOT; NONE
-    relation: Array  # i32[...] relation index; NONE where the figure merely exists
-    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; BETWEEN; 0 where none is meant
+    relation: Array  # i32[...] its annotation symbol; NONE where the figure merely exists
+    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; 0 where none is meant
     other: Array  # i32[...] mention of the other landmark of "between", grounded by then; NONE
     is_order: Array  # bool[...] "the second", "farthest": a rank that says nothing of how far
     is_anywhere: Array  # bool[...] an order or "on your left": however far
@@ -207,7 +208,7 @@ def _paired(one: Readings) -> tuple[Readings, Array]:
 
     The second then has the other landmark's place to be understood by, i32[J]; NONE elsewhere.
     """
-    is_between = one.rank == BETWEEN
+    is_between = one.relation == BETWEEN
     is_alike = (one.figure[:, None] == one.figure[None]) & is_between[:, None] & is_between[None]
     number = one.figure.shape[0]
     is_earlier = is_alike & np.tri(number, k=-1, dtype=bool)
@@ -219,7 +220,7 @@ def _paired(one: Readings) -> tuple[Readings, Array]:
     return replace(
         one,
         figure=jnp.where(is_first, one.landmark, one.figure),
-        relation=jnp.where(is_first, NONE, one.relation),
+        relation=jnp.where(is_first, NONE, symbol_of(one.relation)),
         landmark=jnp.where(is_first, NONE, one.landmark),
     ), other
 
