@@ -25,7 +25,7 @@ from jaxlangnav.relations import (
     viewer_frame,
 )
 from jaxlangnav.relations.between import lies_between
-from jaxlangnav.relations.strength import degree, degree_of, num_before, value_of_rank
+from jaxlangnav.relations.strength import degree, num_before, value_of_rank
 from jaxlangnav.relations.table import NUM_RANKS, ORDERS
 
 ALL = range(len(RELATIONS))
@@ -186,7 +186,7 @@ def test_one_step_to_the_left_by_hand() -> None:
     """3 m away and 2 m to the left: the far one by 3, the leftmost by 2, the nearest by -3."""
     expected = {FRONT: -3.0, BEHIND: -3.0, LEFT: 2.0, RIGHT: -2.0, NEAR: -3.0, FAR: 3.0}
     for relation, value in expected.items():
-        assert float(degree_of(relation, np.array(3.0), np.array(2.0))) == value
+        assert float(degree(relation, np.array(3.0), np.array(2.0))) == value
 
 
 def test_host_and_device_agree() -> None:
@@ -194,7 +194,7 @@ def test_host_and_device_agree() -> None:
     distance, sideways = generator.uniform(-5, 5, (2, 100)).astype(np.float32)
     for relation in range(len(RELATIONS)):
         on_device = DEGREE(jnp.full(100, relation), jnp.asarray(distance), jnp.asarray(sideways))
-        np.testing.assert_array_equal(on_device, degree_of(relation, distance, sideways))
+        np.testing.assert_array_equal(on_device, degree(relation, distance, sideways))
 
 
 @pytest.mark.parametrize("relation", ORDERS)

@@ -15,7 +15,7 @@ from jax import Array
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations import holds
-from jaxlangnav.relations.strength import degree_of
+from jaxlangnav.relations.strength import degree
 from jaxlangnav.relations.table import SIDES
 
 SIDE_RANGE = 5.0
@@ -66,6 +66,4 @@ class Geometry:
         self.holds[sides] &= distance[:, -1:] <= side_range
         sideways = offset @ np.array([-np.sin(heading), np.cos(heading)])
         # How much each relation holds, f64[6, N, N + 1], larger is more so.
-        self.strength = np.stack(
-            [degree_of(one, distance, sideways) for one in range(len(RELATIONS))]
-        )
+        self.strength = np.stack([degree(one, distance, sideways) for one in range(len(RELATIONS))])

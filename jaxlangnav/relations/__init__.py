@@ -1,12 +1,9 @@
-"""What is said of where things are: the six relations of section 3.1.
+"""Spatial relations (section 3.1).
 
-``table`` holds their axes and parameters, ``frames`` in whose eyes they are meant, ``density`` how
-likely they place a thing (eq. 7a), ``strength`` whether one holds, and which thing is the nearest.
+``table`` is their registry, ``density`` eq. 7a, ``strength`` whether one holds, and who is nearest.
 """
 
 from jaxlangnav.relations.density import (
-    MAX_NORMAL as MAX_NORMAL,
-    NUM_QUANTILES as NUM_QUANTILES,
     SIDE_CONCENTRATION as SIDE_CONCENTRATION,
     Law as Law,
     RelationModel as RelationModel,
@@ -30,7 +27,6 @@ from jaxlangnav.relations.table import (
     SIDES as SIDES,
     ReferenceFrame as ReferenceFrame,
     RelationParams as RelationParams,
-    SpatialRelation as SpatialRelation,
     default_params as default_params,
     robot_frame as robot_frame,
     symbol_of as symbol_of,

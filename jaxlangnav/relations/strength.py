@@ -1,17 +1,16 @@
 """Whether a relation holds, how strongly, and who is the n-th: the only place, host and device."""
 
 import math
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxlangnav.messages import FAR, LEFT, NEAR, RIGHT
+from jaxlangnav.messages import FAR
 from jaxlangnav.relations.table import (
     NUM_RANKS,
-    ORDERS,
     REGISTRY,
     SIDES,
     ReferenceFrame,
@@ -25,32 +24,23 @@ Values = TypeVar("Values", Array, np.ndarray)
 HOLDS_MIN_COSINE = 0.7071
 """Directed relations hold within 45 degrees of their axis."""
 _HOLDS_MAX_DISTANCE = 5.0  # metres; "far" begins where the others end
+_BY_DISTANCE, _BY_SIDE = np.array([one.order or (-1.0, 0.0) for one in REGISTRY], np.float32).T
 _COSINE, _SINE = (
     np.array([of(one.axis or 0.0) for one in REGISTRY], np.float32) for of in (math.cos, math.sin)
 )
 _IS_RING = np.array([one.axis is None for one in REGISTRY])  # "near", "far"
 
 
-def degree_of(relation: int, distance: Values, sideways: Values) -> Values:
-    """Measure how much one relation holds, to find the extreme, the second, ...: larger is more so.
+def degree(relation: ArrayLike, distance: Values, sideways: Values) -> Values:
+    """Measure how much a relation holds, to find the extreme, the second, ...: larger is more so.
 
     Of f[...] metres from the landmark, and to the robot's left of it; NumPy or JAX. f[...], metres:
-    "leftmost" is furthest to the left, "far" furthest, all others nearest.
+    "leftmost" is furthest to the left, "far" furthest, all others nearest. ``relation`` is an index
+    or i32[...].
     """
-    if relation == FAR:
-        return distance
-    if relation == LEFT:
-        return sideways
-    return -sideways if relation == RIGHT else -distance
-
-
-def degree(relation: Array, distance: Array, sideways: Array) -> Array:
-    """Measure ``degree_of`` relations that differ from entry to entry, i32[...] indices."""
-    held = degree_of(NEAR, distance, sideways)
-    for one in ORDERS:
-        if one != NEAR:
-            held = jnp.where(relation == one, degree_of(one, distance, sideways), held)
-    return held
+    xp: Any = jnp if isinstance(relation, Array) else np
+    by_distance, by_side = (xp.asarray(table)[relation] for table in (_BY_DISTANCE, _BY_SIDE))
+    return by_distance * distance + by_side * sideways
 
 
 def sign_of_distance(relation: Array) -> Array:
@@ -61,7 +51,7 @@ def sign_of_distance(relation: Array) -> Array:
 def num_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
     """Count who comes before each figure, i[..., n] (host only): none before the first.
 
-    By f[..., n] of ``degree_of``, and bool[..., n, n], figure and who is compared with it.
+    By f[..., n] of ``degree``, and bool[..., n, n], figure and who is compared with it.
     """
     beats = strength[..., None, :] > strength[..., :, None]
     return (beats & is_rival).sum(-1)
@@ -93,12 +83,8 @@ def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Referen
         robot: the robot's own frame.
     """
     backward, leftward = to_frame(robot, offset_x, offset_y)
-    holds = jnp.ones(jnp.broadcast_shapes(relation.shape, offset_x.shape), bool)
-    for side in SIDES:
-        axis = REGISTRY[side].axis or 0.0
-        inward = backward * math.cos(axis) + leftward * math.sin(axis)
-        holds = jnp.where(relation == side, inward > 0, holds)
-    return holds
+    cosine, sine, is_ring = (jnp.asarray(table)[relation] for table in (_COSINE, _SINE, _IS_RING))
+    return (backward * cosine + leftward * sine > 0) | is_ring
 
 
 def is_so(relation: ArrayLike, along: Array, lateral: Array, *, has_range: ArrayLike) -> Array:

@@ -25,41 +25,31 @@ class SpatialRelation:
     (``density``); with two landmarks the relation has a module of its own (``between``).
     """
 
-    name: str
-    """In documents."""
-    words: str
-    """What people say before its landmark."""
-    converse: int | None
-    """What a landmark is to its figure: "a cone with a tree behind it" is in front of a tree."""
-    axis: float | None = None
-    """Radians from the frame's ``along``, counter-clockwise: behind is further along the line of
-    sight. None: all round."""
-    distance: float = 2.4
-    """Metres, median."""
-    distance_sd: float = 0.35
-    """Of the log of the distance."""
-    is_order: bool = False
-    """Things are ordered by it: "leftmost", "the second on your right", "nearest"."""
+    name: str  # in documents
+    words: str  # what people say before its landmark
+    converse: int | None  # of the landmark to the figure: a cone with a tree behind it is before it
+    axis: float | None = None  # radians from ``along``, counter-clockwise; None: all round
+    distance: float = 2.4  # metres, median
+    distance_sd: float = 0.35  # of the log of the distance
+    order: tuple[float, float] | None = None  # "nearest": −1 by distance; "leftmost": 1 to the left
     num_landmarks: int = 1
-    symbol: int | None = None
-    """Annotation symbol by which the graph expresses what has none of its own."""
+    symbol: int | None = None  # annotation symbol that expresses what has none of its own
 
 
 REGISTRY = (
     SpatialRelation("front", "in front of", BEHIND, math.pi),
     SpatialRelation("behind", "behind", FRONT, 0.0),
-    SpatialRelation("left", "to the left of", RIGHT, math.pi / 2, is_order=True),
-    SpatialRelation("right", "to the right of", LEFT, -math.pi / 2, is_order=True),
-    SpatialRelation("near", "near", NEAR, distance=2.2, is_order=True),
-    SpatialRelation("far", "far from", FAR, distance=8.0, distance_sd=0.4, is_order=True),
+    SpatialRelation("left", "to the left of", RIGHT, math.pi / 2, order=(0.0, 1.0)),
+    SpatialRelation("right", "to the right of", LEFT, -math.pi / 2, order=(0.0, -1.0)),
+    SpatialRelation("near", "near", NEAR, distance=2.2, order=(-1.0, 0.0)),
+    SpatialRelation("far", "far from", FAR, None, 8.0, 0.4, order=(1.0, 0.0)),
     SpatialRelation("at", "at", AT, distance=0.0),
     SpatialRelation("between", "between", None, num_landmarks=2, symbol=NEAR),
 )
-"""All relations, in the order of ``messages.RELATIONS``, ``AT`` and ``BETWEEN``. A neighbourhood is
-a few metres."""
+"""In the order of ``messages.RELATIONS``, ``AT``, ``BETWEEN``; a neighbourhood is a few metres."""
 SIDES = tuple(index for index, one in enumerate(REGISTRY) if one.axis is not None)
 """Relations with an axis: of the robot itself they are its sides."""
-ORDERS = tuple(index for index, one in enumerate(REGISTRY) if one.is_order)
+ORDERS = tuple(index for index, one in enumerate(REGISTRY) if one.order)
 SYMBOL = tuple(i if one.symbol is None else one.symbol for i, one in enumerate(REGISTRY))
 """Annotation symbol of each relation."""
 NUM_RANKS = 4
