@@ -156,8 +156,6 @@ MEANINGLESS: list[tuple[object, str]] = [
     (changed(*RELATION, "relation", to="between"),
      r"\$.readings\[0\].relations has 'a' between 'b', but a thing lies between two"),
     (changed(*FIRST, "relations", to=between("bb")), "'a' between 'b', but"),
-    (changed(*FIRST, "relations", to=[{**between("b")[0], "rank": 1}]),
-     r"relations\[0\].rank is 1, but nothing is ordered by between"),
     (changed(*FIRST, "relations", to=between(["b", "robot"])),
      r"relations\[1\].landmark is 'robot', but what lies between the robot"),
     (changed(*COMMAND, "avoid", to=["a"]), "'a', which is the goal"),

@@ -8,15 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from jax import Array
 from situations import CHOOSE, nodes_at, seen_goal, situation
 from test_planner_policy import CONFIG, under_way
 
+from jaxlangnav import Navigator
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.planner.policy import Decision, Policy, Situation, Valuation, ahead, decide
-from jaxlangnav.pytree import replace
+from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.coverage import log_miss_at
 
 
@@ -102,17 +104,16 @@ class Half:
         return memory, None
 
 
-@dataclasses.dataclass
-class Mutable(Policy):
-    """Not frozen, so without a hash."""
-
-    times: int = 3
+@pytree
+class Weighted(Policy):
+    weight: Array
 
     def init(self, belief):
-        return ()
+        return jnp.zeros(self.weight.shape)
 
     def step(self, key, memory, situation):
-        raise NotImplementedError
+        value = self.weight * nearest(situation).information_value
+        return memory, decide(situation, replace(nearest(situation), information_value=value))
 
 
 @pytest.mark.parametrize(
@@ -123,21 +124,13 @@ class Mutable(Policy):
         (7, "a int without .* write init and step"),
         (None, "a NoneType without"),
         (Wanderer, r"is the class Wanderer, but must be an object: write Wanderer\(\.\.\.\)"),
-        (Mutable(), "a Mutable, but must be hashable"),
+        (Weighted(weight=jnp.zeros(1)), "a Weighted, but must be hashable.*a pytree for split_arr"),
     ],
 )
 def test_what_is_no_policy_is_refused(given, said: str) -> None:
     with pytest.raises(ValueError, match=said) as refused:
         PlannerConfig(policy=given)
     assert "\n" not in str(refused.value)
-
-
-def test_a_policy_without_its_two_methods_cannot_be_made() -> None:
-    class Empty(Policy):
-        pass
-
-    with pytest.raises(TypeError, match="abstract"):
-        Empty()  # pyright: ignore[reportAbstractUsage]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -280,3 +273,12 @@ def test_it_carries_its_function_s_name() -> None:
     assert PlannerConfig(policy=nearest).chosen.name == "nearest"
     assert navigator_config(nearest) == navigator_config(nearest)
     assert navigator_config(nearest) != navigator_config(far_away)
+
+
+def test_a_policy_may_hold_arrays_which_are_traced() -> None:
+    near, far = (Navigator.pretrained(Weighted(weight=jnp.float32(sign))) for sign in (1, -1))
+    assert near.config == far.config
+    state = near.start("go to the hydrant")
+    look = near.observation((0.0, 0.0, 0.0), [("hydrant", 2.0, 0.5), ("hydrant", 2.5, -2.0)])
+    ways = [one.step(jax.random.key(0), state, look)[1].waypoint for one in (near, far)]
+    assert float(jnp.linalg.norm(ways[0])) < float(jnp.linalg.norm(ways[1]))

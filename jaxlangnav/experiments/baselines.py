@@ -145,7 +145,6 @@ def _explore_sweep(
 
 def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) -> Explorer:
     """Keep the chosen frontier until it has been looked at; then take the nearest one."""
-    del sensor
     coverage, former = explorer.coverage, explorer.waypoint
     x, y, is_frontier = frontiers(coverage, _NUM_BLOCKS, jnp.float32(_FRONTIER_MISS))
     squared = (x - pose[0]) ** 2 + (y - pose[1]) ** 2
@@ -165,7 +164,6 @@ def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) ->
 
 def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> _Run:
     """Put an episode at its start; of a sentence only the type of its first figure is read."""
-    del config
     nowhere, no = jnp.zeros(2), jnp.asarray(False)
     explorer = Explorer(
         coverage=unexplored(task.scenario.area, _NUM_CELLS),
@@ -187,7 +185,6 @@ def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) ->
 def _advance(
     run: _Run, *, params: object, config: NavigatorConfig, explore_on: Callable[..., Explorer]
 ) -> tuple[_Run, None]:
-    del params, config
     task = run.task
     # The very keys of episode.advance: common random numbers for all policies.
     sense_key, _, move_key = jax.random.split(jax.random.fold_in(task.key, run.steps), 3)
@@ -208,7 +205,6 @@ def _advance(
 
 def _drive_known(run: _Run, *, params: object, config: NavigatorConfig) -> tuple[_Run, None]:
     """Run a whole episode of a robot that knows the map."""
-    del params, config
     task = run.task
     world, is_there = drive_known_map(task.key, task.scenario, task.motion)
     steps = jnp.ceil(world.distance / task.motion.step_length).astype(jnp.int32)

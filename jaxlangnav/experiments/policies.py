@@ -23,7 +23,7 @@ from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.messages import MotionParams, is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.navigator.deployment import with_numbers
-from jaxlangnav.planner.config import POLICIES, AnyPolicy, PlannerConfig
+from jaxlangnav.planner.config import POLICIES, AnyPolicy, PlannerConfig, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 
@@ -155,11 +155,12 @@ def policy_arm(
     odometry, of which the belief is told; that of the settings if None. ``told``: what the columns
     say of it; its name if None.
     """
+    policy, arrays = split_arrays(policy)
     name = check_policies([policy])[0] if isinstance(policy, str) else str(policy)
     told = {"policy": name} if told is None else told
     if name in BASELINES:
         return Arm(policy=name, told=told, motion=motion)
-    params = default_params() if params is None else params
+    params = replace(default_params() if params is None else params, policy=arrays)
     if motion is not None:
         params = replace(params, map=replace(params.map, motion=motion))
     config = without_compass(navigator_config(policy, num_particles), params.map.motion)

@@ -99,7 +99,6 @@ class PlaceSpec(RowSpec):
         self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
     ) -> Cell:
         """Build the setting of its episodes; the detector is its own, whatever ``sensor`` is."""
-        del sensor
         given: dict[str, Any] = {"area": AHEAD, **self.place}
         moved = {name: jnp.float32(value) for name, value in self.motion.items()}
         return Cell(

@@ -105,7 +105,6 @@ def _goal_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
 
 
 def _constraint_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
-    del words
     return {
         "bias": met["base"],
         "same": met["same"],

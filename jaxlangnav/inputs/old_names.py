@@ -24,7 +24,6 @@ class _Moved(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         """Know the old names."""
-        del path, target
         name = fullname.removeprefix("jaxlangnav.")
         # A package of which all modules have moved is found too, empty.
         is_parent = any(old.startswith(f"{name}.") for old in MOVED)

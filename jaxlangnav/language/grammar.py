@@ -48,7 +48,6 @@ class _TokenLexer(Lexer):
 
     def lex(self, lexer_state: Any, parser_state: Any = None) -> Iterator[Token]:
         """Yield one lark token per terminal; ``start_pos`` is its index."""
-        del parser_state
         for index, terminal in enumerate(lexer_state):
             yield Token(terminal, terminal, start_pos=index)
 

@@ -36,7 +36,7 @@ from jaxlangnav.navigator.candidates import Candidate, candidates, mentioned_typ
 from jaxlangnav.navigator.canonicalize import MOST_BITS, canonicalize, check_state
 from jaxlangnav.navigator.deployment import deployment_config, deployment_params, with_numbers
 from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_measures
-from jaxlangnav.planner.config import AnyPolicy
+from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.gating import check_place
 from jaxlangnav.terrain import OPEN, Terrain
@@ -94,8 +94,9 @@ class Navigator:
             raise ValueError("labels and attributes are of the trained graph: give no grounder too")
         if grounder is None:
             grounder = GraphGrounder(load_shipped(), labels, attributes)
-        params = with_numbers(numbers, params=deployment_params())
-        config = deployment_config(policy, params=params)
+        static, arrays = split_arrays(policy)
+        params = replace(with_numbers(numbers, params=deployment_params()), policy=arrays)
+        config = deployment_config(static, params=params)
         return cls(grounder=grounder, params=params, config=config)
 
     def __post_init__(self) -> None:

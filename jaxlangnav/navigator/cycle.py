@@ -184,7 +184,7 @@ def _observe(
         replace(state.belief, viewer=viewer),
         state.instruction.readings,
         observation,
-        params=config.planner.chosen.map_params(params.map),
+        params=params.policy_of(config).map_params(params.map),
         context=state.talk.context,
         is_sparse=True,
         farthest=farthest,
@@ -277,7 +277,7 @@ def _decide(
         num_blocks=config.planner.num_blocks,
     )
     key = jax.random.fold_in(key, _PLANNING)
-    memory, choice = policy.choose(config.planner.chosen, key, state.memory, situation)
+    memory, choice = policy.choose(params.policy_of(config), key, state.memory, situation)
     waypoint = choice.next_x, choice.next_y
     is_under_way = ~task.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
     way = update_progress(state.way, waypoint, task.robot, is_under_way, patience=config.patience)

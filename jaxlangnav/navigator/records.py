@@ -33,6 +33,11 @@ class NavigatorParams:
     planner: PlannerParams
     mode_speed: Array = field("factor on the step length: normal, quickly, carefully")  # f32[3]
     mode_clearance: Array = field("metres kept from objects")  # f32[3]
+    policy: Any = None  # one that holds arrays (``split_arrays``); None: the configuration's
+
+    def policy_of(self, config: "NavigatorConfig") -> Policy:
+        """Look up who decides, with its arrays if it has any."""
+        return config.planner.chosen if self.policy is None else self.policy
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

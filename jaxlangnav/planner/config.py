@@ -3,7 +3,9 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+import jax
 
 from jaxlangnav.planner.faithful import Faithful, Keeping
 from jaxlangnav.planner.informed import Informed
@@ -49,9 +51,19 @@ def as_policy(given: AnyPolicy) -> Policy:
     except TypeError as error:
         raise ValueError(
             f"policy is a {kind}, but must be hashable ({error}): make its class a frozen "
-            "dataclass of plain numbers and tuples"
+            "dataclass of plain numbers and tuples, or of arrays a pytree for split_arrays"
         ) from error
     return given if isinstance(given, Policy) else Keeping(given)
+
+
+def split_arrays(policy: AnyPolicy) -> tuple[AnyPolicy, Any]:
+    """Part a policy that is a pytree, such as a trained network, into what is static and arrays.
+
+    The first, for ``PlannerConfig``, has shapes and dtypes in place of arrays. The second, for
+    ``NavigatorParams``, is the policy itself, whose arrays are traced; None where it has none.
+    """
+    is_plain = jax.tree_util.all_leaves([policy])
+    return (policy, None) if is_plain else (jax.eval_shape(lambda: policy), policy)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

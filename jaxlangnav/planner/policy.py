@@ -22,7 +22,6 @@ from jaxlangnav.planner.deciding import (
     UNDERFOOT as UNDERFOOT,
     ahead as ahead,
     decide as decide,
-    has_goal as has_goal,
     may_stop as may_stop,
 )
 from jaxlangnav.planner.situation import (
@@ -55,8 +54,9 @@ class Policy(Protocol):
     """How a robot decides where to go, and when it is there.
 
     A policy of one's own derives from this class and has ``init`` and ``step``; the rest has
-    defaults. It must be hashable, as a frozen dataclass of plain numbers is: with other values it
-    is another policy, and another program is compiled.
+    defaults. It is hashable, as a frozen dataclass of plain numbers is: with other values it is
+    another policy, and another program is compiled. Or it is a ``pytree``: its arrays are traced
+    in ``step`` and ``map_params``, and ShapeDtypeStructs elsewhere.
     """
 
     @property

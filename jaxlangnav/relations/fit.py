@@ -22,13 +22,13 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from scipy.optimize.elementwise import find_root
 
-from jaxlangnav.messages import FAR, NEAR, RELATIONS
+from jaxlangnav.messages import RELATIONS
 from jaxlangnav.numerics.descent import descend
-from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.relations import RelationParams, default_params
+from jaxlangnav.pytree import field, pytree, replace
+from jaxlangnav.relations import SIDES, RelationParams, default_params
 from jaxlangnav.relations.pairs import FRAMES, RelationPairs, log_frame_densities
 
-_RINGS = (NEAR, FAR)
+_RINGS = [index for index in range(len(RELATIONS)) if index not in SIDES]
 """Relations without a direction: κ stays 0, and no frame can be told from another."""
 _MIN_CONCENTRATION = 1e-3
 _FLAT, _CONVERGED = 1e-4, 1e-3
@@ -38,13 +38,16 @@ float32 leaves a rounding error of about 1e-4."""
 
 @pytree
 class RelationPrior:
-    """How far parameters are believed to lie from where the fit starts; standard deviations."""
+    """How far parameters are believed to lie from where the fit starts; standard deviations.
 
-    log_distance: Array  # f32[] log metres
-    log_distance_sd: Array  # f32[] of its logarithm
-    axis: Array  # f32[] radians
-    log_concentration: Array  # f32[]
-    frame_pairs: Array  # f32[] pairs that the uniform prior on the frames is worth
+    The default is worth about one pair: it decides where there are no data, and only there.
+    """
+
+    log_distance: Array = field("log metres", default=1.0)
+    log_distance_sd: Array = field("of its logarithm", default=1.0)
+    axis: Array = field("radians", default=1.5)
+    log_concentration: Array = field("nats", default=1.5)
+    frame_pairs: Array = field("pairs that the uniform prior on frames is worth", default=1.0)
 
 
 @pytree
@@ -65,17 +68,6 @@ class RelationFit:
 _Free = tuple[RelationParams, Array]
 """What is optimised, unconstrained: relations with log σ and log κ in place of σ and κ, and logits
 of the frames f32[6, F]."""
-
-
-def default_prior() -> RelationPrior:
-    """Build a prior worth about one pair: it decides where there are no data, and only there."""
-    return RelationPrior(
-        log_distance=jnp.float32(1.0),
-        log_distance_sd=jnp.float32(1.0),
-        axis=jnp.float32(1.5),
-        log_concentration=jnp.float32(1.5),
-        frame_pairs=jnp.float32(1.0),
-    )
 
 
 def _decode(free: _Free) -> tuple[RelationParams, Array]:
@@ -190,7 +182,7 @@ def fit_relations(
         max_iterations: of L-BFGS.
     """
     start = _encode(default_params() if init is None else init)
-    held = default_prior() if prior is None else prior
+    held = RelationPrior() if prior is None else prior
     free, curvature, is_converged = _maximise(pairs, start, held, jnp.float32(max_iterations))
     num_pairs = jnp.bincount(pairs.relation, length=len(RELATIONS))
     params, log_share = _decode(free)

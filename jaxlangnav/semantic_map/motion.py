@@ -14,11 +14,6 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.particle import SemanticMap
 
 
-def wrapped(angle: Array) -> Array:
-    """Bring an angle to within half a turn, radians."""
-    return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
-
-
 def rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
     """Turn offsets counter-clockwise, radians; exact where the angle is zero."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)

@@ -13,6 +13,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import motion
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.terrain.view import wrapped
 
 _DRIFT = 1  # folded into the key of the detections for the drift of the heading
 
@@ -35,7 +36,7 @@ def predict(
     squared = step_x * step_x + step_y * step_y
     variance, particles = (share**2) * squared, belief.particles
     if noise is not None:
-        way, turn = jnp.sqrt(squared), motion.wrapped(pose[2] - belief.last_pose[2])
+        way, turn = jnp.sqrt(squared), wrapped(pose[2] - belief.last_pose[2])
         drift = motion.drifted(particles.drift, way, turn, noise, motion=params.motion)
         # Over the step it is half of what has come in.
         halfway = 0.5 * (particles.drift[:1] + drift[:1])

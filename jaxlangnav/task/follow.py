@@ -23,7 +23,7 @@ from jaxlangnav.inputs.program_cache import cache_dir, cached_jit
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.navigator.api import Navigator
-from jaxlangnav.planner.config import AnyPolicy
+from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.opening import (
@@ -78,7 +78,7 @@ def follow(
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
     refuse_what_it_lacks(world, understood)
     usual, config = usual_engine(world, policy, particles)
-    params = usual if params is None else params
+    params = usual if params is None else replace(params, policy=usual.policy)
     prepared = open_task(world, understood, sensing_range=sensing_range, seed=seed)
     motion = prepared.task.motion
     if prepared.is_drawn and not prepared.is_meant:
@@ -117,12 +117,12 @@ def usual_engine(
     Raises:
         ValueError: no such world or policy, or a bad file.
     """
-    place = open_world(world)
+    place, (static, arrays) = open_world(world), split_arrays(policy)
     if isinstance(place, Template):
-        return navigator_params(), navigator_config(policy, particles)
+        return replace(navigator_params(), policy=arrays), navigator_config(static, particles)
     anywhere = Navigator.pretrained(policy)
     if place.scenario.is_object.size <= NUM_SLOTS:
-        return anywhere.params, navigator_config(policy, particles)
+        return anywhere.params, navigator_config(static, particles)
     sizes = dataclasses.replace(anywhere.config.map, num_particles=particles)
     return anywhere.params, dataclasses.replace(anywhere.config, map=sizes)
 

@@ -137,6 +137,11 @@ class OpenField:
         return jnp.where(is_seen, enter, NEVER)
 
 
+def wrapped(angle: Array) -> Array:
+    """Bring an angle to within half a turn, radians."""
+    return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
+
+
 def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Array) -> Array:
     """Measure how far, f32[...] metres, out of range or out of the opening angle something is.
 
@@ -149,7 +154,7 @@ def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Arr
         range_max: f32[], metres.
         field_of_view: f32[], radians, full opening angle.
     """
-    turned = jnp.abs(bearing - 2.0 * jnp.pi * jnp.round(bearing / (2.0 * jnp.pi)))
+    turned = jnp.abs(wrapped(bearing))
     past = jnp.clip(turned - 0.5 * field_of_view, 0.0, 0.5 * jnp.pi)
     return jnp.maximum(distance - range_max, distance * jnp.sin(past))
 

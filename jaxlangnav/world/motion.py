@@ -13,6 +13,7 @@ from jax import Array
 
 from jaxlangnav.messages import Action, MotionParams, Status
 from jaxlangnav.pytree import pytree
+from jaxlangnav.terrain.view import wrapped
 from jaxlangnav.world.state import WorldState
 
 
@@ -40,10 +41,6 @@ class Body(Protocol):
     ) -> WorldState:
         """Carry out one decision cycle's step; see ``carry_out`` for the holonomic one."""
         ...
-
-
-def _wrapped(angle: Array) -> Array:
-    return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
 
 
 def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
@@ -91,7 +88,7 @@ def _driven(
     # e' = e + b s + N(0, σ² s + τ² |φ|),   x' = x + R((e + e') / 2) u + N(0, (ε s)²) per axis
     # with φ the turn.
     noise = jax.random.normal(key, (3,))
-    turn = jnp.abs(_wrapped(heading - state.odometry[2]))
+    turn = jnp.abs(wrapped(heading - state.odometry[2]))
     spread = jnp.sqrt(motion.heading_noise**2 * way + motion.turn_noise**2 * turn)
     drift = motion.heading_bias * way + spread * noise[2]
     error = state.heading - state.odometry[2]
@@ -126,7 +123,7 @@ class Unicycle:
         """
         step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)
         asked = jnp.hypot(step[0], step[1])
-        wanted = _wrapped(jnp.arctan2(step[1], step[0]) - state.odometry[2])
+        wanted = wrapped(jnp.arctan2(step[1], step[0]) - state.odometry[2])
         turn = jnp.where(asked > 0.0, jnp.clip(wanted, -self.turn_rate, self.turn_rate), 0.0)
         heading = state.odometry[2] + turn
         rest = 1.0 - jnp.abs(turn) / self.turn_rate

@@ -112,7 +112,6 @@ class ReplayBus:
 
     def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
         """Keep where to go: nobody goes there, see ``Bus.send_goal``."""
-        del speed, clearance
         self.goals.append(goal)
 
     def _play(self) -> None:
