@@ -1,6 +1,6 @@
 """What a stream of utterances leaves behind: words joined, things ruled out, what is spoken of."""
 
-from jaxlangnav.dialogue.history import Joined as Joined, first_words as first_words
+from jaxlangnav.dialogue.history import Merged as Merged, first_words as first_words
 from jaxlangnav.dialogue.memory import (
     AVOID_ALL as AVOID_ALL,
     AVOID_IT as AVOID_IT,

@@ -1,6 +1,6 @@
 """All that has been said, as records of the host: the history A^t of section 3.2.
 
-They are read from the arrays that the engine holds, and written into such arrays. One ``Joined``
+They are read from the arrays that the engine holds, and written into such arrays. One ``Merged``
 serves a whole batch that has heard the same: it says where in the old arrays each entry came from.
 """
 
@@ -20,7 +20,7 @@ from jaxlangnav.pytree import pytree, replace
 
 
 @pytree
-class Joined:
+class Merged:
     """What has been said with what is said now; C commands of the new utterance lead."""
 
     instruction: Instruction  # the new utterance, with the readings of all that has been said
@@ -68,7 +68,7 @@ class Mention:
 
 
 @dataclasses.dataclass
-class Account:
+class History:
     """One reading of all that has been said."""
 
     mentions: list[Mention]
@@ -97,7 +97,7 @@ class Account:
         )
 
 
-def accounts_of(readings: Readings, words: Words) -> list[Account]:
+def histories_of(readings: Readings, words: Words) -> list[History]:
     """Read readings of one robot, leaves [K, ...], into records, the likeliest first."""
     table, about = jax.device_get((readings, words))
     num_mentions, num_relations = table.mention_type.shape[1], table.relation.shape[1]
@@ -119,11 +119,11 @@ def accounts_of(readings: Readings, words: Words) -> list[Account]:
         ]
         goals, pinned = about.goal[k].tolist(), about.is_pinned[k].tolist()
         log_probability = float(table.log_probability[k])
-        found.append(Account(mentions, edges, goals, pinned, [], log_probability))
+        found.append(History(mentions, edges, goals, pinned, [], log_probability))
     return found
 
 
-def _goals(reading: Account, told: Spoken, landmarks: set[int], num_clauses: int) -> list[int]:
+def _goals(reading: History, told: Spoken, landmarks: set[int], num_clauses: int) -> list[int]:
     """Find the mention that each command of a sentence is about."""
     goals: list[int] = []
     for index in range(num_clauses):
@@ -139,9 +139,9 @@ def _goals(reading: Account, told: Spoken, landmarks: set[int], num_clauses: int
     return goals
 
 
-def new_accounts(
+def new_histories(
     instruction: Instruction, spoken: Spoken | None, heard: int, *, is_asked: bool
-) -> list[Account]:
+) -> list[History]:
     """Read a new, grounded utterance into records, the likeliest first.
 
     ``spoken`` is what it speaks of, None: as its readings show; ``heard`` its number; ``is_asked``
@@ -149,7 +149,7 @@ def new_accounts(
     """
     number, told = int(instruction.num_clauses), spoken or Spoken()
     words = heard_alone(instruction, heard, is_asked=is_asked, xp=np)
-    found = accounts_of(instruction.readings, words)
+    found = histories_of(instruction.readings, words)
     for reading in found:
         reading.edges = [one._replace(source=NONE) for one in reading.edges]
         landmarks = {one.landmark for one in reading.edges}
@@ -163,12 +163,12 @@ def new_accounts(
 
 
 def written(
-    ranked: Sequence[Account],
+    ranked: Sequence[History],
     sizes: tuple[int, int, int, int],
     instruction: Instruction,
     heard: int,
-) -> Joined:
-    """Write accounts, the likeliest first, into arrays of K, M, J and C.
+) -> Merged:
+    """Write histories, the likeliest first, into arrays of K, M, J and C.
 
     ``instruction`` is what has been said last, ``heard`` its number; probabilities sum to one.
     """
@@ -218,7 +218,7 @@ def written(
         num_heard=jnp.int32(heard + 1),
         num_dropped=jnp.int32(ranked[0].num_dropped),
     )
-    joined = Joined(
+    joined = Merged(
         instruction=replace(instruction, readings=readings),
         words=words,
         new_goal=new_goal,
@@ -234,6 +234,6 @@ def first_words(instruction: Instruction, spoken: Spoken | None) -> Words:
     words = heard_alone(instruction, xp=np)
     goal = np.array(words.goal)
     order = np.argsort(-np.asarray(instruction.readings.log_probability), kind="stable")
-    for k, one in zip(order, new_accounts(instruction, spoken, 0, is_asked=True), strict=False):
+    for k, one in zip(order, new_histories(instruction, spoken, 0, is_asked=True), strict=False):
         goal[k, : len(one.new_goals)] = one.new_goals
     return jax.device_put(dataclasses.replace(words, goal=goal))

@@ -9,12 +9,12 @@ import dataclasses
 import itertools
 
 from jaxlangnav.dialogue.history import (
-    Account,
     Edge,
-    Joined,
-    accounts_of,
+    History,
+    Merged,
+    histories_of,
     moved,
-    new_accounts,
+    new_histories,
     written,
 )
 from jaxlangnav.dialogue.memory import Words
@@ -23,7 +23,7 @@ from jaxlangnav.grounding.readings import in_order, things_last
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 
 
-def _places(old: Account, new: Account, told: Spoken, *, is_loose: bool) -> list[int]:
+def _places(old: History, new: History, told: Spoken, *, is_loose: bool) -> list[int]:
     """Find which mention of all that is said each mention of the new utterance is."""
     places: list[int] = []
     size, again = len(old.mentions), _said_again(old, new)
@@ -48,7 +48,7 @@ def _places(old: Account, new: Account, told: Spoken, *, is_loose: bool) -> list
     return places
 
 
-def _said_again(old: Account, new: Account) -> dict[int, int]:
+def _said_again(old: History, new: History) -> dict[int, int]:
     """Find what the new utterance describes, beside others of its kind, as it has been before."""
     # Of "the cone behind the cone", said again, neither cone is the other one.
     kinds, found = [one.kind for one in new.mentions], {}
@@ -65,8 +65,8 @@ def _said_again(old: Account, new: Account) -> dict[int, int]:
 
 
 def _product(
-    old: Account, new: Account, told: Spoken, *, is_new_task: bool, is_loose: bool
-) -> Account:
+    old: History, new: History, told: Spoken, *, is_new_task: bool, is_loose: bool
+) -> History:
     places = _places(old, new, told, is_loose=is_loose)
     mentions = [
         dataclasses.replace(one, is_asked=one.is_asked and not is_new_task) for one in old.mentions
@@ -86,10 +86,10 @@ def _product(
         if is_news or one._replace(heard=0) not in known_edges:
             edges.append(one)
     total, goals = old.log_probability + new.log_probability, moved(new.new_goals, places)
-    return Account(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
+    return History(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
 
 
-def _is_apart(old: Account, new: Account, told: Spoken) -> bool:
+def _is_apart(old: History, new: History, told: Spoken) -> bool:
     """Tell whether what is spoken of as known is of one type before, and of another one now."""
     # Of a noun that may be either of two labels each is a reading of its own.
     before, now = ({one.label for one in said.mentions} for said in (old, new))
@@ -99,7 +99,7 @@ def _is_apart(old: Account, new: Account, told: Spoken) -> bool:
     )
 
 
-def _tidied(reading: Account) -> Account:
+def _tidied(reading: History) -> History:
     """Leave out that a thing exists where more is said of it; ask for what the goals hang on."""
     ends = [{one.figure, one.landmark} for one in reading.edges if one.relation != NONE]
     placed = set().union(*ends)
@@ -114,7 +114,7 @@ def _tidied(reading: Account) -> Account:
     return reading
 
 
-def _is_needed(reading: Account, edge: Edge) -> bool:
+def _is_needed(reading: History, edge: Edge) -> bool:
     """Tell whether a relation is the last that speaks of a goal, or of what is to be avoided."""
     goals = {*reading.goals, *reading.new_goals} - {NONE}
     needed = goals | {m for m, one in enumerate(reading.mentions) if one.avoid}
@@ -122,7 +122,7 @@ def _is_needed(reading: Account, edge: Edge) -> bool:
     return bool({edge.figure, edge.landmark} & needed - held)
 
 
-def _fitted(reading: Account, num_mentions: int, num_relations: int) -> Account:
+def _fitted(reading: History, num_mentions: int, num_relations: int) -> History:
     """Drop the oldest relations, and what nothing speaks of any more, until the arrays hold it."""
     dropped = 0
     while True:
@@ -162,7 +162,7 @@ def join(
     is_new_task: bool,
     is_loose: bool = True,
     is_asked: bool = True,
-) -> Joined:
+) -> Merged:
     """Join what has been said with what is said now.
 
     Args:
@@ -179,9 +179,9 @@ def join(
         The K likeliest readings of both, in arrays of the size of ``readings``.
     """
     heard = int(words.num_heard)
-    old = accounts_of(readings, words) or [Account([], [], [], [], [], 0.0)]
-    new = new_accounts(instruction, spoken, heard, is_asked=is_asked)
-    new = new or [Account([], [], [], [], [NONE] * int(instruction.num_clauses), 0.0)]
+    old = histories_of(readings, words) or [History([], [], [], [], [], 0.0)]
+    new = new_histories(instruction, spoken, heard, is_asked=is_asked)
+    new = new or [History([], [], [], [], [NONE] * int(instruction.num_clauses), 0.0)]
     pairs, told = list(itertools.product(old, new)), spoken or Spoken()
     both = [
         _product(one, other, told, is_new_task=is_new_task, is_loose=is_loose)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import episode
-from jaxlangnav.dialogue import Joined, Words, first_words, join
+from jaxlangnav.dialogue import Merged, Words, first_words, join
 from jaxlangnav.episode import EpisodeResult, EpisodeState, Task
 from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
@@ -37,8 +37,8 @@ class Sentence:
 
     instruction: Instruction  # leaves [1, …], with room for more
     words: Words
-    truth: Joined
-    falsehood: Joined
+    truth: Merged
+    falsehood: Merged
 
 
 @pytree
@@ -79,7 +79,7 @@ def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
     told = replace(first.instruction, readings=widen(first.instruction.readings, Capacity()))
     words = first_words(told, first.spoken)
 
-    def joined(statement: str) -> Joined:
+    def joined(statement: str) -> Merged:
         said = understand(statement, model)
         new = said.instruction, said.spoken
         return join(told.readings, words, *new, is_new_task=False, is_asked=False)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.dialogue import Joined, join, seen_from
+from jaxlangnav.dialogue import Merged, join, seen_from
 from jaxlangnav.grounding import Context, Grounded, Grounder
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
@@ -200,7 +200,7 @@ class Listener:
         *,
         how: How = How.REPLACE,
         is_loose: bool = True,
-    ) -> Joined:
+    ) -> Merged:
         """Join what has been understood with what was said before."""
         return join(
             state.instruction.readings,

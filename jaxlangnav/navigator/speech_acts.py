@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.dialogue import Joined, excluding, seen_from
+from jaxlangnav.dialogue import Merged, excluding, seen_from
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import NONE, Status, UtteranceContext
 from jaxlangnav.navigator import NavigatorState
@@ -59,7 +59,7 @@ def obey(state: NavigatorState, act: Act) -> NavigatorState:
     )
 
 
-def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> NavigatorState:
+def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: How) -> NavigatorState:
     """Take in what has been joined with what was said before: the words are grounded anew.
 
     The map is kept, and what earlier utterances said of it. Of a new task the robot begins at the
@@ -106,7 +106,7 @@ def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> Nav
     return replace(heard, status=jnp.where(lacks, int(Status.SEARCHING), heard.status))
 
 
-def _merged_context(context: UtteranceContext, joined: Joined, pose: Array) -> UtteranceContext:
+def _merged_context(context: UtteranceContext, joined: Merged, pose: Array) -> UtteranceContext:
     """Carry over from where relations were said, and what mentions are not."""
     source = jnp.maximum(joined.from_relation, 0)
     viewer = context.viewer.reshape(-1, 3)[source]
@@ -117,7 +117,7 @@ def _merged_context(context: UtteranceContext, joined: Joined, pose: Array) -> U
     )
 
 
-def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -> NavigatorState:
+def _arranged(state: NavigatorState, joined: Merged, pose: Array, left: Array) -> NavigatorState:
     """Put the new commands behind ``left`` of the old ones; the present one comes first."""
     old, told, talk = state.instruction, joined.instruction, state.talk
     place, last = jnp.arange(talk.viewer.shape[0]), talk.viewer.shape[0] - 1
@@ -189,7 +189,7 @@ def come_closer(state: NavigatorState) -> NavigatorState:
     return _under_way(replace(state, talk=replace(state.talk, closeness=closeness)))
 
 
-def come_back(state: NavigatorState, joined: Joined) -> NavigatorState:
+def come_back(state: NavigatorState, joined: Merged) -> NavigatorState:
     """Return to where the conversation began; ``joined`` has ``returning`` as the new task."""
     heard = tell(state, joined, state.belief.last_pose, how=How.REPLACE)
     talk = heard.talk
