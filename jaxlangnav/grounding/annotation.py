@@ -2,7 +2,7 @@
 
 The annotations are the symbols expressed at the root of the tree; the search keeps a distribution
 over sets of them. Three things are inferred apart from the paper's 494 symbols, at the phrase that
-first expresses a region: its rank ("nearest to" is 1, "the second" 2), whether it is ``BETWEEN``
+first expresses a region: its rank ("nearest to" is 1, "the second" 2), whether it is between
 two things, and whether "the thing" that lies there is called by no type (``ANYTHING``).
 """
 
@@ -29,8 +29,8 @@ from jaxlangnav.grounding.symbols import (
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.phrase import Parse, Phrase
 from jaxlangnav.language.reference import is_thing
-from jaxlangnav.messages import BETWEEN, NONE, ROBOT
-from jaxlangnav.relations import REGISTRY
+from jaxlangnav.messages import NONE, ROBOT
+from jaxlangnav.relations.table import REGISTRY
 
 RankedAnnotations = tuple[tuple[Annotation, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
@@ -90,27 +90,23 @@ def annotation_document(
     return document | ({"rank": rank} if rank > 1 else {})
 
 
-def _rank_chances(
-    paths: list[Path], rank: Mapping[Path, np.ndarray], *, is_between: bool
-) -> list[tuple[int, float]]:
+def _rank_chances(paths: list[Path], rank: Mapping[Path, np.ndarray]) -> list[tuple[int, float]]:
     """List the two likeliest ranks of a symbol with their log-probabilities."""
-    if is_between or not paths:
+    if not paths:
         return [(0, 0.0)]
     chances = min((rank[path] for path in paths), key=lambda chance: chance[0])
     order = np.argsort(-chances, kind="stable")[:2]
     return [(int(i), float(chances[i])) for i in order]
 
 
-def _by_rank(
-    paths: list[Path], rank: Mapping[Path, np.ndarray], *, is_between: bool
-) -> list[list[Path]]:
+def _by_rank(paths: list[Path], rank: Mapping[Path, np.ndarray]) -> list[list[Path]]:
     """Part the phrases of a symbol that say different ranks: they speak of different things.
 
     "Avoid the nearest cone and go to the second cone" says "near the robot" of two cones.
     """
     likeliest = {path: int(np.argmax(rank[path])) for path in paths}
     ranks = sorted({*likeliest.values()} - {0})
-    if len(ranks) < 2 or is_between:
+    if len(ranks) < 2:
         return [paths]
     return [[path for path in paths if likeliest[path] == one] for one in ranks]
 
@@ -136,8 +132,7 @@ def _clause_sets(
 
     ``rank`` has for each phrase f64[5], log-probabilities of the ranks 0 to 4.
     """
-    nodes = bottom_up(root, clause)
-    between = frozenset(node.path for node in nodes if node.phrase.says("between"))
+    phrases = {node.path: node.phrase for node in bottom_up(root, clause)}
     things = frozenset(_said_of_things(root, (clause,), is_of_thing=False))
     for hypothesis in beam:
         symbols, chances = [], []
@@ -154,13 +149,15 @@ def _clause_sets(
                     for path in saying  # those that first express it: none below does
                     if not any(path == below[: len(path)] != below for below in saying)
                 ]
-            is_between = bool(between.intersection(paths))
-            symbol = symbol._replace(relation=BETWEEN) if is_between else symbol
+            for index, one in enumerate(REGISTRY):  # of one symbol, which the words say
+                if one.symbol == symbol.relation and any(phrases[p].says(one.name) for p in paths):
+                    symbol = symbol._replace(relation=index)
+            has_rank = REGISTRY[symbol.relation].num_landmarks == 1
             of_thing = symbol._replace(kind=RELATION, figure=ANYTHING)
-            for own in _by_rank(paths, rank, is_between=is_between):
+            for own in _by_rank(paths, rank) if has_rank else [paths]:
                 is_of_thing = symbol.kind == REGION and things.intersection(own)
                 symbols.append(of_thing if is_of_thing else symbol)
-                chances.append(_rank_chances(own, rank, is_between=is_between))
+                chances.append(_rank_chances(own if has_rank else [], rank))
         for choice in itertools.product(*chances):
             said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
             yield said, hypothesis.log_probability + sum(log_chance for _, log_chance in choice)

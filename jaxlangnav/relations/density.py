@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.relations.table import ReferenceFrame, RelationParams, to_frame
+from jaxlangnav.relations.table import ROW, ReferenceFrame, RelationParams, to_frame
 
 NUM_QUANTILES = 256
 """Resolution of the tabulated von Mises quantile function used for sampling."""
@@ -33,13 +33,13 @@ SIDE_CONCENTRATION = 4.0
 class RelationModel:
     """``RelationParams`` made ready for the filter: constants and sampling tables."""
 
-    log_distance: Array  # f32[6]
-    log_distance_sd: Array  # f32[6]
-    axis_along: Array  # f32[6] cosine of the axis
-    axis_lateral: Array  # f32[6] sine of the axis
-    concentration: Array  # f32[6]
-    log_constant: Array  # f32[6] log normaliser of the density
-    angle_quantile: Array  # f32[6, Q + 1] radians, |Δ| at equal steps of a normal's quantile
+    log_distance: Array  # f32[R]
+    log_distance_sd: Array  # f32[R]
+    axis_along: Array  # f32[R] cosine of the axis
+    axis_lateral: Array  # f32[R] sine of the axis
+    concentration: Array  # f32[R]
+    log_constant: Array  # f32[R] log normaliser of the density
+    angle_quantile: Array  # f32[R, Q + 1] radians, |Δ| at equal steps of a normal's quantile
 
 
 @pytree
@@ -58,7 +58,7 @@ class Law:
 def prepare(params: RelationParams) -> RelationModel:
     """Compute constants and the quantile table of the von Mises angle, once per set of parameters.
 
-    Differentiable in ``params``, f32[6] each; ``log_distance_sd`` > 0, ``concentration`` >= 0.
+    Differentiable in ``params``, f32[R] each; ``log_distance_sd`` > 0, ``concentration`` >= 0.
     """
     # The angle is symmetric: tabulate |Δ| by its survival function, summed from the far tail so
     # that float32 keeps the rare large angles, at equal steps of a standard normal's quantile.
@@ -88,10 +88,10 @@ def prepare(params: RelationParams) -> RelationModel:
 
 
 def law_of(model: RelationModel, relation: ArrayLike) -> Law:
-    """Look up the numbers f32[...] of relations by index, i32[...] in [0, 6)."""
+    """Look up the numbers f32[...] of relations by index, i32[...]."""
     names = [field.name for field in dataclasses.fields(Law) if field.name != "has_range"]
     # One gather for all, of which the slope is one scatter.
-    numbers = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(relation)]
+    numbers = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(ROW)[relation]]
     values = dict(zip(names, jnp.unstack(numbers), strict=True))
     return Law(**values, has_range=jnp.ones_like(values["log_distance"]))
 
@@ -127,7 +127,7 @@ def log_density(
     offset_y: Array,
     frame: ReferenceFrame,
 ) -> Array:
-    """Evaluate ``log_density_of`` for a relation by its index in [0, 6), i32[]."""
+    """Evaluate ``log_density_of`` for a relation by its index, i32[]."""
     return log_density_of(law_of(model, relation), offset_x, offset_y, frame)
 
 
@@ -169,7 +169,7 @@ def _log_density(law: Law, along: Array, lateral: Array, squared: Array) -> Arra
 def sample_polar(
     model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
 ) -> tuple[Array, Array]:
-    """Draw f32[...] along and lateral of a relation in [0, 6), by standard normal draws f32[...].
+    """Draw f32[...] along and lateral of a relation, by standard normal draws f32[...].
 
     In metres, in the frame of ``log_density``.
     """
@@ -186,7 +186,7 @@ def sample_law(
     lower = jnp.clip(position.astype(jnp.int32), 0, NUM_QUANTILES - 1)
     fraction = position - lower
     table = model.angle_quantile.reshape(-1)
-    cell = jnp.asarray(relation) * (NUM_QUANTILES + 1) + lower
+    cell = jnp.asarray(ROW)[relation] * (NUM_QUANTILES + 1) + lower
     angle = table[cell] * (1.0 - fraction) + table[cell + 1] * fraction
     angle = jnp.where(angle_normal < 0.0, -angle, angle)
     cosine, sine = jnp.cos(angle), jnp.sin(angle)

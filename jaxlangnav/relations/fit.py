@@ -22,13 +22,13 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from scipy.optimize.elementwise import find_root
 
-from jaxlangnav.messages import RELATIONS
 from jaxlangnav.numerics.descent import descend
 from jaxlangnav.pytree import field, pytree, replace
-from jaxlangnav.relations import SIDES, RelationParams, default_params
+from jaxlangnav.relations import REGISTRY, SIDES, RelationParams, default_params
 from jaxlangnav.relations.pairs import FRAMES, RelationPairs, log_frame_densities
+from jaxlangnav.relations.table import MODELLED
 
-_RINGS = [index for index in range(len(RELATIONS)) if index not in SIDES]
+_RINGS = [row for row, index in enumerate(MODELLED) if index not in SIDES]
 """Relations without a direction: κ stays 0, and no frame can be told from another."""
 _MIN_CONCENTRATION = 1e-3
 _FLAT, _CONVERGED = 1e-4, 1e-3
@@ -56,24 +56,24 @@ class RelationFit:
 
     params: RelationParams
     standard_error: RelationParams  # of each parameter; 0 where it was not fitted
-    frame_share: Array  # f32[6, F] π of each word, sums to one
-    frame_share_error: Array  # f32[6, F]
+    frame_share: Array  # f32[R, F] π of each word, sums to one
+    frame_share_error: Array  # f32[R, F]
     frame_posterior: Array  # f32[N, F] in which frame each pair was meant
     log_likelihood: Array  # f32[] mean over the pairs, log of a density per square metre
     log_likelihood_before: Array  # f32[] at the start: initial parameters, all frames alike
-    num_pairs: Array  # i32[6] pairs of each word
+    num_pairs: Array  # i32[R] pairs of each word
     is_converged: Array  # bool[] the gradient has vanished
 
 
 _Free = tuple[RelationParams, Array]
 """What is optimised, unconstrained: relations with log σ and log κ in place of σ and κ, and logits
-of the frames f32[6, F]."""
+of the frames f32[R, F]."""
 
 
 def _decode(free: _Free) -> tuple[RelationParams, Array]:
-    """Turn unconstrained numbers into relations and log-shares of the frames f32[6, F]."""
+    """Turn unconstrained numbers into relations and log-shares of the frames f32[R, F]."""
     params, logit = free
-    is_ring = jnp.isin(jnp.arange(len(RELATIONS)), jnp.asarray(_RINGS))
+    is_ring = jnp.isin(jnp.arange(len(MODELLED)), jnp.asarray(_RINGS))
     concentration = jnp.where(is_ring, 0.0, jnp.exp(params.concentration))
     spread = jnp.exp(params.log_distance_sd)
     params = replace(params, log_distance_sd=spread, concentration=concentration)
@@ -85,7 +85,7 @@ def _encode(params: RelationParams) -> _Free:
     log_spread = jnp.log(params.log_distance_sd)
     log_concentration = jnp.log(jnp.maximum(params.concentration, _MIN_CONCENTRATION))
     params = replace(params, log_distance_sd=log_spread, concentration=log_concentration)
-    return params, jnp.zeros((len(RELATIONS), len(FRAMES)), jnp.float32)
+    return params, jnp.zeros((len(MODELLED), len(FRAMES)), jnp.float32)
 
 
 def _log_joint(free: _Free, pairs: RelationPairs) -> Array:
@@ -184,7 +184,7 @@ def fit_relations(
     start = _encode(default_params() if init is None else init)
     held = RelationPrior() if prior is None else prior
     free, curvature, is_converged = _maximise(pairs, start, held, jnp.float32(max_iterations))
-    num_pairs = jnp.bincount(pairs.relation, length=len(RELATIONS))
+    num_pairs = jnp.bincount(pairs.relation, length=len(MODELLED))
     params, log_share = _decode(free)
     standard_error, share_error = _standard_errors(free, curvature, num_pairs)
     joint = _log_joint(free, pairs)
@@ -212,7 +212,7 @@ def in_viewer_frame(fit: RelationFit) -> RelationParams:
     target = np.asarray(fit.frame_share[:, 0], np.float64) * _resultant(kappa)
     low, high = np.zeros_like(kappa), np.maximum(kappa, _MIN_CONCENTRATION)
     root = find_root(lambda one, wanted: _resultant(one) - wanted, (low, high), args=(target,)).x
-    found = np.where(np.isin(np.arange(len(RELATIONS)), _RINGS), 0.0, root)
+    found = np.where(np.isin(np.arange(len(MODELLED)), _RINGS), 0.0, root)
     return replace(fit.params, concentration=jnp.asarray(found, jnp.float32))
 
 
@@ -246,7 +246,7 @@ def describe(fit: RelationFit) -> list[dict[str, float | str]]:
             named = zip(FRAMES, shares[index], strict=True)
             numbers |= {f"share_{frame}{end}": share for frame, share in named}
         rows.append(
-            {"relation": RELATIONS[index], "pairs": int(fit.num_pairs[index])}
+            {"relation": REGISTRY[MODELLED[index]].name, "pairs": int(fit.num_pairs[index])}
             | {name: float(number) for name, number in numbers.items()}
         )
     return rows

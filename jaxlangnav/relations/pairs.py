@@ -101,7 +101,7 @@ def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Arra
     """
     by_viewer = _in_frame(pairs, pairs.viewer)
     by_robot = _in_frame(pairs, pairs.robot)
-    directed = law_of(prepare(params), pairs.relation)
-    ring = law_of(prepare(replace(params, concentration=jnp.zeros(6))), pairs.relation)
+    undirected = replace(params, concentration=jnp.zeros_like(params.concentration))
+    directed, ring = (law_of(prepare(one), pairs.relation) for one in (params, undirected))
     meant = ((directed, by_viewer), (directed, by_robot), (ring, by_viewer))
     return jnp.stack([log_density_of(law, *seen) for law, seen in meant], axis=1)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxlangnav.messages import AT, BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
+from jaxlangnav.messages import AT, BEHIND, FAR, FRONT, LEFT, NEAR, RIGHT
 from jaxlangnav.pytree import field, pytree
 
 
@@ -33,7 +33,7 @@ class SpatialRelation:
     distance_sd: float = 0.35  # of the log of the distance
     order: tuple[float, float] | None = None  # "nearest": −1 by distance; "leftmost": 1 to the left
     num_landmarks: int = 1
-    symbol: int | None = None  # annotation symbol that expresses what has none of its own
+    symbol: int | None = None  # that expresses it in the graph; its name is then a second sense
 
 
 REGISTRY = (
@@ -52,6 +52,9 @@ SIDES = tuple(index for index, one in enumerate(REGISTRY) if one.axis is not Non
 ORDERS = tuple(index for index, one in enumerate(REGISTRY) if one.order)
 SYMBOL = tuple(i if one.symbol is None else one.symbol for i, one in enumerate(REGISTRY))
 """Annotation symbol of each relation."""
+MODELLED = [i for i, one in enumerate(REGISTRY) if one.num_landmarks == 1 and i != AT]
+"""Relations with a row in ``RelationParams``: the six of section 3.1, and what is added."""
+ROW = [MODELLED.index(i if i in MODELLED else NEAR) for i in range(len(REGISTRY))]
 NUM_RANKS = 4
 """Ranks that can be told: nearest (first), second, third, fourth."""
 
@@ -63,22 +66,22 @@ def symbol_of(relation: Array) -> Array:
 
 @pytree
 class RelationParams:
-    """Free parameters of the six relations, in the order of ``messages.RELATIONS``."""
+    """Free parameters of the R relations of ``MODELLED``: six, and what is added to them."""
 
-    log_distance: Array = field("μ, log metres")  # f32[6]
-    log_distance_sd: Array = field("σ, dimensionless")  # f32[6]
-    axis: Array = field("radians, direction in the frame, 0: along, π/2: to the left")  # f32[6]
-    concentration: Array = field("κ; 0 is undirected")  # f32[6]
+    log_distance: Array = field("μ, log metres")  # f32[R]
+    log_distance_sd: Array = field("σ, dimensionless")  # f32[R]
+    axis: Array = field("radians, direction in the frame, 0: along, π/2: to the left")  # f32[R]
+    concentration: Array = field("κ; 0 is undirected")  # f32[R]
 
 
 def default_params() -> RelationParams:
     """Build the relations as the registry has them; those with an axis have κ of 12."""
-    six = REGISTRY[: len(RELATIONS)]
+    rows = [REGISTRY[index] for index in MODELLED]
     return RelationParams(
-        log_distance=jnp.log(jnp.array([one.distance for one in six], jnp.float32)),
-        log_distance_sd=jnp.array([one.distance_sd for one in six], jnp.float32),
-        axis=jnp.array([one.axis or 0.0 for one in six], jnp.float32),
-        concentration=jnp.array([0.0 if one.axis is None else 12.0 for one in six], jnp.float32),
+        log_distance=jnp.log(jnp.array([one.distance for one in rows], jnp.float32)),
+        log_distance_sd=jnp.array([one.distance_sd for one in rows], jnp.float32),
+        axis=jnp.array([one.axis or 0.0 for one in rows], jnp.float32),
+        concentration=jnp.array([0.0 if one.axis is None else 12.0 for one in rows], jnp.float32),
     )
 
 

@@ -30,7 +30,6 @@ from jaxlangnav.relations import (
     log_density_of,
     robot_frame,
     sample_law,
-    symbol_of,
     to_frame,
     to_map,
     viewer_frame,
@@ -45,7 +44,7 @@ class Query(NamedTuple):
 
     mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
     kind: Array  # i32[2, ...] their kinds; ROBOT; NONE
-    relation: Array  # i32[...] its annotation symbol; NONE where the figure merely exists
+    relation: Array  # i32[...] index; NONE where the figure merely exists
     rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; 0 where none is meant
     other: Array  # i32[...] mention of the other landmark of "between", grounded by then; NONE
     is_order: Array  # bool[...] "the second", "farthest": a rank that says nothing of how far
@@ -220,7 +219,7 @@ def _paired(one: Readings) -> tuple[Readings, Array]:
     return replace(
         one,
         figure=jnp.where(is_first, one.landmark, one.figure),
-        relation=jnp.where(is_first, NONE, symbol_of(one.relation)),
+        relation=jnp.where(is_first, NONE, one.relation),
         landmark=jnp.where(is_first, NONE, one.landmark),
     ), other
 
