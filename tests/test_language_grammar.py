@@ -21,6 +21,7 @@ from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.spelling import edits
 from jaxlangnav.messages import ACTIONS, MODES, RELATIONS
+from jaxlangnav.relations import REGISTRY
 
 LEXICON = read_lexicon(
     """
@@ -136,7 +137,7 @@ def test_eight_types_in_order_and_legal_senses():
     legal |= {f"relation:{name}" for name in RELATIONS} | {f"action:{name}" for name in ACTIONS}
     legal |= {f"mode:{name}" for name in MODES} | {f"rank:{n}" for n in range(1, 5)}
     legal |= {"superlative", "constraint", "robot", "other", "anaphor", "place", "foreign"}
-    legal |= {"pronoun", "any", "between"}
+    legal |= {"pronoun", "any"} | {one.name for one in REGISTRY}
     entries = [entry for of in lexicon.entries.values() for entry in of.values()]
     found = {sense for entry in entries for word in entry for sense in word.senses}
     assert found <= legal
