@@ -45,7 +45,6 @@ REGISTRY = (
     SpatialRelation("far", "far from", FAR, None, 8.0, 0.4, order=(1.0, 0.0)),
     SpatialRelation("at", "at", AT, distance=0.0),
     SpatialRelation("between", "between", None, num_landmarks=2, symbol=NEAR),
-    SpatialRelation("beside", "beside", NEAR, None, 1.2, 0.3, symbol=NEAR),
 )
 """In the order of ``messages.RELATIONS``, ``AT``, ``BETWEEN``; a neighbourhood is a few metres."""
 SIDES = tuple(index for index, one in enumerate(REGISTRY) if one.axis is not None)
