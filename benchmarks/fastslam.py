@@ -25,7 +25,7 @@ from slam_scenario import LANDMARKS, ODOMETRY_NOISE, SENSOR_NOISE, STEP, Drive
 
 from jaxlangnav.experiments.timing import measure
 from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
-from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams
+from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams, default_sensor
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, systematic
@@ -54,7 +54,7 @@ def core_step(
     key, odometry, offsets = inputs
     associate_key, resample_key = jax.random.split(key)
     number = log_weight.shape[0]
-    noise = jnp.float32(SENSOR_NOISE**2)
+    sensor = default_sensor(noise=SENSOR_NOISE)
     spread = jnp.float32((ODOMETRY_NOISE * STEP) ** 2)
     particles = motion.move(particles, odometry[0], odometry[1], spread)
     detections = association.Detections(
@@ -65,8 +65,8 @@ def core_step(
         is_detection=jnp.ones(NUM_LANDMARKS, bool),
     )
     uniform = jax.random.uniform(associate_key, (NUM_LANDMARKS, number))
-    grounded = association.associate(particles, detections, uniform, noise)
-    particles = update.condition(particles, grounded, noise)
+    grounded = association.associate(particles, detections, uniform, sensor)
+    particles = update.condition(particles, grounded, sensor)
     weight, _, _ = categorical.log_normalize(log_weight + grounded.log_weight)
     is_resampled = effective_sample_size(weight) < 0.5 * number
     ancestors = systematic(weight, jax.random.uniform(resample_key))

@@ -25,7 +25,7 @@ CELLS = 32
 @jax.jit
 def look_at(coverage, x, y, heading, sensor) -> Coverage:
     eye = eye_of(x, y, heading, sensor)
-    return look(coverage, eye, sensor.detection_probability, OPEN.view)
+    return look(coverage, eye, sensor, OPEN.view)
 
 
 def fresh() -> Coverage:

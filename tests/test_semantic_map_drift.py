@@ -38,7 +38,7 @@ def look(key, belief, observation, params):
     uniform, noise = jax.random.split(key)
     number = belief.log_weight.shape[0]
     drawn = jax.random.normal(noise, (number,)) if belief.particles.drift.shape[0] else None
-    uniform = jax.random.uniform(uniform, (by_hand.D, number))
+    uniform = (jax.random.uniform(uniform, (by_hand.D, number)),) * 2
     belief = predict(belief, observation.pose, jnp.asarray(False), drawn, params=params)
     belief, weighed = observe(uniform, belief, observation, params=params)
     return belief, weighed.log_map

@@ -10,11 +10,10 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, counts, particle, update
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, forget, surprise
-from jaxlangnav.terrain import OPEN
+from jaxlangnav.terrain import OPEN, POSITIONS
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 LOG_THING, RATE, DETECTION, TYPES = np.log(2e-3), 0.05, 0.8, 8
-NOISE = jnp.float32(0.01)
 
 
 def sensor(**values: float):
@@ -32,8 +31,8 @@ def look(one, kind, x, is_detection, specification, growth, exposure):
     seen = association.Detections(
         kind[None], x[None], jnp.zeros(1), jnp.full(1, LOG_THING), is_detection[None]
     )
-    grounded = association.associate(one, seen, jnp.full(1, 0.5), NOISE, growth, doubt)
-    after = update.condition(one, grounded, NOISE)
+    grounded = association.associate(one, seen, jnp.full(1, 0.5), specification, growth, doubt)
+    after = update.condition(one, grounded, specification)
     log_missed, _, existence = update.log_absence(
         after, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.1), specification, OPEN.view
     )
@@ -160,7 +159,7 @@ def test_what_hardly_exists_is_forgotten_and_its_words_are_lost() -> None:
 
 CAR = by_hand.CAR
 P, D = by_hand.CONFIG.num_particles, by_hand.D
-VARIANCE = 0.1**2
+SENSOR = by_hand.sensor(noise=0.1)
 LOG_NEW = float(np.log(0.3 / 100.0))
 MISS = float(-np.log(0.05))
 """Nats of a miss by the default detector."""
@@ -173,16 +172,15 @@ def look_at_hydrant(belief, types, x, y, log_missed, is_detection):
         belief.particles,
         association.Detections(types, x, y, LOG_NEW + log_missed, is_detection),
         jnp.full((D, P), 0.5),
-        jnp.float32(VARIANCE),
+        SENSOR,
     )
-    particles = update.condition(belief.particles, grounded, jnp.float32(VARIANCE))
+    particles = update.condition(belief.particles, grounded, SENSOR)
     log_objects, _, _ = update.log_absence(
         particles, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.25), by_hand.sensor(), OPEN.view
     )
     log_map = grounded.log_weight + log_objects
-    return surprise(
-        belief.log_weight, grounded, log_map, jnp.float32(LOG_NEW), jnp.float32(VARIANCE)
-    )
+    log_fit = POSITIONS.log_fit(SENSOR)
+    return surprise(belief.log_weight, grounded, log_map, jnp.float32(LOG_NEW), log_fit)
 
 
 def surprise_of(*detections: tuple[int, float, float, float]) -> float:

@@ -103,8 +103,9 @@ def test_hypotheses_move_with_what_they_hang_on() -> None:
         hypothesis_x=jnp.array([6.0, 5.0, 9.0]),
         hypothesis_y=jnp.array([1.5, 3.0, -2.0]),
     )
-    grounded = association.associate(one, seen_at(4.5, 0.8), jnp.array([0.5]), jnp.float32(1e-4))
-    after = update.condition(one, grounded, jnp.float32(1e-4))
+    sensor = by_hand.sensor(noise=0.01)
+    grounded = association.associate(one, seen_at(4.5, 0.8), jnp.array([0.5]), sensor)
+    after = update.condition(one, grounded, sensor)
     np.testing.assert_allclose(after.mean_x, [4.5, 7.0, 0.0], atol=1e-4)
     np.testing.assert_allclose(after.hypothesis_x, [6.5, 5.0, 9.0], atol=1e-4)
     np.testing.assert_allclose(after.hypothesis_y, [1.3, 3.0, -2.0], atol=1e-4)
@@ -120,7 +121,8 @@ def test_a_detection_is_expected_with_what_robot_and_object_have_in_common() -> 
         mean_x=jnp.array([4.0, 1.0]),
         mean_y=jnp.array([1.0, 0.0]),
     )
-    grounded = association.associate(one, seen_at(3.4, 0.8), jnp.array([0.5]), jnp.float32(0.04))
+    sensor = by_hand.sensor(noise=0.2)
+    grounded = association.associate(one, seen_at(3.4, 0.8), jnp.array([0.5]), sensor)
     spread = 1.0 + 0.5 - 2 * 0.6 + 0.04
     expected = -(0.4**2 + 0.2**2) / (2 * spread) - np.log(2 * np.pi * spread)
     np.testing.assert_allclose(grounded.log_weight, expected, rtol=1e-5)
@@ -146,9 +148,9 @@ def follow(steps: jax.Array, offsets: jax.Array, is_seen: jax.Array, spread, noi
             log_new=jnp.full(number, -200.0),
             is_detection=seen,
         )
-        uniform = jnp.full(number, 0.5)
-        grounded = association.associate(one, detections, uniform, noise**2)
-        return update.condition(one, grounded, noise**2), None
+        uniform, sensor = jnp.full(number, 0.5), replace(by_hand.sensor(), noise=noise)
+        grounded = association.associate(one, detections, uniform, sensor)
+        return update.condition(one, grounded, sensor), None
 
     start = empty(number, 1, jnp.float32(0.0), jnp.float32(0.0))
     return jax.lax.scan(body, start, (steps, offsets, is_seen))[0]

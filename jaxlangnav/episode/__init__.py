@@ -80,9 +80,10 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     chex.assert_type([scenario.object_type, scenario.is_object], [int, bool])
     instruction = select_row(instructions, task.instruction_index)
     place, none = (scenario.start, scenario.area), jnp.int32(0)
+    world = {"terrain": scenario.terrain, "sensor_model": scenario.sensor_model}
     return EpisodeState(
         task=task,
-        navigator=navigator.start(instruction, *place, config=config, terrain=scenario.terrain),
+        navigator=navigator.start(instruction, *place, config=config, **world),
         world=simulator.reset(scenario),
         steps=none,
         overflow=none,

@@ -127,7 +127,7 @@ def _notice(explorer: Explorer, observation: Observation, figure_type: Array) ->
     eye = eye_of(pose[0], pose[1], pose[2], sensor)
     return replace(
         explorer,
-        coverage=look(explorer.coverage, eye, sensor.detection_probability, OPEN.view),
+        coverage=look(explorer.coverage, eye, sensor, OPEN.view),
         target=jnp.where(is_seen, jnp.stack([x[nearest], y[nearest]]), explorer.target),
         has_target=explorer.has_target | is_seen,
     )

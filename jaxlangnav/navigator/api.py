@@ -39,7 +39,7 @@ from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_mea
 from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.gating import check_place
-from jaxlangnav.terrain import OPEN, Terrain
+from jaxlangnav.terrain import OPEN, POSITIONS, SensorModel, Terrain
 
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
@@ -120,6 +120,7 @@ class Navigator:
         area: Sequence[float] | None = None,
         *,
         terrain: Terrain = OPEN,
+        sensor_model: SensorModel = POSITIONS,
     ) -> NavigatorState:
         """Tell a robot that has seen nothing what to do.
 
@@ -129,6 +130,7 @@ class Navigator:
             area: operating area x_min, x_max, y_min, y_max, metres, map frame; 15 m to each side
                 of the robot by default.
             terrain: how far one sees and walks there; the open field by default.
+            sensor_model: how the detector reports; by range and bearing by default.
 
         Raises:
             ValueError: the instruction is not understood or asks for nothing, or pose or area
@@ -145,7 +147,7 @@ class Navigator:
             raise ValueError(f"{cut(text)!r} {why}")
         for note in grounded.notes:
             _log.warning("%s: %s", cut(text), note)
-        return self._start(grounded, pose, area, terrain)
+        return self._start(grounded, pose, area, terrain, sensor_model)
 
     def wait(
         self, pose: Sequence[float] = (0.0, 0.0, 0.0), area: Sequence[float] | None = None
@@ -164,6 +166,7 @@ class Navigator:
         pose: Sequence[float],
         area: Sequence[float] | None,
         terrain: Terrain = OPEN,
+        sensor_model: SensorModel = POSITIONS,
     ) -> NavigatorState:
         """Begin with what has been understood, in arrays that hold a conversation."""
         place = pose_numbers(pose).tolist()
@@ -180,6 +183,7 @@ class Navigator:
             config=self.config,
             num_types=len(self.type_names),
             terrain=terrain,
+            sensor_model=sensor_model,
             words=first_words(instruction, grounded.spoken),
         )
         return self._checked(state)

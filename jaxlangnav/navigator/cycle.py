@@ -45,7 +45,7 @@ from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause
 from jaxlangnav.semantic_map.belief import about_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.proposal.relation_query import Utterances
-from jaxlangnav.terrain import OPEN, Eye, Terrain
+from jaxlangnav.terrain import OPEN, POSITIONS, Eye, SensorModel, Terrain
 
 _PLANNING = 77  # folded into a cycle's key for the planner, beyond the keys of the filter
 _SPARE = 0.01  # metres by which odometry may round up what the robot has been sent
@@ -71,6 +71,7 @@ def start(
     config: NavigatorConfig,
     num_types: int = MOST_LABELS,
     terrain: Terrain = OPEN,
+    sensor_model: SensorModel = POSITIONS,
     words: Words | None = None,
 ) -> NavigatorState:
     """Build the state of a robot that has just been told what to do.
@@ -84,13 +85,20 @@ def start(
         config: sizes.
         num_types: object types that a detection may name.
         terrain: how far one sees and walks in the area; the open field by default.
+        sensor_model: how the detector reports; by range and bearing by default.
         words: what the readings are about, where more may be said (``speech_acts``); by default the
             task speaks of all of it.
     """
     chex.assert_shape([pose, area], [(3,), (4,)])
     num_mentions = instruction.readings.mention_type.shape[-1]
     belief = semantic_filter.start(
-        pose, area, num_mentions, config=config.map, num_types=num_types, terrain=terrain
+        pose,
+        area,
+        num_mentions,
+        config=config.map,
+        num_types=num_types,
+        terrain=terrain,
+        sensor_model=sensor_model,
     )
     home, slots = belief.last_pose, config.map.num_objects
     return NavigatorState(

@@ -16,10 +16,11 @@ from jax import Array
 
 from jaxlangnav.inputs.object_types import joined, label_of
 from jaxlangnav.messages import NONE, SensorParams
-from jaxlangnav.numerics import categorical, gaussian
+from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import append_axes, prepend_axes
 from jaxlangnav.semantic_map.counts import made_likelier
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.terrain import POSITIONS, SensorModel
 
 LOG_SURPRISE = -30.0
 """Least log-weight of a detection where nothing can be: surprised, never dead."""
@@ -29,27 +30,30 @@ class Detections(NamedTuple):
     """Detections of one observation in map axes, relative to the robot."""
 
     object_type: Array  # i32[D] kinds
-    offset_x: Array  # f32[D] metres, map axes; f32[D, 1, ...] where headings differ
+    offset_x: Array  # f32[D] metres, map axes; f32[D, 1, ...] where particles differ
     offset_y: Array  # see ``offset_x``
-    log_new: Array  # f32[D] log density of a not yet seen object there, 1/m²; f32[D, ...] where
-    # headings differ
+    log_new: Array  # f32[D] log density of reports like it of what was not yet seen; f32[D, ...]
+    # where offsets differ
     is_detection: Array  # bool[D]
 
 
 class ClutterOdds(NamedTuple):
     """How often a detector reports what is not there, against true detections."""
 
-    log_false: Array  # f32[] false detections of a type, 1/m²
+    log_false: Array  # f32[] density of false detections of a type
     log_confused: Array  # f32[] odds that a thing is given a type that is not its own
     log_as: Array  # f32[] … that it is given a certain one
 
 
-def clutter_odds(sensor: SensorParams, num_types: Array) -> ClutterOdds:
+def clutter_odds(
+    sensor: SensorParams, num_types: Array, model: SensorModel = POSITIONS
+) -> ClutterOdds:
     """Work out how far detections are to be doubted; −∞ where not at all.
 
     Args:
         sensor: the specification; its ``detection_probability`` is of detections rightly labelled.
         num_types: i32[], T, types that the detector tells apart.
+        model: how it reports.
     """
 
     def log_of(share: Array) -> Array:
@@ -59,7 +63,7 @@ def clutter_odds(sensor: SensorParams, num_types: Array) -> ClutterOdds:
     rate = sensor.false_detections / jnp.maximum(sensor.detection_probability, 1e-3)
     odds = sensor.mislabelled / (1.0 - sensor.mislabelled)
     return ClutterOdds(
-        log_false=log_of(rate / in_view),
+        log_false=log_of(rate / in_view) + model.log_volume(sensor),
         log_confused=log_of(odds),
         log_as=log_of(odds / jnp.maximum(num_types - 1, 1)),
     )
@@ -82,15 +86,16 @@ def associate(
     particle: SemanticMap,
     detections: Detections,
     uniform: Array,
-    noise_variance: Array,
+    sensor: SensorParams,
     growth: Array | float = 0.0,
     doubt: ClutterOdds | None = None,
     *,
     is_pooled: bool = False,
+    model: SensorModel = POSITIONS,
 ) -> Association:
     """Ground each detection in an existing object or in a new one (eq. 7b).
 
-        p(z_j is o) ∝ N(z_j; x_o − x_robot, S_o),   p(z_j is new) ∝ λ m(z_j)
+        p(z_j is o) ∝ p(z_j | x_o − x_robot, S_o),   p(z_j is new) ∝ λ m(z_j)
 
     with S from the joint covariance of robot and object, λ = α / A the density of objects not yet
     seen and m the probability of having missed one there. An object is detected at most once.
@@ -99,10 +104,11 @@ def associate(
         particle: one particle, after the motion.
         detections: f32[D] each.
         uniform: f32[D, ...], uniform draws in [0, 1).
-        noise_variance: f32[], R, square metres per axis.
+        sensor: the detector's specification.
         growth: f32[], by how much more of λ each thing of the type that is held makes it (κ / α).
         doubt: how far detections are to be doubted, of particles that hold ``existence``.
         is_pooled: whether things of any type that are held make it more.
+        model: how the detector reports.
     """
     num_objects = particle.object_type.shape[0]
     own = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])
@@ -110,11 +116,11 @@ def associate(
     spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
     x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
     y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
-    predicted = x, y, jnp.maximum(spread, 0.0) + noise_variance
+    predicted = (x, y), jnp.maximum(spread, 0.0) + model.variance(x, y, sensor)
     weigh = functools.partial(_weigh, growth=growth, doubt=doubt, is_pooled=is_pooled)
 
     def ground(so_far: Association, one: tuple[Detections, Array]) -> tuple[Association, None]:
-        return _ground(so_far, *one, predicted, weigh), None
+        return _ground(so_far, *one, model, predicted, weigh), None
 
     nobody, nowhere = jnp.zeros(x.shape, bool), jnp.zeros_like(x)
     before = Association(
@@ -134,13 +140,13 @@ def _ground(
     so_far: Association,
     seen: Detections,
     chance: Array,
-    predicted: tuple[Array, Array, Array],
+    model: SensorModel,
+    predicted: tuple[tuple[Array, Array], Array],
     weigh: Callable[..., Any],
 ) -> Association:
     """Ground one detection, leaves [], given how those before it are grounded."""
     num_objects, kind, is_there = so_far.object_type.shape[0], seen.object_type, seen.is_detection
-    x, y, spread = predicted
-    log_existing = gaussian.log_normal_isotropic(seen.offset_x - x, seen.offset_y - y, spread)
+    log_existing, x, y = model.match((seen.offset_x, seen.offset_y), *predicted)
     log_weight, doubted = weigh(seen, log_existing, so_far)
     choice, log_total = categorical.draw(log_weight, chance)
     slots = append_axes(jnp.arange(num_objects), so_far.object_type.ndim)
@@ -157,8 +163,8 @@ def _ground(
         object_type=jnp.where(entry, entered, so_far.object_type),
         is_hit=so_far.is_hit | entry,
         is_new=so_far.is_new | (entry & is_new[None]),
-        offset_x=jnp.where(entry, seen.offset_x, so_far.offset_x),
-        offset_y=jnp.where(entry, seen.offset_y, so_far.offset_y),
+        offset_x=jnp.where(entry, jnp.where(is_new, seen.offset_x, x), so_far.offset_x),
+        offset_y=jnp.where(entry, jnp.where(is_new, seen.offset_y, y), so_far.offset_y),
         log_weight=so_far.log_weight + jnp.where(is_there, log_total, 0.0),
         overflow=so_far.overflow + (is_there & (slot == num_objects)).astype(jnp.int32),
         existence=existence,

@@ -8,7 +8,7 @@ from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.motion import rotated
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.unreferenced_objects import Bystanders
-from jaxlangnav.terrain import Terrain
+from jaxlangnav.terrain import SensorModel, Terrain
 
 
 @pytree
@@ -21,6 +21,7 @@ class ParticleBelief:
     alternate_miss: Array  # f32[G, G] … by a steady drift of the other sign; f32[0, 0]: a compass
     bias_sign: Array  # f32[] sign of the steady drift that the robot goes by
     terrain: Terrain  # how far one sees and walks there, as the robot takes it to be
+    sensor_model: SensorModel  # how its detector reports
     bystanders: Bystanders  # things of types that the task does not speak of; B may be 0
     last_pose: Array  # f32[3] dead-reckoned pose at the last observation that was believed
     reported_pose: Array  # f32[3] … that was reported, believed or not

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain import Eye, View
+from jaxlangnav.terrain import POSITIONS, Eye, SensorModel, View
 
 LOG_MISS_FLOOR = -30.0
 _GOLDEN = 0.6180339887
@@ -54,13 +55,16 @@ def area_size(coverage: Coverage) -> Array:
     return side_x * side_y
 
 
-def look(coverage: Coverage, eye: Eye, detection_probability: Array, view: View) -> Coverage:
-    """Enter one look of an eye, f32[]: cells in view are missed with probability 1 − p_d."""
+def look(
+    coverage: Coverage, eye: Eye, sensor: SensorParams, view: View, model: SensorModel = POSITIONS
+) -> Coverage:
+    """Enter one look of an eye, f32[]: the log-probability of silence is added to every cell."""
     centre_x, centre_y = cell_centres(coverage)
     size_x, size_y = cell_size(coverage)
     softness = 0.5 * (size_x + size_y)
-    share = view.share(eye, centre_x[None, :], centre_y[:, None], softness)
-    log_miss = coverage.log_miss + jnp.log1p(-jnp.minimum(detection_probability, 0.999) * share)
+    cells = centre_x[None, :], centre_y[:, None]
+    probability = model.report_probability(view, eye, *cells, softness, sensor)
+    log_miss = coverage.log_miss + jnp.log1p(-probability)
     return Coverage(log_miss=jnp.maximum(log_miss, LOG_MISS_FLOOR), area=coverage.area)
 
 

@@ -5,6 +5,7 @@ re-ground the utterance in particles whose hypothesis was refuted (``proposal``)
 """
 
 import functools
+from typing import Any
 
 import chex
 import jax
@@ -29,7 +30,9 @@ from jaxlangnav.semantic_map.predict import drift_noise, predict, with_drift
 from jaxlangnav.semantic_map.proposal.sparse_regrounding import Regrounded, reground
 from jaxlangnav.semantic_map.proposal.utterance import ground_words
 from jaxlangnav.semantic_map.unreferenced_objects import nobody, part, promote, remember_bystanders
-from jaxlangnav.terrain import OPEN, Terrain
+from jaxlangnav.terrain import OPEN, POSITIONS, SensorModel, Terrain
+
+_RANGE = 1  # folded into the key of the detections for ranges that are not measured
 
 
 @pytree
@@ -56,6 +59,7 @@ def start(
     config: MapConfig,
     num_types: int = MOST_LABELS,
     terrain: Terrain = OPEN,
+    sensor_model: SensorModel = POSITIONS,
 ) -> ParticleBelief:
     """Build the belief of a robot that has seen nothing.
 
@@ -68,6 +72,7 @@ def start(
         config: sizes.
         num_types: object types that a detection may name.
         terrain: how far one sees and walks in the area.
+        sensor_model: how the detector reports.
     """
     pose, area, is_placed = sound_place(pose, area)
     coverage, number = unexplored(area, config.num_cells), config.num_particles
@@ -85,6 +90,7 @@ def start(
         alternate_miss=coverage.log_miss if has_drift else jnp.zeros((0, 0), jnp.float32),
         bias_sign=jnp.float32(1.0),
         terrain=terrain,
+        sensor_model=sensor_model,
         bystanders=nobody(config.num_bystanders),
         last_pose=pose,
         reported_pose=pose,
@@ -100,7 +106,7 @@ def _part(
     belief: ParticleBelief, observation: Observation, spoken: Array | None
 ) -> tuple[ParticleBelief, Observation, Observation | None]:
     """Part what the particles hold from bystanders, in the map and in what is seen now."""
-    if spoken is None or belief.bystanders.x.shape[0] == 0:
+    if spoken is None or belief.bystanders.x.shape[0] == 0 or not belief.sensor_model.is_located:
         return belief, observation, None
     particles, known = promote(
         belief.particles, belief.bystanders, spoken, belief.log_weight, belief.must_ground
@@ -144,15 +150,16 @@ def _assert_arrays(belief: ParticleBelief, readings: Readings, observation: Obse
     chex.assert_type([belief.log_weight, readings.mention_type], [float, int])
 
 
-def _draw(keys: Array, num_detections: int, number: int) -> tuple[Array, Array, Array]:
-    """Draw the uniform numbers of a step in one go: f32[D, P], f32[2, P], f32[]."""
-    # What each detection is taken for; who is kept and whose map the others take; where the comb of
-    # the resampling begins.
+def _draw(keys: Array, num_detections: int, number: int) -> tuple[Any, Array, Array]:
+    """Draw the uniform numbers of a step: f32[D, P] twice, f32[2, P], f32[]."""
+    # What each detection is taken for, and how far it is, which is drawn apart for it is seldom
+    # asked for; who is kept and whose map the others take; where the comb of the resampling begins.
     associate, keep, resample = batching.uniforms(
         keys[np.array([0, 2, 3])], max(num_detections, 2) * number
     )
     associate = associate[: num_detections * number].reshape(num_detections, number)
-    return associate, keep[: 2 * number].reshape(2, number), resample[0]
+    ranges = jax.random.uniform(jax.random.fold_in(keys[2], _RANGE), associate.shape)
+    return (associate, ranges), keep[: 2 * number].reshape(2, number), resample[0]
 
 
 def _resampled(

@@ -33,14 +33,15 @@ def both_ways(belief: ParticleBelief) -> tuple[Coverage, Array]:
 def log_missed(belief: ParticleBelief, x: Array, y: Array) -> Array:
     """Look up the log-probability that something at offsets from the robot was missed so far.
 
-    x and y are f32[D] metres, map axes; f32[D, 1, P] where headings differ, for f32[D, P].
+    x and y are f32[D] metres, map axes; f32[D, 1, P] where particles differ, for f32[D, P].
     """
+    if x.ndim > 1:
+        x, y = x[:, 0], y[:, 0]
     if mean_drift(belief) is None:
         robot_x, robot_y = robot_position(belief)
         return log_miss_at(belief.coverage, robot_x + x, robot_y + y)
     held, (coverage, rows) = belief.particles, both_ways(belief)
-    place = held.mean_x[-1:] + x[:, 0], held.mean_y[-1:] + y[:, 0]
-    return log_miss_at(coverage, *place, rows)
+    return log_miss_at(coverage, held.mean_x[-1:] + x, held.mean_y[-1:] + y, rows)
 
 
 def look_around(
@@ -51,7 +52,7 @@ def look_around(
     def looked(log_miss: Array, at: tuple[Array, Array], heading: Array) -> Coverage:
         before = Coverage(log_miss=log_miss, area=belief.coverage.area)
         eye = eye_of(*at, heading, sensor)
-        return look(before, eye, sensor.detection_probability, belief.terrain.view)
+        return look(before, eye, sensor, belief.terrain.view, belief.sensor_model)
 
     heading, drift = observation.pose[2], mean_drift(belief)
     ours = looked(belief.coverage.log_miss, robot_position(belief), heading)

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.inputs.object_types import kind_of
-from jaxlangnav.inputs.observations import MIN_NOISE
 from jaxlangnav.messages import Observation
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import append_axes
@@ -47,7 +46,7 @@ class MeasurementUpdate(NamedTuple):
 
 
 def observe(
-    uniform: Array,
+    uniform: tuple[Array, Array],
     belief: ParticleBelief,
     observation: Observation,
     *,
@@ -59,25 +58,25 @@ def observe(
     The weights of the belief stay as they were.
 
     Args:
-        uniform: f32[D, P], which decides what each detection is taken for.
+        uniform: f32[D, P] that decides what each detection is taken for, and f32[D, P], how far
+            something new is where the detector does not tell.
         belief: after the motion.
         observation: pose and detections now, all of them sound.
         params: traced numbers.
         num_pooled: see ``ground_words``.
     """
     believed, observation = belief.particles, with_drift(belief, observation)
-    sensor, doubt = observation.sensor, None
+    sensor, model, doubt = observation.sensor, belief.sensor_model, None
     if believed.existence.shape[0] > 0:  # the sensor's probability is of right labels
         right = sensor.detection_probability * (1.0 - sensor.mislabelled)
         sensor = replace(sensor, detection_probability=right)
-        doubt = association.clutter_odds(sensor, belief.num_types)
-    noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
-    seen = _detections(belief, observation, params, num_pooled)
+        doubt = association.clutter_odds(sensor, belief.num_types, model)
+    seen = _detections(uniform[1], belief, observation, params, num_pooled)
     growth, is_pooled = params.clumping / params.concentration, num_pooled is not None
     grounded = association.associate(
-        believed, seen, uniform, noise_variance, growth, doubt, is_pooled=is_pooled
+        believed, seen, uniform[0], sensor, growth, doubt, is_pooled=is_pooled, model=model
     )
-    held = condition(believed, grounded, noise_variance)
+    held = condition(believed, grounded, sensor, model)
     # Some doubt is left of all that is held.
     existence = jnp.minimum(held.existence, 1.0 - LEAST_DOUBT)
     belief = replace(belief, particles=replace(held, existence=existence))
@@ -88,11 +87,12 @@ def observe(
     belief = replace(belief, coverage=coverage, alternate_miss=alternate_miss)
     heading, softness = headings(belief, observation.pose[2]), 2.5 * params.kernel + 1e-3
     log_objects, log_hypotheses, existence = log_absence(
-        belief.particles, grounded.is_hit, heading, softness, sensor, belief.terrain.view
+        belief.particles, grounded.is_hit, heading, softness, sensor, belief.terrain.view, model
     )
     belief, log_exposed, log_meant, is_lost = _counted(belief, believed, existence, exposure)
     log_map = grounded.log_weight + log_objects + log_exposed
     log_new = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
+    log_report = log_new + model.log_volume(sensor), model.log_fit(sensor)
     return belief, MeasurementUpdate(
         log_map=log_map,
         log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_meant,
@@ -100,20 +100,25 @@ def observe(
         is_other=grounded.object_type != believed.object_type,
         is_lost=is_lost,
         overflow=grounded.overflow,
-        surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
+        surprise=surprise(belief.log_weight, grounded, log_map, *log_report),
     )
 
 
 def _detections(
-    belief: ParticleBelief, observation: Observation, params: MapParams, num_pooled: Array | None
+    uniform: Array,
+    belief: ParticleBelief,
+    observation: Observation,
+    params: MapParams,
+    num_pooled: Array | None,
 ) -> association.Detections:
     """Turn detections into map axes and look up how likely something new is there."""
-    bearing = observation.pose[2] + observation.detection_bearing
-    offset_x = observation.detection_range * jnp.cos(bearing)
-    offset_y = observation.detection_range * jnp.sin(bearing)
+    sensor, model = observation.sensor, belief.sensor_model
+    metres = model.draw_range(uniform, observation.detection_range, sensor)
+    bearing = append_axes(observation.pose[2] + observation.detection_bearing, metres.ndim)
+    offset_x, offset_y = metres * jnp.cos(bearing), metres * jnp.sin(bearing)
     unseen, nobody = share_unseen(belief.coverage), jnp.float32(0.0)
     log_density = log_expected(nobody, unseen, params=params, num_pooled=num_pooled)
-    log_density = log_density - jnp.log(area_size(belief.coverage))
+    log_density = log_density - jnp.log(area_size(belief.coverage)) + model.log_volume(sensor)
     drift = mean_drift(belief)
     if drift is not None:
         own = (belief.particles.drift[:1] - drift)[None]
@@ -177,11 +182,11 @@ LOG_CONTRADICTION = 15.0
 
 
 def surprise(
-    log_weight: Array, grounded: Association, log_map: Array, log_new: Array, noise_variance: Array
+    log_weight: Array, grounded: Association, log_map: Array, log_new: Array, log_known: Array
 ) -> Array:
     """Measure how much less probable an observation is than one that fits.
 
-        −log Σ_i w_i p_i(z) / p*_i(z),   log p* = n_new log λ − n_known (log 2πR + 1)
+        −log Σ_i w_i p_i(z) / p*_i(z),   log p* = n_new log λ + n_known E log p(z | x)
 
     p* is what the same grounding would weigh if every new object stood where nobody has looked,
     every known one as far from its place as the noise takes it on average, and none were missed.
@@ -190,8 +195,8 @@ def surprise(
         log_weight: f32[P], before the observation, normalised.
         grounded: how the particles grounded the detections, leaves [..., P].
         log_map: f32[P], log probability of detections and absences of seen objects.
-        log_new: f32[], log λ, density of objects not yet seen, 1/m².
-        noise_variance: f32[], R, square metres per axis.
+        log_new: f32[], log λ, density of reports of objects not yet seen.
+        log_known: f32[], ``SensorModel.log_fit``.
 
     Returns:
         f32[], nats; about 0 or less for what was to be expected, and 0 where detections found no
@@ -199,6 +204,6 @@ def surprise(
     """
     num_new = jnp.sum(grounded.is_new, axis=0)
     num_known = jnp.sum(grounded.is_hit, axis=0) - num_new
-    log_fitting = num_new * log_new - num_known * (jnp.log(2.0 * jnp.pi * noise_variance) + 1.0)
+    log_fitting = num_new * log_new + num_known * log_known
     _, log_share, is_dead = categorical.log_normalize(log_weight + log_map - log_fitting)
     return jnp.where(is_dead | (jnp.max(grounded.overflow) > 0), 0.0, -log_share)

@@ -8,15 +8,19 @@ from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import gaussian
-from jaxlangnav.numerics.batching import append_axes, lookup
+from jaxlangnav.numerics.batching import lookup
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.association import Association
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.terrain import POSITIONS, SensorModel
 from jaxlangnav.terrain.view import View, eye_of
 
 
 def condition(
-    particle: SemanticMap, association: Association, noise_variance: Array
+    particle: SemanticMap,
+    association: Association,
+    sensor: SensorParams,
+    model: SensorModel = POSITIONS,
 ) -> SemanticMap:
     """Condition the Gaussian on the grounded detections: exact, one scalar update for each.
 
@@ -29,12 +33,14 @@ def condition(
     Args:
         particle: one particle.
         association: from ``associate``.
-        noise_variance: f32[], R, square metres per axis.
+        sensor: the detector's specification.
+        model: how it reports.
     """
-    num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
+    num_objects = particle.object_type.shape[0]
     is_new = _with_robot(association.is_new)
     offset_x, offset_y = association.offset_x, association.offset_y
-    variance = append_axes(jnp.broadcast_to(noise_variance, (num_objects + 1,)), ndim)
+    variance = model.variance(offset_x, offset_y, sensor)
+    variance = _with_robot(jnp.broadcast_to(variance, offset_x.shape))
     joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
     joint = gaussian.enter(
         joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
@@ -70,6 +76,7 @@ def log_absence(
     softness: Array,
     sensor: SensorParams,
     view: View,
+    model: SensorModel = POSITIONS,
 ) -> tuple[Array, Array, Array]:
     """Weigh what was not seen: negative observations (eq. 8).
 
@@ -85,6 +92,7 @@ def log_absence(
         softness: f32[], metres over which an object's position is uncertain.
         sensor: range, field of view, detection probability.
         view: what can be seen in this place.
+        model: how the detector reports.
 
     Returns:
         f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none);
@@ -94,10 +102,10 @@ def log_absence(
     x = jnp.concatenate([particle.mean_x[:num_objects], particle.hypothesis_x])
     y = jnp.concatenate([particle.mean_y[:num_objects], particle.hypothesis_y])
     robot_x, robot_y = particle.mean_x[num_objects:], particle.mean_y[num_objects:]
-    in_view = view.share(eye_of(robot_x, robot_y, heading, sensor), x, y, softness)
-    probability = jnp.minimum(sensor.detection_probability, 0.999)
+    eye = eye_of(robot_x, robot_y, heading, sensor)
+    likely = model.report_probability(view, eye, x, y, softness, sensor)
     is_missed = jnp.concatenate([particle.is_observed & ~is_hit, particle.is_hypothesised])
-    likely, existence = probability * in_view, particle.existence
+    existence = particle.existence
     if existence.shape[0]:
         own = likely[:num_objects]
         left = existence * (1.0 - own) / (1.0 - own * existence)

@@ -6,9 +6,21 @@ program; the open field has no numbers at all, and costs nothing.
 """
 
 from jaxlangnav.pytree import pytree
+from jaxlangnav.terrain.sensor_model import POSITIONS, Positions, SensorModel
 from jaxlangnav.terrain.view import Eye, OpenField, StraightLines, Travel, View
 
-__all__ = ["OPEN", "Eye", "OpenField", "StraightLines", "Terrain", "Travel", "View"]
+__all__ = [
+    "OPEN",
+    "POSITIONS",
+    "Eye",
+    "OpenField",
+    "Positions",
+    "SensorModel",
+    "StraightLines",
+    "Terrain",
+    "Travel",
+    "View",
+]
 
 
 @pytree

@@ -85,6 +85,7 @@ def _fresh_ghosts(
     y = state.position[1] + metres * jnp.sin(turned)
     is_there = jnp.arange(MOST_FRESH) < number
     ahead, left, is_reported = _located(x, y, is_there, state, scenario, sensor)
+    ahead, left = scenario.sensor_model.simulate(jnp.zeros((2, 1)), ahead, left, sensor)
     kind = _nth(errors.is_invented, _evenly(uniform[2], jnp.sum(errors.is_invented)))
     return kind.astype(jnp.int32), ahead, left, is_reported
 
@@ -96,10 +97,11 @@ def _haunting_ghosts(
     chance_key, noise_key = jax.random.split(key)
     place = errors.haunt_x, errors.haunt_y, errors.haunt_type != NONE
     ahead, left, is_seen = _located(*place, state, scenario, sensor)
-    noise = sensor.noise * jax.random.normal(noise_key, (2, ahead.size))
+    normal = jax.random.normal(noise_key, (2, ahead.size))
+    place = scenario.sensor_model.simulate(normal, ahead, left, sensor)
     chance = jax.random.uniform(chance_key, ahead.shape)
     is_reported = is_seen & (chance < errors.haunt_probability)
-    return errors.haunt_type, ahead + noise[0], left + noise[1], is_reported
+    return errors.haunt_type, *place, is_reported
 
 
 NUM_DETECTIONS, NUM_DETECTIONS_CROWDED = 8, 16
@@ -143,8 +145,8 @@ def sense(
         num_detections = NUM_DETECTIONS_CROWDED if x.size > NUM_DETECTIONS else NUM_DETECTIONS
     miss, noise = batching.uniforms(jax.random.split(key), 2 * x.size)
     is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
-    noise_x, noise_y = sensor.noise * batching.normal(noise).reshape(2, *x.shape)
-    x, y, kind = x + noise_x, y + noise_y, scenario.object_type
+    normal, kind = batching.normal(noise).reshape(2, *x.shape), scenario.object_type
+    x, y = scenario.sensor_model.simulate(normal, x, y, sensor)
     if (errors := scenario.errors) is not None:
         keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)
         kind = _labels_read(keys[0], kind, errors, sensor)

@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain import OPEN, Terrain
+from jaxlangnav.terrain import OPEN, POSITIONS, SensorModel, Terrain
 
 HYDRANT, CONE = 0, 1
 """Type indices, by the lexicon's order, of the two types that the templates of Table 2 place."""
@@ -49,6 +49,7 @@ class Scenario:
     area: Array  # f32[4] x_min, x_max, y_min, y_max metres: the operating area, known to all
     is_valid: Array  # bool[] the law of the template was met; False: count it, do not use it
     terrain: Terrain = OPEN  # what hides things there and what is in the way, known to all as well
+    sensor_model: SensorModel = POSITIONS  # how the robot's detector reports
     object_attribute: Array | None = None  # i32[O] codes of ``attributes``, where reported
     errors: Errors | None = None  # what the detector gets wrong there; None: nothing
 

@@ -22,7 +22,6 @@ from jaxlangnav.messages import NONE, Action, MotionParams, SensorParams, Status
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle, update
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.inputs.observations import MIN_NOISE
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import carry_out
 from jaxlangnav.world.sensor import sense
@@ -132,11 +131,11 @@ def _command(step: Array) -> Action:
 
 
 def _update(
-    one: SemanticMap, detections: association.Detections, draws: Array, noise: Array
+    one: SemanticMap, detections: association.Detections, draws: Array, sensor: SensorParams
 ) -> SemanticMap:
     """Condition a map on detections."""
-    grounded = association.associate(one, detections, draws, noise)
-    return update.condition(one, grounded, noise)
+    grounded = association.associate(one, detections, draws, sensor)
+    return update.condition(one, grounded, sensor)
 
 
 def _score(one: SemanticMap, scenario: Scenario) -> tuple[Array, Array, Array]:
@@ -165,7 +164,6 @@ def drive_joint(key: Array, sensor: SensorParams, odometry: MotionParams) -> For
     """
     world_key, drive_key = jax.random.split(key)
     scenario = _world(world_key)
-    noise = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
     empty = particle.empty(NUM_OBJECTS, 1, scenario.start[0], scenario.start[1])
 
     def body(
@@ -189,7 +187,7 @@ def drive_joint(key: Array, sensor: SensorParams, odometry: MotionParams) -> For
         variance = (odometry.odometry_noise * way) ** 2
         maps = [
             _update(motion.move(one, command.step[0], command.step[1], variance), detections,
-                    draws, noise)
+                    draws, sensor)
             for one in (joint, independent)
         ]  # fmt: skip
         joint, independent = maps[0], drop_covariances(maps[1])
