@@ -11,10 +11,10 @@
 # %% [markdown]
 # # The belief: is the filter right?
 #
-# A robot that acts on probabilities needs probabilities that mean what they say. Five checks, small
+# A robot that acts on probabilities needs probabilities that mean what they say. Four checks, small
 # here and full-sized in the tests: the filter against exact enumeration, ranks of the truth in
-# worlds drawn from the filter's own prior, calibration while the robot acts on its belief, what the
-# joint Gaussian is worth, and what happens when everything goes wrong.
+# worlds drawn from the filter's own prior, calibration while the robot acts on its belief, and what
+# happens when everything goes wrong.
 
 # %%
 # %matplotlib inline
@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from studies import joint_objects, provoked
+from studies import provoked
 from studies.episode_evidence import figure_posterior, remember
 from studies.own_worlds import judge_own_worlds
 
@@ -167,38 +167,6 @@ print(
     f"NLL {scores['nll']:.2f} nats"
 )
 reliability_figure({"": curves}, title='"This object is the goal"')
-
-# %% [markdown]
-# ## The joint Gaussian
-#
-# Twice round a circle with odometry that errs by 10 % of the way. The joint form remembers that the
-# robot and all it has seen went astray *together*; when the first object comes back into view, all
-# are put right. Independent objects (the same filter with its cross-covariances dropped) are wrong
-# and sure of it.
-
-# %%
-forms = joint_objects.compare_forms(episodes=64, seed=0)
-figure = Figure(figsize=(8.4, 2.8), layout="constrained")
-left, right = figure.subplots(1, 2)
-walked = 2 * np.pi * joint_objects.RADIUS * joint_objects.LAPS / joint_objects.STEPS
-walked = walked * np.arange(1, joint_objects.STEPS + 1)
-for form, (name, color) in enumerate((("joint", BLUE), ("independent", ORANGE))):
-    nll = np.asarray(forms.scores.nll)[:, form]
-    left.plot(walked, np.nanmedian(nll, axis=0), color=color, label=name)
-    low, high = np.nanquantile(nll, [0.25, 0.75], axis=0)
-    left.fill_between(walked, low, high, color=color, alpha=0.15, linewidth=0)
-    error = np.sqrt(np.asarray(forms.scores.squared_error)[:, form].mean(0))
-    right.plot(walked, error, color=color, label=name)
-left.set(xlabel="metres driven", ylabel="NLL of an object's place, nats", yscale="symlog")
-right.set(xlabel="metres driven", ylabel="error of an object's place, m", ylim=(0, None))
-left.set_yticks([-2, -1, 0, 1, 10], ["−2", "−1", "0", "1", "10"])
-left.legend()
-print(
-    f"independent minus joint at the end: {forms.nll_difference:.1f} nats an object, "
-    f"95 % interval {forms.nll_ci[0]:.1f} to {forms.nll_ci[1]:.1f}; "
-    f"errors {forms.rmse[0]:.2f} and {forms.rmse[1]:.2f} m"
-)
-figure
 
 # %% [markdown]
 # ## No silent death

@@ -2,17 +2,124 @@
 
     python scripts/measure_detector.py [LOOKS]
 
-Prints a Markdown table; docs/robot.md shows it, ``robots/perception/figures.py`` holds what the
-belief is told of it. Needs ``jaxlangnav[robot]`` and EGL.
+A robot stands before one thing at a time, at many ranges, bearings and turns of its cube. Counted
+are things, after all gates but that of range. Prints a Markdown table, which docs/robot.md shows;
+``robots/perception/tags.py`` holds what the belief is told. Needs ``jaxlangnav[robot]`` and EGL.
 """
 
 import argparse
+import dataclasses
+import itertools
 import sys
+from collections.abc import Sequence
 
 import numpy as np
 
 from jaxlangnav.inputs.sanitize import markdown_table
-from jaxlangnav.robots.perception import figures
+from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, Gates
+from jaxlangnav.robots.physics.robot import PhysicsRobot, Wear
+from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
+from jaxlangnav.world.state import HYDRANT, placed
+
+MEASURED_RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
+"""Metres."""
+MEASURED_TURNS = (0.0, 15.0, 30.0, 45.0)
+"""Degrees between the line of sight and the nearest side's normal; 45 is a cube's corner."""
+PICTURES = {"clean": (0.0, 0.0), "as told": (Wear().grain, Wear().blur), "bad": (12.0, 1.6)}
+"""Grain, grey levels, and blur, pixels."""
+_FARTHEST = 20.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Figure:
+    """What came of one kind of look."""
+
+    picture: str
+    range: float  # metres
+    turned: float  # degrees
+    looks: int
+    rate: float  # share of the looks in which the thing was found
+    bias: float  # metres, mean of the range found less the true one; NaN where never found
+    error: float  # metres, root mean square of a place's error, each axis
+    false: int  # tags that are not there
+
+
+def measure(
+    *,
+    looks: int = 6,
+    ranges: Sequence[float] = MEASURED_RANGES,
+    pictures: Sequence[str] = tuple(PICTURES),
+) -> list[Figure]:
+    """Measure the detector of the Husky: a figure for each picture, range and turn.
+
+    The wheelchair's camera is the same one.
+
+    Args:
+        looks: of each kind, at bearings drawn within the gate.
+        ranges: metres.
+        pictures: names in ``PICTURES``.
+    """
+    scenario = placed([(HYDRANT, OUT_OF_SIGHT[0], 0.0)])
+    found = []
+    for picture in pictures:
+        grain, blur = PICTURES[picture]
+        wear, gates = Wear(grain=grain, blur=blur), Gates(range=_FARTHEST)
+        robot = PhysicsRobot("husky", scenario, seed=0, gates=gates, wear=wear)
+        random = np.random.default_rng(0)
+        for away, turned in itertools.product(ranges, MEASURED_TURNS):
+            found.append(_look(robot, random, picture, away, turned, looks))
+        robot.close()
+    return found
+
+
+def _look(
+    robot: PhysicsRobot,
+    random: np.random.Generator,
+    picture: str,
+    away: float,
+    turned: float,
+    looks: int,
+) -> Figure:
+    """Look at one thing from one range, as it is turned."""
+    errors, biases, false = [], [], 0
+    half = 0.5 * Gates(range=_FARTHEST).field_of_view
+    x, y, heading = robot.true_pose
+    for _ in range(looks):
+        bearing = random.uniform(-half, half) * 0.98
+        angle = heading + bearing
+        place = np.array([x + away * np.cos(angle), y + away * np.sin(angle)])
+        robot.scene.put("thing0", *place)
+        robot.scene.turn("thing0", angle + random.choice([-1, 1]) * np.deg2rad(turned))
+        robot.settle()
+        seen = robot.detections() or []
+        false += sum(tag.number != HYDRANT * TAGS_PER_TYPE for tag in robot.last_tags)
+        for one in seen[:1]:
+            errors.append(np.array([x, y]) + one.offset(heading) - place)
+            biases.append(one.range - away)
+    return Figure(
+        picture=picture,
+        range=away,
+        turned=turned,
+        looks=looks,
+        rate=len(errors) / looks,
+        bias=float(np.mean(biases)) if biases else float("nan"),
+        error=float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan"),
+        false=false,
+    )
+
+
+def tabulate(figures: Sequence[Figure]) -> tuple[list[str], list[list[str]]]:
+    """Lay figures out for people: a row for each picture and range, a column for each turn."""
+    turns = list(dict.fromkeys(one.turned for one in figures))
+    headings = ["picture", "range (m)", *(f"{turn:g}°" for turn in turns)]
+    rows: dict[tuple[str, float], list[str]] = {}
+    for one in figures:
+        cell = f"{100 * one.rate:.0f} %"
+        if one.rate > 0:
+            cell += f", {100 * one.bias:+.1f}, {100 * one.error:.1f} cm"
+        cell += f", {one.false} false" if one.false else ""
+        rows.setdefault((one.picture, one.range), []).append(cell)
+    return headings, [[name, f"{away:g}", *cells] for (name, away), cells in rows.items()]
 
 
 def main() -> int:
@@ -23,11 +130,11 @@ def main() -> int:
     if looks < 1:
         parser.error(f"looks is {looks}, but must be at least 1")
     try:
-        found = figures.measure_detector(looks=looks)
+        found = measure(looks=looks)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    print(markdown_table(*figures.tabulate(found)))
+    print(markdown_table(*tabulate(found)))
     near = [one for one in found if one.picture == "as told" and one.range <= 4.0]
     rate = np.mean([one.rate for one in near])
     error = np.sqrt(np.nanmean([one.error**2 for one in near]))

@@ -8,16 +8,11 @@ from pathlib import Path
 import jupytext
 import pytest
 
-from jaxlangnav.robots.libraries import check_libraries
+from notebooks import MAX_BYTES, cells, lacking, sources
 
 ROOT = Path(__file__).parent.parent
 SCRIPT = ROOT / "scripts" / "notebooks.py"
-SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
-MAX_BYTES = 1_500_000
-
-
-def cells(path: Path) -> list[tuple[str, str]]:
-    return [(cell.cell_type, cell.source.rstrip()) for cell in jupytext.read(path).cells]
+SOURCES = sources()
 
 
 def test_sources_and_notebooks_come_in_pairs() -> None:
@@ -42,11 +37,8 @@ def test_notebook_is_made_from_its_source(path: Path) -> None:
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
 def test_notebook_runs_from_top_to_bottom(path: Path, tmp_path: Path) -> None:
     """In a process of its own, with the compiled programs that the tests keep."""
-    if "check_libraries()" in path.read_text("utf-8"):
-        try:
-            check_libraries()
-        except ValueError as missing:
-            pytest.skip(str(missing))
+    if missing := lacking(path):
+        pytest.skip(missing)
     environment = os.environ | {
         "MPLBACKEND": "Agg",
         "JAX_PLATFORMS": "cpu",

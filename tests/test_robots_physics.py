@@ -6,15 +6,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 
+import measure_detector
+import measure_odometry
 import numpy as np
 import pytest
 from placed import placed
 
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.steering import WheelCommand, wrap
-from jaxlangnav.robots.perception import figures, tags
-from jaxlangnav.robots.physics import odometry
-from jaxlangnav.robots.physics.robot import MACHINES, PhysicsRobot, Wear
+from jaxlangnav.robots.perception import tags
+from jaxlangnav.robots.physics.robot import MACHINES, ODOMETRY_NOISE, PhysicsRobot, Wear
 from jaxlangnav.robots.robot import Progress, Robot
 from jaxlangnav.robots.table3 import navigator_of
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -164,13 +165,13 @@ def test_things_and_people_are_seen_by_the_scanner_and_not_run_into() -> None:
 
 @pytest.mark.slow
 def test_the_detector_is_as_good_as_the_belief_is_told() -> None:
-    found = figures.measure_detector(looks=4, ranges=(1.25, 2.5, 4.0), pictures=("as told",))
+    found = measure_detector.measure(looks=4, ranges=(1.25, 2.5, 4.0), pictures=("as told",))
     rate = np.mean([one.rate for one in found])
     looks = sum(one.looks for one in found)
     assert rate > tags.RATE - 5 * np.sqrt(tags.RATE * (1 - tags.RATE) / looks)
     assert np.nanmax([one.error for one in found]) < tags.NOISE
     assert sum(one.false for one in found) == 0
-    headings, rows = figures.tabulate(found)
+    headings, rows = measure_detector.tabulate(found)
     assert len(rows) == 3
     assert len(rows[0]) == len(headings)
 
@@ -178,17 +179,17 @@ def test_the_detector_is_as_good_as_the_belief_is_told() -> None:
 @BOTH
 def test_the_belief_is_told_how_far_its_odometry_is_out(machine: str) -> None:
     """Neither less than is measured nor twice as much; other drives than those it was told by."""
-    found = odometry.measure_odometry(machine, drives=6, seed=100)
-    told = odometry.TOLD[machine]
+    found = measure_odometry.measure(machine, drives=6, seed=100)
+    told = ODOMETRY_NOISE[machine]
     # Six drives of some twenty cycles: the share is known to a tenth at best.
     assert 0.5 * told < max(found.shares) < 1.3 * told
     assert 0.0 < found.end < found.end_most < 0.15
-    headings, rows = odometry.odometry_table([found])
+    headings, rows = measure_odometry.odometry_table([found])
     assert len(rows[0]) == len(headings)
 
 
 def test_a_robots_navigator_is_told_its_own_odometry() -> None:
-    for machine, share in odometry.TOLD.items():
+    for machine, share in ODOMETRY_NOISE.items():
         motion = navigator_of(machine).params.map.motion
         assert float(motion.odometry_noise) == pytest.approx(share)
 

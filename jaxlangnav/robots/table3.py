@@ -23,8 +23,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.perception.tags import Gates
-from jaxlangnav.robots.physics import odometry
-from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.physics.robot import ODOMETRY_NOISE, PhysicsRobot
 from jaxlangnav.robots.recorded import DriveRecorder
 from jaxlangnav.robots.robot import Drive, Ending, Progress, Step
 from jaxlangnav.viz.html import write_html
@@ -112,7 +111,7 @@ def navigator_of(robot: str, policy: str = "informed") -> Navigator:
     As in the tables of simulated worlds it takes what it is told of to be there, as it always is:
     ``Navigator.pretrained`` alone leaves 5 % to its being nowhere, and ends its search for that.
     """
-    return Navigator.pretrained(policy, odometry_noise=odometry.TOLD[robot], absent=0.0)
+    return Navigator.pretrained(policy, odometry_noise=ODOMETRY_NOISE[robot], absent=0.0)
 
 
 def run_trial(

@@ -25,7 +25,7 @@ from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.robots.libraries import check_libraries
-from jaxlangnav.robots.physics.odometry import TOLD
+from jaxlangnav.robots.physics.robot import ODOMETRY_NOISE
 from jaxlangnav.robots.table3 import TABLE3, TrialRow, navigator_of, run_known, run_trial
 
 KNOWN = "known"
@@ -68,7 +68,7 @@ class TrialPlan:
             "version": __version__,
             "seed": self.seed,
             "policy": self.policy,
-            "odometry_noise": TOLD,
+            "odometry_noise": ODOMETRY_NOISE,
         }
 
 

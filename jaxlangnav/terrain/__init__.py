@@ -6,7 +6,7 @@ program; the open field has no numbers at all, and costs nothing.
 """
 
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain.sensor_model import POSITIONS, Positions, SensorModel
+from jaxlangnav.terrain.sensor_model import POSITIONS, SensorModel
 from jaxlangnav.terrain.view import Eye, OpenField, StraightLines, Travel, View
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "POSITIONS",
     "Eye",
     "OpenField",
-    "Positions",
     "SensorModel",
     "StraightLines",
     "Terrain",

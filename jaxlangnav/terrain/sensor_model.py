@@ -5,8 +5,6 @@ is a range and a bearing. A detector that does not measure ranges reports ``rang
 its ray; each particle then draws how far a new thing is, and later reports are weighed by parallax.
 """
 
-from typing import Protocol
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -17,10 +15,11 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain.view import Eye, View
 
 
-class SensorModel(Protocol):
-    """A detector: a record that JAX can trace (``@pytree``).
+@pytree
+class SensorModel:
+    """The paper's detector, of relative positions with isotropic noise; others derive from it.
 
-    Positions are relative to the robot, metres; arguments broadcast against each other.
+    Positions x, y are relative to the robot, metres; arguments broadcast against each other.
     """
 
     @property
@@ -29,85 +28,49 @@ class SensorModel(Protocol):
         return True
 
     def simulate(
-        self, normal: Array, ahead: Array, left: Array, sensor: SensorParams
+        self, normal: Array, x: Array, y: Array, sensor: SensorParams
     ) -> tuple[Array, Array]:
-        """Report things in view with noise, standard normal f32[2, n].
-
-        The reported position f32[n] ahead and to the left, metres, robot frame.
-        """
-        ...
+        """Report things at f32[n] ahead and left, with noise by standard normal draws f32[2, n]."""
+        noise = sensor.noise * normal
+        return x + noise[0], y + noise[1]
 
     def variance(self, x: Array, y: Array, sensor: SensorParams) -> Array:
-        """Compute R, f32[...] square metres per axis, of the report of a thing at (x, y)."""
-        ...
+        """Compute R of the report of a thing at a place, square metres per axis."""
+        return jnp.maximum(sensor.noise, MIN_NOISE) ** 2
 
     def draw_range(self, uniform: Array, metres: Array, sensor: SensorParams) -> Array:
         """Draw how far something new is, f32[D] or f32[D, 1, P] metres, by uniform f32[D, P]."""
-        ...
+        return metres
 
     def log_volume(self, sensor: SensorParams) -> Array:
         """Compute the log of the square metres per unit of a report's density, f32[].
 
-        A density of things λ, 1/m², times this is that of reports of them.
+        A density of things, 1/m², times this is that of reports of them.
         """
-        ...
+        return jnp.float32(0.0)
 
     def match(
         self, seen: tuple[Array, Array], place: tuple[Array, Array], variance: Array
     ) -> tuple[Array, Array, Array]:
         """Hold a report against a thing that is expected at a place, to within a variance.
 
-        The log-likelihood f32[...]; and the position x and y that the thing is conditioned on.
+        The log-likelihood; and the position x and y that the thing is then conditioned on.
         """
-        ...
+        return log_normal_isotropic(seen[0] - place[0], seen[1] - place[1], variance), *seen
 
     def log_fit(self, sensor: SensorParams) -> Array:
         """Compute the mean log-likelihood of a report of a thing whose place is known, f32[]."""
-        ...
+        return -(jnp.log(2.0 * jnp.pi * self.variance(sensor.noise, sensor.noise, sensor)) + 1.0)
 
     def report_probability(
         self, view: View, eye: Eye, x: Array, y: Array, softness: Array, sensor: SensorParams
     ) -> Array:
-        """Compute how probable the report of a thing at (x, y) in the map is, f32[...] below 1.
+        """Compute how probable the report of a thing in the map is, below 1; silence is the rest.
 
-        Of silence it is the rest. ``softness``: metres over which the thing is spread.
+        ``softness``: metres over which the thing is spread.
         """
         probability = jnp.minimum(sensor.detection_probability, 0.999)
         return probability * view.share(eye, x, y, softness)
 
 
-@pytree
-class Positions(SensorModel):
-    """The paper's detector: the relative position, with isotropic Gaussian noise."""
-
-    def simulate(
-        self, normal: Array, ahead: Array, left: Array, sensor: SensorParams
-    ) -> tuple[Array, Array]:
-        """Add noise to both axes."""
-        noise = sensor.noise * normal
-        return ahead + noise[0], left + noise[1]
-
-    def variance(self, x: Array, y: Array, sensor: SensorParams) -> Array:
-        """Compute R, the same everywhere."""
-        return jnp.maximum(sensor.noise, MIN_NOISE) ** 2
-
-    def draw_range(self, uniform: Array, metres: Array, sensor: SensorParams) -> Array:
-        """Give the range that was measured."""
-        return metres
-
-    def log_volume(self, sensor: SensorParams) -> Array:
-        """Give log 1: reports are positions."""
-        return jnp.float32(0.0)
-
-    def match(
-        self, seen: tuple[Array, Array], place: tuple[Array, Array], variance: Array
-    ) -> tuple[Array, Array, Array]:
-        """Evaluate the isotropic Gaussian in the plane."""
-        return log_normal_isotropic(seen[0] - place[0], seen[1] - place[1], variance), *seen
-
-    def log_fit(self, sensor: SensorParams) -> Array:
-        """Compute −(log 2πR + 1)."""
-        return -(jnp.log(2.0 * jnp.pi * self.variance(sensor.noise, sensor.noise, sensor)) + 1.0)
-
-
-POSITIONS = Positions()
+POSITIONS = SensorModel()

@@ -30,7 +30,7 @@ TAGS_PER_TYPE = 16
 """A thing's type is its tag's number divided by this; the rest tells one of a type from another."""
 RATE, NOISE = 0.95, 0.05
 """Detection rate within the gates, and standard deviation of a thing's place, metres each axis:
-``figures.measure_detector`` at ranges of 1.25 to 4 m, rounded to the cautious side."""
+``scripts/measure_detector.py`` at ranges of 1.25 to 4 m, rounded to the cautious side."""
 _CELLS, _CELL_PIXELS = 10, 16
 _SQUARE = 0.5 * TAG_SIDE * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
 """Corners of a tag from the top left one on, clockwise, its z axis towards whoever sees it."""

@@ -62,6 +62,9 @@ class Wear:
     """Pixels; of every picture."""
 
 
+ODOMETRY_NOISE = {"husky": 0.11, "wheelchair": 0.022}
+"""Standard deviation of each axis as a share of a cycle's way, which the belief is told: the
+largest that ``scripts/measure_odometry.py`` finds, rounded to the cautious side."""
 MACHINES = {
     "husky": Machine(
         body=BodyLimits(
