@@ -111,8 +111,8 @@ def test_what_is_behind_a_wall_is_neither_seen_nor_counted_as_absent() -> None:
     sensor = by_hand.sensor(range_max=8.0, probability=0.95)
     looking = eye_of(HERE, HERE, HERE, sensor)
     coverage = unexplored(AREA, 20)
-    open_look = LOOK(coverage, looking, sensor.detection_probability, OPEN.view)
-    walled = LOOK(coverage, looking, sensor.detection_probability, walls(WALL))
+    open_look = LOOK(coverage, looking, sensor, OPEN.view)
+    walled = LOOK(coverage, looking, sensor, walls(WALL))
     x, y = np.meshgrid(*(np.asarray(axis) for axis in cell_centres(coverage)))
     behind = (x > 4.5) & (np.abs(y) < 0.5 * x - 0.8)
     assert behind.sum() > 50
