@@ -15,11 +15,11 @@ import jax
 
 from jaxlangnav import keep_compiled_programs
 from jaxlangnav.experiments.tasks import SENTENCES
-from jaxlangnav.robots.film import check_format, film
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.physics.robot import MACHINES
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.table3 import TABLE3, make_robot, navigator_of
+from jaxlangnav.viz.film import check_format, write_film
 from jaxlangnav.viz.html import write_html
 
 _PAGE = ".html"
@@ -51,13 +51,10 @@ def _run(out: Path, name: str, trial: int) -> str:
     row = next(one for one in TABLE3 if one.robot == name and one.relation == "behind")
     robot, text, key = make_robot(row, 0, trial), SENTENCES[row.relation], jax.random.key(trial)
     navigator = navigator_of(name)
-    if out.suffix == _PAGE:
-        ended, recording = record_drive(robot, text, navigator=navigator, key=key)
-        written, why = write_html(recording, out), ended.why
-    else:
-        written, why = film(out, robot, text, navigator=navigator, key=key)
+    ended, recording = record_drive(robot, text, navigator=navigator, key=key)
+    written = (write_html if out.suffix == _PAGE else write_film)(recording, out)
     robot.close()
-    return f"{written}: {why}, {robot.travelled:.1f} m in {robot.seconds:.0f} s"
+    return f"{written}: {ended.why}, {robot.travelled:.1f} m in {robot.seconds:.0f} s"
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 A robot stands before one thing at a time, at many ranges, bearings and turns of its cube. Counted
 are things, after all gates but that of range. Prints a Markdown table, which docs/robot.md shows;
-``robots/perception/tags.py`` holds what the belief is told. Needs ``jaxlangnav[robot]`` and EGL.
+``robots/physics/tags.py`` holds what the belief is told. Needs ``jaxlangnav[robot]`` and EGL.
 """
 
 import argparse
@@ -16,9 +16,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxlangnav.inputs.sanitize import markdown_table
-from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, Gates
 from jaxlangnav.robots.physics.robot import PhysicsRobot, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
+from jaxlangnav.robots.physics.tags import TAGS_PER_TYPE, Gates
 from jaxlangnav.world.state import HYDRANT, placed
 
 MEASURED_RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)

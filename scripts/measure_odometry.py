@@ -19,8 +19,8 @@ import numpy as np
 
 from jaxlangnav.inputs.sanitize import markdown_table
 from jaxlangnav.robots.driver import CYCLE
-from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import MACHINES, ODOMETRY_NOISE, PhysicsRobot
+from jaxlangnav.robots.physics.tags import Gates
 from jaxlangnav.robots.robot import Progress
 from jaxlangnav.world.state import placed
 

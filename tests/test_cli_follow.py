@@ -108,9 +108,10 @@ def test_live_draws_and_ends_with_the_verdict(capsys: pytest.CaptureFixture[str]
 
 def test_pictures_are_written_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
-    document = follow([COMMAND, "--out", str(tmp_path / "new" / "folder")], capsys)
+    document = follow([COMMAND, "--gif", "--out", str(tmp_path / "new" / "folder")], capsys)
     pictures = [Path(name) for name in document["pictures"]]
-    assert {path.name for path in pictures} >= {"belief.png", "values.png", "episode.html"}
+    named = {path.name for path in pictures}
+    assert named >= {"belief.png", "values.png", "episode.html", "episode.gif"}
     assert all(path.stat().st_size > 100 for path in pictures)
     kept = json.loads((tmp_path / "new" / "folder" / "episode.json").read_text("utf-8"))
     assert kept == document
@@ -124,15 +125,21 @@ def test_the_rerun_recording_stands_beside_the_pictures(tmp_path, capsys):
     assert (tmp_path / "episode.rrd").read_bytes()[:3] == b"RRF"
 
 
-def test_rrd_says_what_it_needs(tmp_path, capsys, monkeypatch):
-    asked = ["follow", COMMAND, "--rrd"]
-    assert "--rrd writes episode.rrd into the folder of --out" in refused(asked, capsys)
+@pytest.mark.parametrize(
+    ("kind", "library", "extra"), [("rrd", "rerun", "rerun"), ("mp4", "cv2", "robot")]
+)
+def test_a_kind_of_recording_says_what_it_needs(
+    tmp_path, capsys, monkeypatch, kind, library, extra
+):
+    asked = ["follow", COMMAND, f"--{kind}"]
+    told = refused(asked, capsys)
+    assert f"--{kind} writes episode.{kind} into the folder of --out" in told
     found = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "rerun" else found(name)
+        importlib.util, "find_spec", lambda name: None if name == library else found(name)
     )
     told = refused([*asked, "--out", str(tmp_path)], capsys)
-    assert 'pip install "jaxlangnav[rerun]"' in told
+    assert f'pip install "jaxlangnav[{extra}]"' in told
 
 
 def test_numbers_on_the_command_line_reach_the_engine(capsys: pytest.CaptureFixture[str]) -> None:

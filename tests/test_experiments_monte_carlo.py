@@ -108,13 +108,6 @@ def test_bad_cells_are_refused() -> None:
         cell("1H1C", "null", 0, 3.0, 1, 2**32)
 
 
-def test_pieces_by_hand() -> None:
-    assert monte_carlo._pieces(70, 1024, 2) == [(0, 70)]
-    assert monte_carlo._pieces(700, 1024, 2) == [(0, 350), (350, 350)]
-    assert monte_carlo._pieces(1025, 1024, 1) == [(0, 512), (512, 513)]
-    assert monte_carlo._pieces(4800, 1024, 2) == [(800 * k, 800) for k in range(6)]
-
-
 def test_pieces_come_back_in_order_and_without_padding() -> None:
     number = 2 * monte_carlo.CHUNK + 3
     tasks = make_tasks(cell("1H1C", "null", 0, 3.0, number, 0))

@@ -486,14 +486,6 @@ def episodes(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.glob("episodes-*"))}
 
 
-def test_rounds_by_hand() -> None:
-    ours, known = ("informed", 64), ("known", None)
-    kinds = [ours, known, ours, ("informed", 16), ours, known]
-    found = list(sweep._rounds(range(6), kinds.__getitem__, 2))
-    assert found == [[0, 2], [1, 5], [3], [4]]
-    assert [len(own) for own in sweep._rounds(range(6), kinds.__getitem__, 1)] == [1] * 6
-
-
 def test_mistakes_are_one_line() -> None:
     with pytest.raises(ValueError, match='coordinator is "here", but must be HOST:PORT'):
         monte_carlo.join_devices("here", 2, 0)

@@ -421,7 +421,6 @@ def test_interval_by_hand():
     [
         ({"splits": 1}, "at least 2"),
         ({"beams": (0,)}, "1 or more"),
-        ({"without": ("smell",)}, "unknown features"),
     ],
 )
 def test_bad_requests_are_refused(arguments, words):

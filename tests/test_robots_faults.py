@@ -9,11 +9,11 @@ import pytest
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.driver import drive
-from jaxlangnav.robots.film import film
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.table3 import TABLE3, make_robot
+from jaxlangnav.viz.film import write_film
 from jaxlangnav.viz.html import _render_html
 
 pytestmark = pytest.mark.slow
@@ -92,22 +92,7 @@ def test_a_motion_planner_that_gives_up_leaves_it_blocked(navigator, row, monkey
     assert robot.travelled < 0.1
 
 
-def test_a_run_is_filmed(navigator, tmp_path) -> None:
-    robot, path = make_robot(CHAIR, 0, 0), tmp_path / "run.gif"
-    key = jax.random.key(0)
-    written, why = film(path, robot, SENTENCES["behind"], navigator=navigator, key=key)
-    robot.close()
-    assert written == path
-    assert why == "arrived"
-    ok, animation = libraries.opencv().imreadanimation(str(path))
-    assert ok
-    assert len(animation.frames) > 10
-    assert animation.frames[0].shape[1] == 1200
-    with pytest.raises(ValueError, match="is no film"):
-        film(tmp_path / "run.avi", robot, "go to the cone", navigator=navigator, key=key)
-
-
-def test_a_run_is_recorded_with_what_is_seen_of_it(navigator) -> None:
+def test_a_run_is_recorded_with_what_is_seen_of_it(navigator, tmp_path) -> None:
     robot, key = make_robot(HUSKY, 0, 0), jax.random.key(0)
     ended, kept = record_drive(robot, SENTENCES["behind"], navigator=navigator, key=key)
     robot.close()
@@ -123,3 +108,7 @@ def test_a_run_is_recorded_with_what_is_seen_of_it(navigator) -> None:
     first, last = kept.pictures[0], kept.pictures[-1]
     assert all(first[title] != last[title] for title in first)
     assert len(_render_html(kept)) < 5_000_000
+    film = write_film(kept, tmp_path / "run.mp4")
+    ok, shown = libraries.opencv().VideoCapture(str(film)).read()
+    assert ok
+    assert shown.shape == (480, 1380, 3)

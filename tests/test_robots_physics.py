@@ -14,7 +14,7 @@ from placed import placed
 
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.steering import WheelCommand, wrap
-from jaxlangnav.robots.perception import tags
+from jaxlangnav.robots.physics import tags
 from jaxlangnav.robots.physics.robot import MACHINES, ODOMETRY_NOISE, PhysicsRobot, Wear
 from jaxlangnav.robots.robot import Progress, Robot
 from jaxlangnav.robots.table3 import navigator_of

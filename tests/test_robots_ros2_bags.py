@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_robots_drive import TEXT, goal_distance, put
 
-from jaxlangnav.robots.perception.tags import Gates, as_told
+from jaxlangnav.robots.physics.tags import Gates, as_told
 from jaxlangnav.robots.robot import Detection, Ending
 from jaxlangnav.robots.ros2 import conversions
 from jaxlangnav.robots.ros2.bags import RecordedLoopback, ReplayBus, typestore, write_bag

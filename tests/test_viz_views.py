@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import Wedge
 from pages import Page
+from PIL import Image
 from recording_fixture import AREA, make_recording
 from rich.console import Console
 
@@ -23,6 +24,7 @@ from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import BEHIND, NEAR, ROBOT
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import style, terminal
+from jaxlangnav.viz.film import write_film
 from jaxlangnav.viz.graph import _phrase_beliefs, _symbol_name, graph_figure
 from jaxlangnav.viz.html import _page_data, _render_html, write_graph, write_html
 from jaxlangnav.viz.rrd import write_rrd
@@ -100,6 +102,21 @@ def test_it_fits_a_small_screen():
     assert max(len(line) for line in lines) <= 80
     with pytest.raises(ValueError, match="at least one step"):
         terminal.watch(one.scene, [], console=console)
+
+
+def test_a_film_shows_every_step_beside_what_the_cameras_saw(tmp_path):
+    one = make_recording(3, 5)
+    picture = io.BytesIO()
+    Image.new("RGB", (40, 30), "red").save(picture, "JPEG")
+    seen = {"camera": picture.getvalue()}
+    one = dataclasses.replace(one, pictures=({}, *[seen] * (one.num_steps - 1)))
+    with Image.open(write_film(one, tmp_path / "run.gif")) as film:
+        assert (film.size, film.n_frames) == ((920, 480), one.num_steps)
+        film.seek(film.n_frames - 1)
+        right = np.asarray(film.convert("RGB"))[100:380, 470:910].reshape(-1, 3)
+    assert (np.abs(right - np.array([254, 0, 0])).max(axis=1) < 12).mean() > 0.3
+    with pytest.raises(ValueError, match=r"run.avi is no film: its name must end in \.gif or"):
+        write_film(one, tmp_path / "run.avi")
 
 
 HAS_RERUN = importlib.util.find_spec("rerun") is not None

@@ -70,6 +70,10 @@ class Follow:
     talk: bool = False
     """Type what you like while the robot goes; "stop" halts it at once, end of input (Ctrl-D) lets
     it finish alone."""
+    gif: bool = False
+    """Write the episode as a moving picture too, episode.gif."""
+    mp4: bool = False
+    """Write the episode as a film too, episode.mp4; needs jaxlangnav[robot]."""
     rrd: bool = False
     """Write the episode for the rerun viewer too, episode.rrd; needs jaxlangnav[rerun]."""
     live: bool = False
@@ -125,10 +129,14 @@ class Follow:
             raise UsageError("--talk tells the story as it goes: leave out --live")
         if self.out is not None:
             checks.check_extra("--out draws pictures and needs", "matplotlib", "viz")
-        if self.rrd and self.out is None:
-            raise UsageError("--rrd writes episode.rrd into the folder of --out: add --out DIR")
+        for name in ("gif", "mp4", "rrd"):
+            if getattr(self, name) and self.out is None:
+                where = f"--{name} writes episode.{name} into the folder of --out"
+                raise UsageError(f"{where}: add --out DIR")
         if self.rrd:
             checks.check_extra("--rrd needs the rerun viewer", "rerun", "rerun")
+        if self.mp4:
+            checks.check_extra("--mp4 is written by OpenCV", "cv2", "robot")
         return script
 
     def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
@@ -244,10 +252,14 @@ class Follow:
 
     def _draw(self, recording: "Recording", document: dict[str, Any], output: Output) -> None:
         from jaxlangnav.inputs.whole_files import write_text
+        from jaxlangnav.viz.film import write_film
         from jaxlangnav.viz.html import write_pictures
 
         assert self.out is not None
         paths = write_pictures(recording, self.out)
+        for name in ("gif", "mp4"):
+            if getattr(self, name):
+                paths.append(write_film(recording, self.out / f"episode.{name}"))
         if self.rrd:
             from jaxlangnav.viz.rrd import write_rrd
 

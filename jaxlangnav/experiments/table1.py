@@ -19,7 +19,7 @@ from jaxlangnav.experiments.sizes import check_count, readable_count
 from jaxlangnav.experiments.table import Document, Table
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.model import FEATURE_GROUPS, CorrespondenceModel
+from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import load_corpus
@@ -135,7 +135,6 @@ def evaluate(
     seed: int = 0,
     beams: Sequence[int] = (BEAM_WIDTH,),
     is_exact: bool = False,
-    without: Sequence[str] = (),
     on_progress: OnProgress | None = None,
 ) -> dict[str, Any]:
     """Run the paper's protocol for both models.
@@ -145,7 +144,6 @@ def evaluate(
         seed: of the splits.
         beams: beam widths; the first is the one that the table states.
         is_exact: also find the likeliest of all sets, and say how often it is proven.
-        without: groups of word features to leave out (``FEATURE_GROUPS``), an ablation.
         on_progress: called with how many splits' worth of work is done; adds up to ``splits``.
 
     Returns:
@@ -153,12 +151,12 @@ def evaluate(
         accuracy; ``new_words`` is on the held-out sentences with a word that training never saw;
         ``paper`` has the printed rows. What cannot be is refused, and more than memory holds.
     """
-    _check(splits, beams, without)
+    _check(splits, beams)
     type_names, corpus = load_lexicon().type_names, load_corpus(CORPUS)
     check_count("splits", splits, each=_MASKS * len(corpus))
     instructions = read_examples(corpus, type_names)
     given = instructions, type_names
-    prepared = {name: lay_out(name, *given, frozenset(without)) for name in MODELS}
+    prepared = {name: lay_out(name, *given) for name in MODELS}
     for design in (one.design for one in prepared.values()):
         counts = math.prod(design.properties.shape[:2]) * 2
         weights = design.words.shape[1] * design.properties.shape[2]
@@ -176,17 +174,14 @@ def evaluate(
         of_first = results[name].by_width[beams[0]]
         on_new = _on_new_words(name, instructions, of_first, held_out)
         document[name] = _row(fitted[name], results[name], seconds) | {"new_words": on_new}
-    return document | {"paper": TABLE_1, "corpus": CORPUS, "without": list(without), "seed": seed}
+    return document | {"paper": TABLE_1, "corpus": CORPUS, "seed": seed}
 
 
-def _check(splits: int, beams: Sequence[int], without: Sequence[str]) -> None:
+def _check(splits: int, beams: Sequence[int]) -> None:
     if splits < 2:
         raise ValueError(f"splits is {splits}, but at least 2 are needed for an interval")
     if not beams or min(beams) < 1:
         raise ValueError(f"beam widths must be 1 or more, not {list(beams)}")
-    unknown = sorted(set(without) - set(FEATURE_GROUPS))
-    if unknown:
-        raise ValueError(f"unknown features {unknown}; known are {', '.join(FEATURE_GROUPS)}")
     if (widest := max(beams)) > _WIDEST:
         raise ValueError(f"beam width is {readable_count(widest)}, but must be {_WIDEST} or less")
 

@@ -18,10 +18,10 @@ from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
-from jaxlangnav.robots.film import Views
 from jaxlangnav.robots.kinematic import KinematicRobot, SimulatedRobot
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.robot import Drive, Ending, Step, observe
+from jaxlangnav.robots.views import Views
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _frame_of = jax.jit(frame_of)

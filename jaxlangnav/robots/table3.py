@@ -22,8 +22,8 @@ from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.motion.steering import wrap
-from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import ODOMETRY_NOISE, PhysicsRobot
+from jaxlangnav.robots.physics.tags import Gates
 from jaxlangnav.robots.recorded import DriveRecorder
 from jaxlangnav.robots.robot import Drive, Ending, Progress, Step
 from jaxlangnav.viz.html import write_html

@@ -130,15 +130,14 @@ def lay_out(
     name: str,
     instructions: Sequence[LabelledInstruction],
     type_names: tuple[str, ...],
-    without: frozenset[str] = frozenset(),
 ) -> LaidOut:
-    """Lay out the factors of one of ``MODELS``, without some groups of word features."""
+    """Lay out the factors of one of ``MODELS``."""
     build, kinds = _BUILDS[name]
     examples = build(instructions, type_names)
     sizes = np.zeros(len(instructions))
     for example in examples:
         sizes[example.instruction] += sum(len(rows.labels) for rows in example.rows.values())
-    return LaidOut(*build_design(examples, kinds, len(instructions), without), sizes)
+    return LaidOut(*build_design(examples, kinds, len(instructions)), sizes)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -120,6 +120,19 @@ def _add_legend(figure: "Figure", handles: Sequence[Any]) -> None:
     )  # fmt: skip
 
 
+def draw_belief(axes: "Axes", recording: Recording, step: int) -> None:
+    """Draw the belief at a step, and what is true, into a map."""
+    scene, frame = recording.scene, recording.at(step)
+    mapping.draw_ground(axes, scene, frame)
+    mapping.draw_truth(axes, scene)
+    mapping.draw_hypotheses(axes, frame)
+    mapping.draw_objects(axes, frame)
+    mapping.draw_path(axes, recording, step)
+    mapping.draw_view(axes, scene.sensor, frame)
+    mapping.draw_waypoint(axes, frame)
+    mapping.draw_robot(axes, frame)
+
+
 def belief_figure(
     recording: Recording, *, steps: Sequence[int] | None = None, num_panels: int = 6
 ) -> "Figure":
@@ -130,20 +143,11 @@ def belief_figure(
     that is not in the recording or for none.
     """
     chosen = _choose_steps(recording, steps, num_panels)
-    scene = recording.scene
     text = "Dots: hypotheses, one map per particle, stronger where heavier. Grey: not looked at."
     with style.house_style():
         figure, maps, _ = _lay_out(recording, len(chosen), text=text)
         for index, (axes, step) in enumerate(zip(maps, chosen, strict=True)):
-            frame = recording.at(step)
-            mapping.draw_ground(axes, scene, frame)
-            mapping.draw_truth(axes, scene)
-            mapping.draw_hypotheses(axes, frame)
-            mapping.draw_objects(axes, frame)
-            mapping.draw_path(axes, recording, step)
-            mapping.draw_view(axes, scene.sensor, frame)
-            mapping.draw_waypoint(axes, frame)
-            mapping.draw_robot(axes, frame)
+            draw_belief(axes, recording, step)
             _head_panel(axes, recording.moments[step], index)
         _add_legend(figure, mapping.legend_handles(recording))
     return figure

@@ -13,7 +13,8 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.kinematic import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.steering import BodyLimits, Pursuit, Steering, WheelCommand, Window
-from jaxlangnav.robots.perception.tags import (
+from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, compile_scene
+from jaxlangnav.robots.physics.tags import (
     Camera,
     Gates,
     Tag,
@@ -22,7 +23,6 @@ from jaxlangnav.robots.perception.tags import (
     find_tags,
     to_detections,
 )
-from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, compile_scene
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.world.state import Scenario
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.robots import libraries
-from jaxlangnav.robots.perception.tags import CUBE_SIDE, TAGS_PER_TYPE, draw_tag
+from jaxlangnav.robots.physics.tags import CUBE_SIDE, TAGS_PER_TYPE, draw_tag
 from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 
 MIDDLE_HEIGHT = 0.45

@@ -22,8 +22,8 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots.kinematic import KinematicRobot, SimulatedRobot
 from jaxlangnav.robots.libraries import check_libraries, ros, ros_message
 from jaxlangnav.robots.motion.mover import TICK
-from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.physics.tags import Gates
 from jaxlangnav.robots.ros2.conversions import Scribe, compose, inverse, yaw_of
 from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import Scenario
