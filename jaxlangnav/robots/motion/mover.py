@@ -35,7 +35,7 @@ _TRIES = 10  # ways looked for in vain, one after the other, after which there i
 
 
 class Mover:
-    """A motion planner: A* on inflated discs before a way of steering."""
+    """A motion planner: the shortest way round inflated discs before a way of steering."""
 
     def __init__(self, body: BodyLimits, steering: Steering) -> None:
         """Build one that stands still."""

@@ -1,14 +1,15 @@
-"""A way around things: A* over a grid of inflated discs, pulled taut.
+"""A way around things: the shortest over a grid of inflated discs, pulled taut.
 
 Every disc is inflated by the body's radius and the clearance asked for. What the robot goes up to
 is inflated by its body only; and where the body is nearer to a disc than that already, as when
 something has come up to it, the disc shrinks to let it out.
 """
 
-import heapq
 import math
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
 GAP = 0.3
 """Metres between neighbouring hits beyond which they belong to two things."""
@@ -71,7 +72,6 @@ CELL = 0.15
 """Metres, side of a grid cell."""
 DETOUR_MARGIN = 3.0
 """Metres of room that a way may take beyond the box of start and goal."""
-_STEPS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 _ALIVE = 0.08  # metres that a body is told to keep from a thing that it stands against
 _UP_TO = 0.6  # metres from the goal to the edge of a disc that is what is gone up to
 
@@ -155,35 +155,23 @@ def find_path(start: np.ndarray, goal: np.ndarray, discs: np.ndarray) -> np.ndar
 def _search(
     is_free: np.ndarray, first: tuple[int, ...], from_goal: np.ndarray
 ) -> list[tuple[int, int]] | None:
-    """Search the grid; ends at the cell nearest to the goal that can be reached."""
-    lengths = {first: 0.0}
-    before: dict[tuple[int, ...], tuple[int, ...]] = {}
-    best = first
-    queue = [(float(from_goal[first]), first)]
-    done = set()
-    nearest_free = from_goal[is_free].min()
-    while queue:
-        _, cell = heapq.heappop(queue)
-        if cell in done:
-            continue
-        done.add(cell)
-        if from_goal[cell] < from_goal[best]:
-            best = cell
-        if from_goal[best] <= nearest_free + CELL:
-            break
-        for dx, dy, step in _STEPS:
-            other = cell[0] + dx, cell[1] + dy
-            is_inside = 0 <= other[0] < is_free.shape[0] and 0 <= other[1] < is_free.shape[1]
-            if not is_inside or not is_free[other] or other in done:
-                continue
-            length = lengths[cell] + step * CELL
-            if length < lengths.get(other, math.inf):
-                lengths[other] = length
-                before[other] = cell
-                heapq.heappush(queue, (length + float(from_goal[other]), other))
-    if from_goal[best] > nearest_free + 2 * CELL:
+    """Find the shortest way to the free cell nearest to the goal that can be reached (Dijkstra)."""
+    # Cells are numbered row by row; a rim that is not free keeps rows apart.
+    width, free = is_free.shape[1] + 2, np.pad(is_free, 1).ravel()
+    steps = ((1, 1.0), (width, 1.0), (width - 1, math.sqrt(2.0)), (width + 1, math.sqrt(2.0)))
+    pairs = [np.flatnonzero(free[:-step] & free[step:]) for step, _ in steps]
+    ends = [cells + step for cells, (step, _) in zip(pairs, steps, strict=True)]
+    lengths = np.repeat([length for _, length in steps], [len(cells) for cells in pairs])
+    edges = lengths, (np.concatenate(pairs), np.concatenate(ends))
+    start = (first[0] + 1) * width + first[1] + 1
+    graph = coo_array(edges, shape=(free.size, free.size)).tocsr()
+    reached, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    left = np.pad(from_goal, 1, constant_values=math.inf).ravel()
+    best = int(np.argmin(np.where(np.isfinite(reached), left, math.inf)))
+    if left[best] > from_goal[is_free].min() + 2 * CELL:
         return None
-    way = [best]
-    while way[-1] in before:
-        way.append(before[way[-1]])
-    return [(int(i), int(j)) for i, j in way[-2::-1]]
+    way = []
+    while best != start:
+        way.append((best // width - 1, best % width - 1))
+        best = int(before[best])
+    return way[::-1]
