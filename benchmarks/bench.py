@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy_twin
-import roofline
 from jax.experimental.compilation_cache import compilation_cache
 from record import Measurement, against, entry, render
 
@@ -36,11 +35,9 @@ from jaxlangnav.experiments.tasks import (
 )
 from jaxlangnav.experiments.timing import (
     POLICY,
-    Part,
     describe_machine,
     measure,
     measure_parts,
-    split,
 )
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams, default_params
@@ -101,7 +98,7 @@ def stages(bench: Workbench) -> list[Stage]:
     return [
         *loops,
         ("lanes without refilling", lambda: [_refilling(bench)]),
-        ("the parts of a cycle and the machine's limits", lambda: _limits(bench)),
+        ("the parts of a cycle", lambda: _parts(bench)),
         ("compilation", lambda: _compilation(bench)),
     ]
 
@@ -254,8 +251,8 @@ def _refilling(bench: Workbench) -> Measurement:
     return entry(name, ours, "ms CPU an episode") | against(ours, theirs, 4.0)
 
 
-def _limits(bench: Workbench) -> list[Measurement]:
-    """Measure where a cycle's time goes, and how far it is from this machine's limits."""
+def _parts(bench: Workbench) -> list[Measurement]:
+    """Measure where a cycle's time goes."""
     params, given = deployment_params(), (bench.tasks, bench.instructions)
     config, number = deployment_config(POLICY, params=params), bench.repetitions
     usual = navigator_config(POLICY)
@@ -263,18 +260,15 @@ def _limits(bench: Workbench) -> list[Measurement]:
     large = measure_parts(*given, params=params, repetitions=number, config=config)
     tables, pretrained = share_entries(parts), share_entries(large, ", as Navigator.pretrained")
     pretrained[0] |= {"target": 2500.0, "holds": pretrained[0]["value"] <= 2500.0}
-    return [*tables, *pretrained, *roofline.distances(parts, roofline.measure_peaks())]
+    return [*tables, *pretrained]
 
 
-def share_entries(parts: list[Part], label: str = "") -> list[Measurement]:
+def share_entries(parts: dict[str, float], label: str = "") -> list[Measurement]:
     """Turn the measured parts of a cycle into entries: the whole, then each one's share of it."""
-    whole = parts[0].seconds
+    (_, whole), *inner = parts.items()
     return [
         entry(f"one cycle of one lane{label}", 1e6 * whole, "µs CPU"),
-        *(
-            entry(f"share of {name}{label}", 100.0 * seconds / whole, "%")
-            for name, seconds in split(parts).items()
-        ),
+        *(entry(f"share of {name}{label}", 100.0 * one / whole, "%") for name, one in inner),
     ]
 
 

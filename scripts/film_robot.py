@@ -4,7 +4,7 @@
 
 OUT.gif or OUT.mp4 is a film; OUT.html a page with a slider over the steps: both views, map, numbers
 and story. The environment is that of Table 3's "behind" with one hydrant and one cone. Needs
-``jaxlangnav[robot]`` and EGL.
+``jaxlangnav[robot,viz]`` and EGL.
 """
 
 import argparse

@@ -108,6 +108,7 @@ def test_a_run_is_recorded_with_what_is_seen_of_it(navigator, tmp_path) -> None:
     first, last = kept.pictures[0], kept.pictures[-1]
     assert all(first[title] != last[title] for title in first)
     assert len(_render_html(kept)) < 5_000_000
+    pytest.importorskip("matplotlib")
     film = write_film(kept, tmp_path / "run.mp4")
     ok, shown = libraries.opencv().VideoCapture(str(film)).read()
     assert ok

@@ -67,16 +67,6 @@ def measure(work: Callable[[], Any], repetitions: int, *, patience: float = floa
     return Cost(cpu=cpu, wall=wall)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Part:
-    """What a part of a cycle takes, for one lane."""
-
-    name: str
-    seconds: float  # CPU seconds
-    operations: float  # floating-point operations, by XLA's own analysis; a loop's body counts once
-    memory: float  # bytes that its operations read and write, by the same analysis
-
-
 def measure_parts(
     tasks: Task,
     instructions: Instruction,
@@ -84,10 +74,11 @@ def measure_parts(
     params: NavigatorParams,
     repetitions: int,
     config: NavigatorConfig,
-) -> list[Part]:
+) -> dict[str, float]:
     """Measure a cycle in one batch of lanes, its sensor, its filter, behavior in every particle.
 
-    ``tasks``, leaves [E ≥ lanes, …]; ``instructions``, leaves [I, …].
+    ``tasks``, leaves [E ≥ lanes, …]; ``instructions``, leaves [I, …]. CPU seconds of one lane, the
+    whole cycle first; planner and motion are what the parts leave over.
     """
 
     def sense_and_filter(progress: EpisodeState) -> Any:
@@ -113,42 +104,29 @@ def measure_parts(
     cycle = compiled(lambda one: advance(one, params=params, config=config)[0])
     for _ in range(_STEPS):
         progress = cycle(progress)
-    whole = _part("the cycle", cycle, progress, repetitions)
+    whole = _seconds(cycle, progress, repetitions)
     sensor, both, inferred = (
-        _part(name, compiled(part), progress, repetitions)
-        for name, part in (
-            ("the sensor", observe),
-            ("the filter", sense_and_filter),
-            ("behavior in every particle", infer),
-        )
+        _seconds(compiled(part), progress, repetitions)
+        for part in (observe, sense_and_filter, infer)
     )
-    # The filter's part has to look as well; the sensor has been counted already.
-    counts = ("seconds", "operations", "memory")
-    rest = {name: getattr(both, name) - getattr(sensor, name) for name in counts}
-    return [whole, sensor, dataclasses.replace(both, **rest), inferred]
+    return {
+        "the cycle": whole,
+        "the sensor": sensor,
+        # The filter's part has to look as well; the sensor has been counted already.
+        "the filter": both - sensor,
+        "behavior in every particle": inferred,
+        "planner, motion and the rest": whole - both - inferred,
+    }
 
 
-def split(parts: list[Part]) -> dict[str, float]:
-    """Split a cycle into CPU seconds by part; planner and motion are what is left over."""
-    whole, *inner = parts
-    left = whole.seconds - sum(part.seconds for part in inner)
-    return {part.name: part.seconds for part in inner} | {"planner, motion and the rest": left}
-
-
-def _part(name: str, part: Any, progress: EpisodeState, repetitions: int) -> Part:
-    """Time one call of a part on all lanes, and ask XLA what it has to do."""
+def _seconds(part: Any, progress: EpisodeState, repetitions: int) -> float:
+    """Time one call of a part on all lanes, for one of them."""
     jax.block_until_ready(part(progress))
 
     def calls() -> Any:
         return [part(progress) for _ in range(_CALLS)][-1]
 
-    analysis = part.cost_analysis() or {}
-    return Part(
-        name=name,
-        seconds=measure(calls, repetitions).cpu / _CALLS / LANES,
-        operations=float(analysis.get("flops", 0.0)) / LANES,
-        memory=float(analysis.get("bytes accessed", 0.0)) / LANES,
-    )
+    return measure(calls, repetitions).cpu / _CALLS / LANES
 
 
 def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
@@ -165,10 +143,11 @@ def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
     instructions = ground_sentences(list(SENTENCES.values())).instructions
     config = navigator_config(POLICY)
     measured = measure_parts(tasks, instructions, params=params, repetitions=3, config=config)
+    whole = measured.pop("the cycle")
     return {
         "experiment": "time",
-        "cycle_us": 1e6 * measured[0].seconds,
-        "parts_us": {name: max(0.0, 1e6 * seconds) for name, seconds in split(measured).items()},
+        "cycle_us": 1e6 * whole,
+        "parts_us": {name: max(0.0, 1e6 * seconds) for name, seconds in measured.items()},
         "machine": machine,
         "wall_s": time.perf_counter() - start,
         "files": [],
