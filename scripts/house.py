@@ -2,21 +2,20 @@
 
     python scripts/house.py           # everything
     python scripts/house.py --budget  # lines and files beside what pyproject.toml allows
+    python scripts/house.py --picture # docs/house.svg: the floors and their lines of code
 
 Lines are those of Python files: all of them; of code, imports counted by themselves; and of
-docstrings. Records are the classes of this package of which an instance is made while
-``navigator.step`` is traced once. Operations are the equations of that trace, nested programs
-included, and stand by the file that wrote them. Last come names that several modules define.
+docstrings. Operations are the equations of one traced ``navigator.step``, nested programs included,
+and stand by the file that wrote them. Last come names that several modules define.
 """
 
 import ast
-import inspect
+import functools
 import sys
 import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import jax
@@ -167,34 +166,43 @@ def count_operations(jaxpr: Any, caller: str | None = None) -> Counter[str]:
     return found
 
 
-def traced() -> tuple[Any, set[str]]:
-    """Trace one decision; return it, and the records made on the way."""
-    params, config, records = navigator.default_params(), NavigatorConfig(), set[str]()
+def traced() -> Any:
+    """Trace one decision."""
+    params, config = navigator.default_params(), NavigatorConfig()
+    return jax.make_jaxpr(functools.partial(navigator.step, params=params, config=config))(
+        *arguments()
+    )
 
-    def note(frame: FrameType, event: str, _: Any) -> None:
-        names = frame.f_locals
-        if event != "call" or not (frame.f_code.co_name == "__init__" or "_cls" in names):
-            return
-        # A NamedTuple is made by a function of its class, everything else by ``__init__``.
-        first = next(iter(names.values()), None)
-        made = first if inspect.isclass(first) else type(first)
-        if made.__module__.startswith("jaxlangnav."):
-            records.add(f"{made.__module__.removeprefix('jaxlangnav.')}.{made.__name__}")
 
-    def step(key: Any, state: Any, observation: Any) -> Any:
-        return navigator.step(key, state, observation, params=params, config=config)
+def draw(path: Path) -> None:
+    """Draw the floors layer by layer, the lowest first, each as large as its lines of code."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
 
-    given = arguments()
-    sys.setprofile(note)
-    try:
-        jaxpr = jax.make_jaxpr(step)(*given)
-    finally:
-        sys.setprofile(None)
-    return jaxpr, records
+    sys.path.insert(0, str(ROOT / "tests"))
+    from test_layers import LAYERS
+
+    number, floors = len(LAYERS), lines_by_floor()
+    figure = Figure(figsize=(8.0, 0.4 * number))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(-0.1, 11.0), ylim=(-0.2, number))
+    axes.axis("off")
+    for row, layer in enumerate(LAYERS):
+        left = 0.0
+        for floor in layer:
+            code = floors[floor if floor in floors else f"{floor}.py"]["code"]
+            name = f"{floor} {code:,}"
+            width = max(code / 400.0, 0.19 * len(name))
+            axes.barh(row + 0.4, width, 0.8, left, color="#dfe3e8")
+            axes.text(left + 0.1, row + 0.4, name, va="center", fontsize=9)
+            left += width + 0.1
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": path.name}):
+        figure.savefig(path, metadata={"Date": None})
 
 
 def main() -> None:
     """Print the measures."""
+    if "--picture" in sys.argv:
+        return draw(ROOT / "docs" / "house.svg")
     if "--budget" in sys.argv:
         for name, (taken, most) in budget().items():
             print(f"{name:<16}{taken:>8} of {most}" + (" TOO MUCH" if taken > most else ""))
@@ -206,9 +214,7 @@ def main() -> None:
     rows += [("package", sum(floors.values(), Counter())), (f"engine: {', '.join(ENGINE)}", engine)]
     for name, number in rows:
         print(*(f"{number[kind]:>10}" for kind in KINDS), name)
-    jaxpr, records = traced()
-    print(f"{len(records):6}  records inside one navigator.step: {', '.join(sorted(records))}")
-    operations = count_operations(jaxpr.jaxpr)
+    operations = count_operations(traced().jaxpr)
     print(f"{operations.total():6}  traced operations of one navigator.step")
     for file, number in operations.most_common(MOST_FILES):
         print(f"{number:6}  {file}")

@@ -2,7 +2,6 @@
 
     python scripts/notebooks.py                     # run those that are old
     python scripts/notebooks.py --all               # run all of them
-    python scripts/notebooks.py --draw DIR planner  # run one without Jupyter, its pictures into DIR
 
 The ``.py`` files (jupytext's percent format) are the truth; the ``.ipynb`` files are made from
 them, with their pictures, so that a reader of the repository sees what a notebook shows without
@@ -12,11 +11,9 @@ palette, which keeps a notebook well below ``MAX_BYTES``.
 """
 
 import argparse
-import ast
 import base64
 import importlib
 import io
-import re
 import sys
 import time
 from pathlib import Path
@@ -127,57 +124,11 @@ def build(path: Path) -> Path:
     return pair
 
 
-def draw(path: Path, folder: Path) -> list[Path]:
-    """Run a source cell by cell in this process and save every figure it shows.
-
-    A figure is shown if it is the value of a cell's last line, or was made with pyplot.
-
-    Args:
-        path: the ``.py`` file.
-        folder: for the pictures.
-
-    Returns:
-        The pictures.
-    """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot
-    from matplotlib.figure import Figure
-
-    folder.mkdir(parents=True, exist_ok=True)
-    sys.path.insert(0, str(path.parent))  # as in Jupyter: notebooks/studies
-    names: dict[str, Any] = {"__name__": "__main__", "__file__": str(path)}
-    pictures: list[Path] = []
-    for index, (kind, text) in enumerate(cells(path)):
-        if kind != "code":
-            continue
-        tree = ast.parse(re.sub(r"(?m)^%", "# %", text))
-        last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
-        where = f"{path.name}[{index}]"
-        exec(compile(tree, where, "exec"), names)
-        value = None
-        if isinstance(last, ast.Expr):
-            value = eval(compile(ast.Expression(last.value), where, "eval"), names)
-        figures = [pyplot.figure(number) for number in pyplot.get_fignums()]
-        if isinstance(value, Figure):
-            figures.append(value)
-        elif value is not None:
-            print(repr(value))
-        for place, figure in enumerate(dict.fromkeys(figures)):
-            picture = folder / f"{path.stem}-{index:02d}{'abcdef'[place]}.png"
-            figure.savefig(picture, bbox_inches="tight", dpi=110)
-            pictures.append(picture)
-        pyplot.close("all")
-    return pictures
-
-
 def main() -> int:
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(description="Run the notebooks and write them with pictures.")
     parser.add_argument("names", nargs="*", help="notebooks; all by default")
     parser.add_argument("--all", action="store_true", help="also those that are not old")
-    parser.add_argument("--draw", type=Path, help="run without Jupyter, pictures into this folder")
     arguments = parser.parse_args()
     known = {path.stem: path for path in sources()}
     if unknown := [name for name in arguments.names if name not in known]:
@@ -187,9 +138,6 @@ def main() -> int:
         begin, why = time.perf_counter(), lacking(path)
         if why:
             print(f"{path.stem}: left as it is: {why}")
-        elif arguments.draw is not None:
-            pictures = draw(path, arguments.draw)
-            print(f"{path.stem}: {len(pictures)} pictures, {time.perf_counter() - begin:.0f} s")
         elif arguments.all or arguments.names or not is_current(path):
             size = build(path).stat().st_size
             print(f"{path.stem}: {size / 1000:.0f} kB, {time.perf_counter() - begin:.0f} s")

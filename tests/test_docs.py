@@ -8,15 +8,16 @@ import json
 import re
 import runpy
 import shlex
-import sys
 import tomllib
 from importlib import resources
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import ages
+import frozen
 import numpy as np
 import pytest
+import results_page
 
 from jaxlangnav.cli.main import parse_arguments
 from jaxlangnav.experiments.sweep_config import config_from_dict
@@ -119,16 +120,6 @@ def test_stylesheets_are_there() -> None:
 # ---------------------------------------------------------------- what is frozen
 
 AGES = json.loads((ROOT / "scripts" / "ages.json").read_text("utf-8"))
-
-
-def script(name: str) -> ModuleType:
-    """Import one of the scripts; they stand beside the package, not in it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
-        return importlib.import_module(name)
-
-
-ages, frozen, results_page = (script(name) for name in ("ages", "frozen", "results_page"))
 SHOWN = [
     pytest.param(command, text, id=f"{page.name}-{command}")
     for page in frozen.pages()
@@ -210,6 +201,13 @@ def test_own_world_ends_at_the_hydrant(capsys: pytest.CaptureFixture[str]) -> No
     told = capsys.readouterr().out
     assert "arrived at" in told
     assert "never seen: bench" in told
+
+
+@pytest.mark.slow
+def test_a_network_is_trained_and_stands_beside_the_policies() -> None:
+    found = runpy.run_path(str(EXAMPLES / "trained_policy.py"))["main"]("2")
+    assert all(row.success_rate > 95.0 for row in found.values())
+    assert abs(found["learned"].distance_mean - found["faithful"].distance_mean) < 2.0
 
 
 def test_own_world_is_short() -> None:
