@@ -11,6 +11,7 @@ and stand by the file that wrote them. Last come names that several modules defi
 
 import ast
 import functools
+import importlib
 import sys
 import tomllib
 from collections import Counter, defaultdict
@@ -180,13 +181,13 @@ def draw(path: Path) -> None:
     from matplotlib.figure import Figure
 
     sys.path.insert(0, str(ROOT / "tests"))
-    from test_layers import LAYERS
+    layers = importlib.import_module("test_layers").LAYERS
 
-    number, floors = len(LAYERS), lines_by_floor()
+    number, floors = len(layers), lines_by_floor()
     figure = Figure(figsize=(8.0, 0.4 * number))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(-0.1, 11.0), ylim=(-0.2, number))
     axes.axis("off")
-    for row, layer in enumerate(LAYERS):
+    for row, layer in enumerate(layers):
         left = 0.0
         for floor in layer:
             code = floors[floor if floor in floors else f"{floor}.py"]["code"]

@@ -121,6 +121,15 @@ def test_the_budget_holds(name: str, taken: int, most: int) -> None:
     assert taken <= most
 
 
+@pytest.mark.parametrize("path", [*PACKAGE.rglob("*.py")], ids=lambda path: path.stem)
+def test_files_have_350_lines_and_functions_60_at_most(path: Path) -> None:
+    parts = [
+        one for one in ast.walk(ast.parse(path.read_text())) if isinstance(one, ast.FunctionDef)
+    ]
+    assert len(path.read_text().splitlines()) <= 350
+    assert all((one.end_lineno or 0) - one.lineno < 60 for one in parts)
+
+
 # ---------------------------------------------------------------- names
 
 MOST_SHARED = 11

@@ -103,15 +103,14 @@ def _figure(
         # All policies by default: then the paper's, whose figure it is.
         named = [one for one in settings.options.policies if one in POLICIES]
         policy = named[0] if len(named) == 1 else "faithful"
-        config = navigator_config(policy, settings.particles_drawn)
+        sizes = navigator_config(policy, settings.particles_drawn)
         with CompileClock() as clock, waiting(f"an episode in {name}", output):
             understood = understand_parse(parse(TEXT), load(None))
             prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = equip(prepared, settings.values, params=settings.params)
-            given: dict[str, Any] = {"text": TEXT, "params": params, "config": config}
-            recording = record_episode(understood, prepared, **given)
-        steps = pick_moments(recording, num_panels)
+            recording = record_episode(understood, prepared, text=TEXT, params=params, config=sizes)
         output.tell(narrate(recording))
+        steps = pick_moments(recording, num_panels)
         scene, result = recording.scene, recording.result
         document = {
             "experiment": name,

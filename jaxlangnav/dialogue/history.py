@@ -162,6 +162,14 @@ def new_histories(
     return found
 
 
+def _table(rows: Iterable[Sequence[Any]], number: int, width: int, empty: Sequence[int]) -> Any:
+    """Lay out rows of entries as columns i32[number, width], filled up with what is empty."""
+    found = np.full((number, width, len(empty)), empty, np.int32)
+    for place, row in enumerate(rows):
+        found[place, : len(row)] = np.reshape(row, (-1, len(empty)))
+    return np.moveaxis(found, 2, 0)
+
+
 def written(
     ranked: Sequence[History],
     sizes: tuple[int, int, int, int],
@@ -177,17 +185,11 @@ def written(
     log_probability = np.full(number, -np.inf, np.float32)
     log_probability[: len(ranked)] = np.array(log_all) - np.logaddexp.reduce(log_all)
 
-    def table(rows: Iterable[Sequence[Any]], width: int, empty: Sequence[int]) -> Any:
-        found = np.full((number, width, len(empty)), empty, np.int32)
-        for place, row in enumerate(rows):
-            found[place, : len(row)] = np.reshape(row, (-1, len(empty)))
-        return np.moveaxis(found, 2, 0)
-
     things = ([dataclasses.astuple(it) for it in one.mentions] for one in ranked)
-    kind, is_asked, avoid, from_mention = table(things, num_mentions, (NONE, 0, 0, NONE))
+    kind, is_asked, avoid, from_mention = _table(things, number, num_mentions, (NONE, 0, 0, NONE))
     ties = (one.edges for one in ranked)
-    figure, relation, landmark, rank, said, from_relation = table(
-        ties, num_edges, Edge(NONE, NONE, NONE, 0, 0)
+    figure, relation, landmark, rank, said, from_relation = _table(
+        ties, number, num_edges, Edge(NONE, NONE, NONE, 0, 0)
     )
     old = (
         [
@@ -199,8 +201,8 @@ def written(
     new = (
         [(goal, one.is_told(goal, heard, is_now=False)) for goal in one.new_goals] for one in ranked
     )
-    goal, is_pinned = table(old, num_commands, (NONE, 0))
-    new_goal, new_pinned = table(new, num_commands, (NONE, 0))
+    goal, is_pinned = _table(old, number, num_commands, (NONE, 0))
+    new_goal, new_pinned = _table(new, number, num_commands, (NONE, 0))
     readings = Readings(
         mention_type=kind,
         figure=figure,

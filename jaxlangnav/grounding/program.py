@@ -209,8 +209,7 @@ def compile_clause(
         z = model.coefficients(node.phrase)
         senses = senses_of(node.phrase, type_names)
         labels = [nodes[child].phrase.label in RESTRICTORS for child in children]
-        fields["num_children"][row] = len(labels)
-        fields["is_verb"][row] = node.is_verb
+        fields["num_children"][row], fields["is_verb"][row] = len(labels), node.is_verb
         fields["is_restrictor"][row, : len(labels)] = labels
         words = PhraseWords.of(senses, bool(node.children), any(labels))
         if node.is_verb:

@@ -121,10 +121,8 @@ def sense(
 ) -> Observation:
     """Detect the objects around the robot, nearest first.
 
-    Limits: no noise and probability 1 report exactly what ``visible`` shows; probability 0
-    reports nothing but what is invented. The order is that of the reported ranges, so that slots
-    of the true world do not show through; of more objects than D the nearest are kept, and the
-    observation says that it reaches no farther than they do: what is left out is not absent.
+    Limits: no noise and probability 1 report what is ``visible``, probability 0 what is invented;
+    of more than D the nearest are kept, and the observation reaches no farther than they.
 
     Args:
         key: random key.
@@ -132,11 +130,7 @@ def sense(
         scenario: the world.
         sensor: what the detector is truly like; traced.
         told: what the robot takes it for; the truth if None.
-        num_detections: D, slots of the observation; ``NUM_DETECTIONS`` by default, and
-            ``NUM_DETECTIONS_CROWDED`` in a world of more slots than that.
-
-    Returns:
-        The observation, its pose by dead reckoning.
+        num_detections: D, slots of the observation; by the number of the world's slots if None.
     """
     chex.assert_shape([state.position, state.odometry], [(2,), (3,)])
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
