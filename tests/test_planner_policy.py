@@ -269,8 +269,8 @@ def test_what_is_unseen_by_hand() -> None:
     np.testing.assert_allclose([free.unseen, free.missed], missed.mean(), rtol=1e-4)
     doubted, cells = free.doubted(0.4, 0.0), missed.reshape(12, 2, 12, 2).sum(axis=(1, 3)).ravel()
     elsewhere = 0.4 * free.mass.sum() * cells / cells.sum()
-    np.testing.assert_allclose(doubted.hung, elsewhere, rtol=1e-2)
-    np.testing.assert_allclose(doubted.free, 0.6 * free.free, rtol=1e-5)
+    np.testing.assert_allclose(doubted.anchored, elsewhere, rtol=1e-2)
+    np.testing.assert_allclose(doubted.unanchored, 0.6 * free.unanchored, rtol=1e-5)
     assert float(free.doubted(0.4, 1.5).mass.sum()) == pytest.approx(1.5, rel=1e-4)
     # Where it is said to be nobody has looked, however well the rest is known.
     log_miss = np.full((24, 24), -8.0)
@@ -281,11 +281,11 @@ def test_what_is_unseen_by_hand() -> None:
     assert float(SEARCH_MAP(believe(there, is_hung=False, log_miss=log_miss)).unseen) < 0.02
 
 
-def plan_to(x: float, y: float, metres: float, mass: float, hung: float) -> tours.Plan:
+def plan_to(x: float, y: float, metres: float, mass: float, anchored: float) -> tours.Plan:
     """A plan of one stop."""
     tour = Tour(x=jnp.full((1, 1), x), y=jnp.full((1, 1), y))
-    mass_left, hung_left = jnp.float32(mass), jnp.float32(hung)
-    return tours.Plan(tours=tour, latency=jnp.full(1, metres), mass=mass_left, hung=hung_left)
+    mass_left, left = jnp.float32(mass), jnp.float32(anchored)
+    return tours.Plan(tours=tour, latency=jnp.full(1, metres), mass=mass_left, anchored=left)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from oracles import qmdp as oracle
 
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT, Behavior, Readings
 from jaxlangnav.planner import qmdp
-from jaxlangnav.planner.goals import claim, gather
+from jaxlangnav.planner.goals import gather, reassign_distractor_mass
 from jaxlangnav.planner.graph import frontiers, nowhere, unexplored_cells, visit
 from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, groups, has_open_partner
 from jaxlangnav.pytree import replace
@@ -86,7 +86,7 @@ def test_value_equals_the_double_sum(region: int, discount: float) -> None:
     is_referent = np.zeros((P, size), bool)
     is_referent[:, 0], is_referent[:, SLOTS : SLOTS + M] = ~is_open.all(0), is_open.T
     claimed = np.zeros_like(goal)
-    claimed[:, region] = oracle.claim(goal[:, region], is_referent, SLOTS)
+    claimed[:, region] = oracle.reassign_mass(goal[:, region], is_referent, SLOTS)
     truth = oracle.values(NODES, places, weight, claimed, np.array(VIEWER), DISTANCE, discount)
     ours, _ = value_of(belief, behave(goal), jnp.float32(discount))
     np.testing.assert_allclose(ours, truth, rtol=2e-4)
@@ -152,7 +152,7 @@ def claimed_by(referent: list[int], mass: list[float]) -> list[float]:
         referent=jnp.array(referent)[:, None],
         is_mentioned=jnp.ones((2, 1), bool),
     )
-    return claim(jnp.array(mass)[:, None], particles)[:, 0].tolist()
+    return reassign_distractor_mass(jnp.array(mass)[:, None], particles)[:, 0].tolist()
 
 
 @pytest.mark.parametrize(

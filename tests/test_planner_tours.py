@@ -47,14 +47,14 @@ def random_tours(number: int, seed: int = 0) -> Tour:
     )
 
 
-def search_of(free, hung=None) -> SearchMap:
+def search_of(free, anchored=None) -> SearchMap:
     """Build a search map of given masses, f64[CELLS²]; pairs are alone."""
     steps = (np.arange(CELLS) + 0.5) / CELLS * 10.0
     x, y = np.tile(steps, CELLS), np.repeat(steps - 5.0, CELLS)
-    hung = np.zeros(CELLS**2) if hung is None else hung
-    x, y, free, hung = (jnp.asarray(one, jnp.float32) for one in (x, y, free, hung))
-    one = jnp.float32(1.0)
-    return SearchMap(x=x, y=y, free=free, hung=hung, partner_x=x, partner_y=y, unseen=one)
+    anchored = np.zeros(CELLS**2) if anchored is None else anchored
+    x, y, free, anchored = (jnp.asarray(one, jnp.float32) for one in (x, y, free, anchored))
+    where = {"x": x, "y": y, "partner_x": x, "partner_y": y, "unseen": jnp.float32(1.0)}
+    return SearchMap(**where, unanchored=free, anchored=anchored)
 
 
 def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * np.pi) -> float:
@@ -318,8 +318,8 @@ def test_free_hypotheses_are_spread_over_what_is_unexplored_by_the_prior(share: 
         DENSITY(belief.coverage, belief.viewer, centres.x, centres.y, jnp.float32(share), NOT)
     )
     # The map is tilted by 0.2 % from one end to the other.
-    np.testing.assert_allclose(search.free, expected / expected.sum(), rtol=2e-3)
-    assert float(jnp.sum(search.hung)) == 0.0
+    np.testing.assert_allclose(search.unanchored, expected / expected.sum(), rtol=2e-3)
+    assert float(jnp.sum(search.anchored)) == 0.0
 
 
 # ---------------------------------------------------------------- looking at all of an area

@@ -9,7 +9,7 @@ import readings as by_hand
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, counts, particle, update
-from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, forget, surprise
+from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, prune_objects, surprise
 from jaxlangnav.terrain import OPEN, POSITIONS
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
@@ -149,7 +149,7 @@ def test_what_hardly_exists_is_forgotten_and_its_words_are_lost() -> None:
         referent=jnp.asarray(referent),
         is_mentioned=jnp.asarray(np.arange(by_hand.M)[:, None] < np.full(number, 1)),
     )
-    after, is_lost = jax.jit(forget)(particles)
+    after, is_lost = jax.jit(prune_objects)(particles)
     np.testing.assert_array_equal(after.object_type[:3, 0], [NONE, CONE, CONE])
     np.testing.assert_array_equal(is_lost, np.arange(number) < 10)
     assert float(jnp.abs(after.covariance[0]).max()) == 0.0

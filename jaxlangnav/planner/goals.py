@@ -67,7 +67,7 @@ def region_offset(
     return jnp.where(relation == AT, 0.0, offset_x), jnp.where(relation == AT, 0.0, offset_y)
 
 
-def claim(mass: Array, particles: SemanticMap) -> Array:
+def reassign_distractor_mass(mass: Array, particles: SemanticMap) -> Array:
     """Give the goal mass on bystanders to what each particle's words refer to.
 
         m′_r = m_r + Σ_b min(m_b, m_r),    m′_b = m_b − min(m_b, m_r)
@@ -120,7 +120,7 @@ def gather(
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
     num_objects = particles.object_type.shape[0]
     fits = _fits(behavior, particles, weight)
-    mass = claim(fits, particles)
+    mass = reassign_distractor_mass(fits, particles)
     # Where the likeliest region of each slot is entered.
     viewer = [jnp.broadcast_to(belief.viewer[axis], (1, weight.shape[0])) for axis in (0, 1)]
     x = jnp.concatenate([particles.mean_x[:num_objects], particles.hypothesis_x, viewer[0]])

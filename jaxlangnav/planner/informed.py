@@ -94,7 +94,7 @@ def decide_on(situation: Situation, plan: tours.Plan, chance: Chances) -> Decisi
         has_looked=(chance.fitting < params.give_up) | situation.has_chosen,
         may_ask=situation.may_ask,
     )
-    plan = replace(plan, hung=jnp.where(doubt.looks_on, jnp.inf, plan.hung))
+    plan = replace(plan, anchored=jnp.where(doubt.looks_on, jnp.inf, plan.anchored))
     valuation, is_sure, is_not_found = judge(situation, plan, chance)
     # What has been seen draws nobody back who looks on: else he goes to and fro.
     drawn = jnp.where(doubt.looks_on, 0.0, valuation.goal_value)
@@ -147,7 +147,7 @@ def judge(situation: Situation, plan: tours.Plan, chance: Chances) -> Judgement:
     is_likeliest = confirmed >= jnp.max(jnp.where(is_best, 0.0, goals.object_accepted))
     is_doubtful = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
     is_exhausted = ((is_doubtful & is_likeliest) | has_looked) & (confirmed >= LEAST_GOAL)
-    is_sure = (plan.hung <= params.rival_share * confirmed) | is_exhausted
+    is_sure = (plan.anchored <= params.rival_share * confirmed) | is_exhausted
     is_settled = is_sure & ((confirmed >= params.stop_probability) | is_exhausted)
     arrived = jnp.where(situation.is_find > 0.5, in_view, within_reach)
     # The mass within reach of a candidate may be spread over neighbours: nine tenths of it count.

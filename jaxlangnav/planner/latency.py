@@ -145,8 +145,8 @@ def latency(
     sight, walked = first_sight(
         tours, places_x, places_y, robot_x, robot_y, radius, opening, terrain=search.terrain
     )
-    hung, partner = jnp.split(sight, 2, axis=1)
-    free = jnp.minimum(hung, partner)
+    anchored, partner = jnp.split(sight, 2, axis=1)
+    free = jnp.minimum(anchored, partner)
     away = search.terrain.travel.metres(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
@@ -159,14 +159,14 @@ def latency(
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * abreast)
     rest = (walked + sweep)[:, None] + away
-    of_free = search.free[None, :] * jnp.where(free < NEVER, free, rest)
-    of_hung = search.hung[None, :] * jnp.where(hung < NEVER, hung, rest)
-    total = jnp.sum(of_free + of_hung, axis=1)
-    is_missed = (hung >= NEVER) & counts
+    of_unanchored = search.unanchored[None, :] * jnp.where(free < NEVER, free, rest)
+    of_anchored = search.anchored[None, :] * jnp.where(anchored < NEVER, anchored, rest)
+    total = jnp.sum(of_unanchored + of_anchored, axis=1)
+    is_missed = (anchored >= NEVER) & counts
     number = jnp.sum(is_missed, axis=1)
     back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
     rest = walked + back + number * cell / (2.0 * abreast) + _between_patches(is_missed, area)
-    whole = jnp.where(number > 0, rest, jnp.max(jnp.where(counts, hung, 0.0), axis=1))
+    whole = jnp.where(number > 0, rest, jnp.max(jnp.where(counts, anchored, 0.0), axis=1))
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
     is_there = is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y)
     return total + jnp.where(is_there, NEVER, 0.0)

@@ -35,8 +35,8 @@ class SearchMap:
 
     x: Array  # f32[C] metres, map frame: what of each cell has been looked at least
     y: Array  # f32[C]
-    free: Array  # f32[C] probability that what hangs on nothing observed lies there
-    hung: Array  # f32[C] probability that what hangs on an observed object lies there
+    unanchored: Array  # f32[C] probability that what hangs on nothing observed lies there
+    anchored: Array  # f32[C] probability that what hangs on an observed object lies there
     partner_x: Array  # f32[C] metres: where the other one of a free pair then is; else as x
     partner_y: Array  # f32[C]
     unseen: Array  # f32[] probability that what is there as said would still be unseen
@@ -49,7 +49,7 @@ class SearchMap:
     @property
     def mass(self) -> Array:
         """Probability that an object not yet seen, but spoken of, lies in each cell, f32[C]."""
-        return self.free + self.hung
+        return self.unanchored + self.anchored
 
     def doubted(self, share: Array | float, least: Array | float) -> "SearchMap":
         """Put what is not as is said anywhere that has not been looked at.
@@ -60,8 +60,8 @@ class SearchMap:
         """
         total, kept = jnp.sum(self.mass), 1.0 - share
         moved = jnp.maximum(share * total, least - kept * total)
-        hung = kept * self.hung + jnp.multiply(moved, self.elsewhere)
-        return replace(self, free=kept * self.free, hung=hung)
+        anchored = kept * self.anchored + jnp.multiply(moved, self.elsewhere)
+        return replace(self, unanchored=kept * self.unanchored, anchored=anchored)
 
 
 def grid(area: Array, number: int) -> tuple[Array, Array]:
@@ -93,17 +93,17 @@ def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -
     return 1.0 - nearer / jnp.sqrt((x - viewer_x) ** 2 + (y - viewer_y) ** 2 + 1e-9)
 
 
-def _unseen(coverage: Coverage, hung: Array, density: Array) -> Array:
+def _unseen(coverage: Coverage, anchored: Array, density: Array) -> Array:
     """Compute the probability, f32[], that what is there would have escaped every look."""
     # Anywhere in the area, as the order of search weighs it; or, if that is more, at the places on
     # observed objects where it is said to be, for they are little of the whole area.
     # Of its own, so that the search map is computed to the bit as it would be without.
-    coverage, hung, density = materialize((coverage, hung, density))
+    coverage, anchored, density = materialize((coverage, anchored, density))
     size = coverage.log_miss.shape[0] // CELLS
     cells = jnp.exp(coverage.log_miss).reshape(CELLS, size, CELLS, size)
     missed = cells.mean(axis=(1, 3)).reshape(-1)
     anywhere = jnp.sum(missed * density) / jnp.maximum(jnp.sum(density), 1e-9)
-    return jnp.minimum(jnp.maximum(anywhere, jnp.sum(hung * missed)), 1.0)
+    return jnp.minimum(jnp.maximum(anywhere, jnp.sum(anchored * missed)), 1.0)
 
 
 def _least_looked_at(coverage: Coverage, x: Array, y: Array) -> tuple[Array, Array]:
@@ -182,19 +182,19 @@ def search_map(
     row = jnp.floor((particles.hypothesis_y - area[2]) / (area[3] - area[2]) * CELLS)
     is_in = (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)
     cell = jnp.where(is_in, row * CELLS + column, 0.0).astype(jnp.int32)
-    hung = jnp.where(is_open & ~is_free & is_in, weight[None, :], 0.0)
-    hung_at = jnp.zeros(CELLS**2, jnp.float32).at[cell.reshape(-1)].add(hung.reshape(-1))
+    anchored = jnp.where(is_open & ~is_free & is_in, weight[None, :], 0.0)
+    anchored_at = jnp.zeros(CELLS**2, jnp.float32).at[cell.reshape(-1)].add(anchored.reshape(-1))
     x, y = _least_looked_at(belief.coverage, x, y)
     scale = _partner_scale(belief, is_free, x, y)
     return SearchMap(
         x=x,
         y=y,
-        free=share * unseen / jnp.maximum(jnp.sum(unseen), 1e-9),
-        hung=hung_at,
+        unanchored=share * unseen / jnp.maximum(jnp.sum(unseen), 1e-9),
+        anchored=anchored_at,
         partner_x=belief.viewer[0] + scale * (x - belief.viewer[0]),
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
         elsewhere=anywhere / jnp.maximum(jnp.sum(anywhere), 1e-9),
-        unseen=_unseen(belief.coverage, hung_at, likelier),
+        unseen=_unseen(belief.coverage, anchored_at, likelier),
         missed=jnp.mean(miss),
         terrain=belief.terrain,
     )

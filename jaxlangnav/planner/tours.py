@@ -100,7 +100,7 @@ class Plan:
     tours: Tour  # leaves [T, K]
     latency: Array  # f32[T] expected metres until found, times the mass
     mass: Array  # f32[] expected number of things still to be found
-    hung: Array  # f32[] of them, those that hang on an observed object
+    anchored: Array  # f32[] of them, those that hang on an observed object
 
 
 def best_tour(plan: Plan, value: Array) -> Tour:
@@ -148,9 +148,9 @@ def plan(
         area: f32[4], operating area, metres.
     """
     chex.assert_shape([tour.x, tour.y, area], [(NUM_STOPS,), (NUM_STOPS,), (4,)])
-    chex.assert_equal_shape([search.x, search.y, search.free, search.hung, search.partner_x])
+    chex.assert_equal_shape([search.x, search.unanchored, search.anchored, search.partner_x])
     chex.assert_rank([robot_x, robot_y, sensor.range_max, sensor.field_of_view], 0)
-    chex.assert_type([tour.x, search.free, area], float)
+    chex.assert_type([tour.x, search.unanchored, area], float)
     here = _drop_reached(_drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
     drafts = _before(here, greedy(search, robot_x, robot_y, sensor.range_max, area))
     keys = jax.random.split(key, NUM_ROUNDS)
@@ -178,4 +178,5 @@ def plan(
     untried = jax.tree.map(lambda one: jnp.tile(one, (NUM_CHANGES + 1, 1)), here)
     costs = jnp.full(NUM_CHANGES + 1, jnp.inf)
     tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS + 1, improve, (untried, costs))
-    return Plan(tours=tours, latency=cost, mass=jnp.sum(search.mass), hung=jnp.sum(search.hung))
+    mass, anchored = jnp.sum(search.mass), jnp.sum(search.anchored)
+    return Plan(tours=tours, latency=cost, mass=mass, anchored=anchored)

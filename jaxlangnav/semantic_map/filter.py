@@ -136,9 +136,8 @@ def _remember(
         apart = (particles.mean_x[-1] - here[0]) ** 2 + (particles.mean_y[-1] - here[1]) ** 2
         spread = spread + 0.5 * apart
     robot = *here, jnp.sum(weight * spread)
-    others = with_drift(belief, others)
-    known, num_forgotten = remember_bystanders(belief.bystanders, others, robot)
-    return replace(belief, bystanders=known), num_forgotten
+    known, num_lost = remember_bystanders(belief.bystanders, with_drift(belief, others), robot)
+    return replace(belief, bystanders=known), num_lost
 
 
 def _assert_arrays(belief: ParticleBelief, readings: Readings, observation: Observation) -> None:
@@ -192,7 +191,7 @@ def step(
     spoken: Array | None = None,
     pools_counts: bool = False,
 ) -> tuple[ParticleBelief, FilterInfo]:
-    """Run one step of the filter (eq. 6-8).
+    """Run one step: gate, predict (eq. 6), associate and weigh (7b, 8), re-ground (7a), resample.
 
     Args:
         key: random key, consumed.
@@ -210,32 +209,32 @@ def step(
     number, was_told = belief.log_weight.shape[0], belief.must_ground
     keys = jax.random.split(key, 4)
     associate, keep, resample = _draw(keys, observation.detection_type.shape[0], number)
-    sound, log_weight = gate_observation(belief, observation, farthest), belief.log_weight
+    gated, log_weight = gate_observation(belief, observation, farthest), belief.log_weight
     # Weights that are none become equal.
     is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
     log_weight = jnp.where(is_alive, log_weight, -jnp.log(float(number)))
-    belief = replace(belief, reported_pose=sound.reported_pose, log_weight=log_weight)
-    belief, seen, others = _part(belief, sound.observation, spoken)
+    belief = replace(belief, reported_pose=gated.reported_pose, log_weight=log_weight)
+    belief, seen, others = _part(belief, gated.observation, spoken)
     noise = drift_noise(keys[0], belief)
-    belief = predict(belief, seen.pose, sound.is_jump, noise, params=params)
+    belief = predict(belief, seen.pose, gated.is_jump, noise, params=params)
     pooled = _num_pooled(belief, spoken) if pools_counts else None
-    belief, weighed = observe(associate, belief, seen, params=params, num_pooled=pooled)
-    belief, num_forgotten = _remember(belief, others)
+    belief, update = observe(associate, belief, seen, params=params, num_pooled=pooled)
+    belief, num_lost = _remember(belief, others)
     ground = functools.partial(
         ground_words, params=params, context=context, is_sparse=is_sparse, num_pooled=pooled
     )
-    found = reground(keys[1], keep, belief, readings, weighed, ground)
-    size = effective_sample_size(found.weight)
+    grounded = reground(keys[1], keep, belief, readings, update, ground)
+    size = effective_sample_size(grounded.weight)
     is_resampled = size < params.resample_threshold * number
-    belief = _resampled(resample, belief, found, is_resampled)
+    belief = _resampled(resample, belief, grounded, is_resampled)
     return switch_bias_hypothesis(belief), FilterInfo(
         effective_sample_size=size,
         is_resampled=is_resampled,
-        num_regrounded=jnp.sum(found.is_fresh),
-        log_language_evidence=found.log_language,
-        overflow=jnp.max(weighed.overflow) + num_forgotten,
-        fault=sound.fault + jnp.where(is_alive & ~found.is_dead, 0, int(Fault.WEIGHTS)),
-        is_news=was_told | jnp.any(weighed.is_new),
-        surprise=weighed.surprise,
-        is_contradiction=weighed.surprise > LOG_CONTRADICTION,
+        num_regrounded=jnp.sum(grounded.is_fresh),
+        log_language_evidence=grounded.log_language,
+        overflow=jnp.max(update.overflow) + num_lost,
+        fault=gated.fault + jnp.where(is_alive & ~grounded.is_dead, 0, int(Fault.WEIGHTS)),
+        is_news=was_told | jnp.any(update.is_new),
+        surprise=update.surprise,
+        is_contradiction=update.surprise > LOG_CONTRADICTION,
     )

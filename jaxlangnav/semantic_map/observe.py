@@ -149,7 +149,7 @@ def _counted(
     log_exposed, existence = exposed(existence, exposure)
     log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
     log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
-    particles, is_lost = forget(replace(particles, existence=existence))
+    particles, is_lost = prune_objects(replace(particles, existence=existence))
     return replace(belief, particles=particles), log_exposed, log_meant, is_lost
 
 
@@ -159,7 +159,7 @@ A thing forgotten too soon would have to be detected more often than it can be."
 _SPARE_SLOTS = 2  # kept free, if need be, by forgetting what is least likely to exist
 
 
-def forget(particles: SemanticMap) -> tuple[SemanticMap, Array]:
+def prune_objects(particles: SemanticMap) -> tuple[SemanticMap, Array]:
     """Empty the slots of what hardly exists, in all particles; bool[P], whose words refer to it."""
     is_held = particles.is_observed
     likeliest = jnp.max(jnp.where(is_held, particles.existence, 0.0), axis=-1, keepdims=True)

@@ -22,7 +22,7 @@ def goal_place(
     return place + distance[region] * np.array([math.cos(angle), math.sin(angle)])
 
 
-def claim(mass: np.ndarray, is_referent: np.ndarray, num_objects: int) -> np.ndarray:
+def reassign_mass(mass: np.ndarray, is_referent: np.ndarray, num_objects: int) -> np.ndarray:
     """Let observed bystanders yield to the likeliest goal among the referents, f64[P, N + 1].
 
     Of goal probabilities of slots, the observed ones first; which slots the words refer to.

@@ -73,7 +73,7 @@ def _of_new(figure: Array, landmark: Array, figure_of_pair: Array, size: int) ->
 
 
 @functools.cache
-def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
+def proposal_layout(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
     """Tell what each way stands for, with O slots for objects.
 
     i32[2, W], the observed slot that each end is; NONE where it is new or decided already; and

@@ -42,7 +42,7 @@ from jaxlangnav.semantic_map.proposal.candidates import (
     Unexplored,
     list_candidates,
 )
-from jaxlangnav.semantic_map.proposal.enumerate import Proposals, meaning, propose
+from jaxlangnav.semantic_map.proposal.enumerate import Proposals, proposal_layout, propose
 from jaxlangnav.semantic_map.proposal.ranks import log_rank
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query
 
@@ -176,7 +176,7 @@ def _enter(
 ) -> Grounding:
     """Enter the chosen figure and landmark; ends decided earlier stay."""
     num_objects = ends.x.shape[1] - 1
-    slots, hangs = meaning(num_objects)
+    slots, hangs = proposal_layout(num_objects)
     slot = jnp.where(ends.is_open, jnp.asarray(slots)[:, choice], ends.earlier.slot)
     inherited = jnp.where(ends.is_open, NONE, ends.earlier.root)
     root = jnp.where(slot == NONE, inherited, slot)
