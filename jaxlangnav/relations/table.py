@@ -42,7 +42,7 @@ REGISTRY = (
     SpatialRelation("left", "to the left of", RIGHT, math.pi / 2, order=(0.0, 1.0)),
     SpatialRelation("right", "to the right of", LEFT, -math.pi / 2, order=(0.0, -1.0)),
     SpatialRelation("near", "near", NEAR, distance=2.2, order=(-1.0, 0.0)),
-    SpatialRelation("far", "far from", FAR, None, 8.0, 0.4, order=(1.0, 0.0)),
+    SpatialRelation("far", "far from", FAR, None, 9.0, 0.3, order=(1.0, 0.0)),
     SpatialRelation("at", "at", AT, distance=0.0),
     SpatialRelation("between", "between", None, num_landmarks=2, symbol=NEAR),
 )
