@@ -50,8 +50,7 @@ class Follow:
     policy: Literal["informed", "faithful"] = "informed"
     """informed: puts its hypotheses to the test; faithful: the paper's."""
     seed: int = 0
-    """Of the world and of the noise. The same episode in a table is rounded differently: rarely
-    one goes another way there."""
+    """Of the world and of the noise. A table's episode of this seed may differ, by rounding."""
     particles: int = 64
     """Hypotheses of the map kept at once."""
     max_steps: int = 120
@@ -71,11 +70,11 @@ class Follow:
     """Type what you like while the robot goes; "stop" halts it at once, end of input (Ctrl-D) lets
     it finish alone."""
     gif: bool = False
-    """Write the episode as a moving picture too, episode.gif."""
+    """Write a film too, episode.gif."""
     mp4: bool = False
-    """Write the episode as a film too, episode.mp4; needs jaxlangnav[robot]."""
+    """Write episode.mp4; needs jaxlangnav[robot]."""
     rrd: bool = False
-    """Write the episode for the rerun viewer too, episode.rrd; needs jaxlangnav[rerun]."""
+    """Write episode.rrd; needs jaxlangnav[rerun]."""
     live: bool = False
     """Draw the episode in the terminal while it runs."""
     weights: checks.File = None
