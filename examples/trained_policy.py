@@ -65,7 +65,7 @@ class Learned(Policy):
         is_visited, is_object = nodes.kind == VISITED, nodes.kind == OBJECT_NODE
         seen = jax.vmap(in_view)(nodes.x, nodes.y)
         given = [log_value / 5.0, situation.distance / 10.0, seen, is_visited, is_object]
-        hidden = jnp.tanh(jnp.stack(given, axis=1) @ self.inward + self.bias)
+        hidden = jnp.tanh(jnp.stack(given, axis=1) @ self.inward + self.bias[None])
         return replace(paper, goal_value=jnp.exp(log_value + hidden @ self.outward))
 
 
