@@ -76,11 +76,9 @@ def test_nothing_to_draw_is_said(draw):
 def test_limits_stand_across_their_row():
     found = document()
     found["bounds"] = [
-        {"world": "2H1C", "range": 3.0, "relation": "behind", "success": 100.0, "known": 10.4,
-         "search_law": None, "search_uniform": None},
-        {"world": "9H9C", "range": 3.0, "relation": None, "success": 50.0, "known": 1.0,
-         "search_law": 2.0, "search_uniform": 3.0},
-    ]  # fmt: skip
+        {"world": "2H1C", "range": 3.0, "relation": "behind", "success": 100.0, "known": 10.4},
+        {"world": "9H9C", "range": 3.0, "relation": None, "success": 50.0, "known": 1.0},
+    ]
     rates, ways = rows.table_figure(found).axes
     marks = [
         [line.get_xdata() for line in axes.lines if line.get_label() == rows.LIMIT_NAME]

@@ -191,8 +191,8 @@ class Experiment(Told):
     specs: tuple[RowSpec, ...]
     arms: Callable[[Options], list[Arm]] = _policy_arms
     """What is compared: at least one arm; refuses an unknown policy."""
-    measure: Callable[[Row, RowSpec, EpisodeResult, EpisodeResult], Row] = lambda *_: {}
-    """What a row holds besides: from the row, which one it is, its episodes and the first arm's."""
+    measure: Callable[[Row, RowSpec, EpisodeResult], Row] = lambda *_: {}
+    """What a row holds besides: from the row, which one it is, and its episodes."""
     found: Callable[[Sequence[Row], Options], Row] = lambda *_: {}
     """What the document holds besides the rows."""
     calibration_episodes: int = 0
@@ -248,12 +248,11 @@ class Experiment(Told):
         settings = [one.setting(**given) for one in self.specs]
         names = (*settings[0].labels, *arms[0].told)
         grid = Grid(settings=settings, arms=arms, episodes=options.episodes, names=names)
-        rows, parts, first = list[Row](), list[pa.Table](), None
+        rows, parts = list[Row](), list[pa.Table]()
         with CompileClock() as clock:
             sentences = ground_sentences(list(self.sentences.values()))
             for played in run_grid(grid, sentences.instructions, on_progress=on_progress):
-                first = first or played
-                rows += self.rows(played, first)
+                rows += self.rows(played)
                 told = played.arm, np.arange(len(played.known)), played.results, played.known
                 parts.append(pa.table(grid.columns(*told)))
         document = {
@@ -280,18 +279,18 @@ class Experiment(Told):
             document["files"] = [str(path) for path in files]
         return document
 
-    def rows(self, played: Played, first: Played) -> list[Row]:
+    def rows(self, played: Played) -> list[Row]:
         """Summarise what an arm did, one row a setting: its episodes, its scores, ``measure``."""
         rows, number = [], len(self.specs)
         for place, spec in enumerate(self.specs):
             labels = {**played.grid.settings[place].labels, **played.arm.told}
-            row = labels | summarize(*played.of_setting(place)).row()
+            episodes, known = played.of_setting(place)
+            row = labels | summarize(episodes, known).row()
             # None where no belief was judged.
             scored: Row = dict.fromkeys(("ece", "brier", "coverage90", "reliability"))
             if played.tally is not None:
                 of = jax.tree.map(lambda leaf, at=place: np.split(leaf, number)[at], played.tally)
                 scored = scores(of) | {"reliability": bin_sums(of)}
             row = row | spec.heading() | scored
-            episodes = (one.of_setting(place)[0] for one in (played, first))
-            rows.append(row | self.measure(row, spec, *episodes))
+            rows.append(row | self.measure(row, spec, episodes))
         return rows

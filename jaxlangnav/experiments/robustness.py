@@ -57,7 +57,7 @@ def _arms(options: Options) -> list[Arm]:
     return arms
 
 
-def _measure(row: Row, spec: RowSpec, results: EpisodeResult, _: EpisodeResult) -> Row:
+def _measure(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
     """Count how valid episodes ended, and judge the row by what is right in its scenario."""
     valid = np.asarray(results.is_valid)
     ending, success = np.asarray(results.ending)[valid], np.asarray(results.is_success)[valid]

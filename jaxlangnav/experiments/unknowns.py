@@ -19,8 +19,6 @@ from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.experiment import Experiment, Options
-from jaxlangnav.experiments.metrics import compare, timeouts_text
-from jaxlangnav.experiments.paper import ROW_COLUMNS
 from jaxlangnav.experiments.policies import Arm, policy_arm
 from jaxlangnav.experiments.rows import (
     AGREEMENT,
@@ -32,7 +30,7 @@ from jaxlangnav.experiments.rows import (
     printed_rows,
     rate_error,
 )
-from jaxlangnav.experiments.table import Document, Row, Table, TableColumns
+from jaxlangnav.experiments.table import Document, Row, Table
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
@@ -130,17 +128,11 @@ def _turned(tasks: Task, seed: int) -> Task:
     return replace(tasks, scenario=turned)
 
 
-def _measure(row: Row, spec: RowSpec, mine: EpisodeResult, base: EpisodeResult) -> Row:
-    """Hold a row against the printed one, and against the first variation's, paired."""
+def _measure(row: Row, spec: RowSpec, _: EpisodeResult) -> Row:
+    """Hold a row against the printed one."""
     paper = printed_rows([TABLE_2[PRINTED.index(spec)]])[0]
     z = deviations(row, paper)
     near = {f"is_{name}_near": abs(far) <= AGREEMENT for name, far in z.items()}
-    both = np.asarray(mine.is_valid) & np.asarray(base.is_valid)
-    paired = None
-    if both.any():
-        names = [(one, leaf) for leaf in ("is_success", "distance") for one in (base, mine)]
-        pair = compare(*(np.asarray(getattr(one, leaf))[both] for one, leaf in names))
-        paired = dataclasses.asdict(pair) | {"distance_ci": [*pair.distance_ci]}
     return {
         "success_se": rate_error(row["success_rate"], row["episodes"]),
         "distance_se": distance_error(row),
@@ -149,7 +141,6 @@ def _measure(row: Row, spec: RowSpec, mine: EpisodeResult, base: EpisodeResult) 
         **{f"z_{name}": far for name, far in z.items()},
         **near,
         "is_near": all(near.values()),
-        "paired": paired,
     }
 
 
@@ -247,36 +238,6 @@ def _or(names: Sequence[str]) -> str:
     return f"{', '.join(others)} or {last}" if others else last
 
 
-def _against(row: Row) -> str:
-    """Write how far a variation's distance lies from ours, paired; nothing for ours."""
-    if row["paired"] is None or not row["value"]:
-        return ""
-    low, high = row["paired"]["distance_ci"]
-    return f"{row['paired']['distance_difference']:+.2f} ({low:+.2f} to {high:+.2f})"
-
-
-_LONG: TableColumns = (
-    *ROW_COLUMNS,
-    ("Unknown", "{unknown}"),
-    ("Value", "{value}"),
-    ("Success % ± s. e.", "{success_rate:.1f} ± {success_se:.1f}"),
-    ("paper", "{paper_success_rate:.1f}"),
-    ("z", "{z_success:+.1f}"),
-    ("Distance m ± s. e.", "{distance_mean:.2f} ± {distance_se:.2f}"),
-    ("paper", "{paper_distance_mean:.2f}"),
-    ("z", "{z_distance:+.1f}"),
-    ("against ours, m (95 %)", _against),
-    ("Time-outs", timeouts_text),
-)
-
-
-def _tables(document: Document) -> list[Table]:
-    """Lay out variations by rows, and every figure by row, then by variation."""
-    number = len(document["paper"])
-    rows = [row for at in range(number) for row in document["rows"][at::number]]
-    return [_matrix(document), Table.of(rows, _LONG, fold="All figures")]
-
-
 def _conditions(document: Document) -> list[str]:
     """Say how the tables are to be read and what they were measured under."""
     noise, ours = document["noise"], document["ours"]
@@ -307,7 +268,7 @@ UNKNOWNS = Experiment(
     arms=lambda options: [one.arm(options) for one in VARIATIONS],
     measure=_measure,
     found=_found,
-    tables=_tables,
+    tables=lambda document: [_matrix(document)],
     notes=lambda document: [
         *(f"{row_name(one)}: {_explain(one)}" for one in document["explained"]),
         *_conditions(document),
