@@ -92,7 +92,7 @@ def judged(
         ending=ends, is_success=right, is_stopped=ends > 1, is_valid=ends >= 0, overflow=0 * ends
     )
     given = row(name, policy, episodes=len(ends), not_found=int((ends == 3).sum()), **rest)
-    return given | ROBUSTNESS.measure(given, BY_NAME[name], results, results)
+    return given | ROBUSTNESS.measure(given, BY_NAME[name], results)
 
 
 def test_where_there_is_no_goal_it_is_right_to_say_so() -> None:
