@@ -13,7 +13,6 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots import driver
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot
-from jaxlangnav.robots.motion.steering import Pursuit, Window
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress, observe
 from jaxlangnav.viz.html import _page_data, _render_html
@@ -24,14 +23,12 @@ TEXT = "go to the hydrant behind the cone"
 GOAL = (6.0, 0.8)
 
 
-def put(
-    objects=((HYDRANT, *GOAL), (CONE, 4.0, 0.5)), *, steering=None, seed: int = 0
-) -> KinematicRobot:
+def put(objects=((HYDRANT, *GOAL), (CONE, 4.0, 0.5)), *, seed: int = 0) -> KinematicRobot:
     scenario = replace(
         placed(objects, area=(0.0, 9.0, -4.5, 4.5), goal=0), goal_index=np.int32(NONE)
     )
     sensor = replace(default_sensor(3.0), field_of_view=jnp.float32(np.pi / 2))
-    return KinematicRobot(scenario, seed=seed, sensor=sensor, steering=steering)
+    return KinematicRobot(scenario, seed=seed, sensor=sensor)
 
 
 def go(navigator, robot, text: str = TEXT, **options) -> Drive:
@@ -49,9 +46,8 @@ def goal_distance(robot: KinematicRobot, goal=GOAL) -> float:
     return float(np.hypot(*(robot.true_pose[:2] - goal)))
 
 
-@pytest.mark.parametrize("steering", [Pursuit(), Window()], ids=["pursuit", "window"])
-def test_a_sentence_is_carried_out(navigator, steering) -> None:
-    robot, told = put(steering=steering), []
+def test_a_sentence_is_carried_out(navigator) -> None:
+    robot, told = put(), []
     drive = ends(
         Ending.ARRIVED, navigator, robot, on_step=lambda step, state, info: told.append(step)
     )
@@ -100,7 +96,7 @@ def test_slippery_ground_ends_at_the_goal_all_the_same(navigator) -> None:
 
 
 def test_a_person_who_steps_in_the_way_is_gone_around(navigator) -> None:
-    robot = put(steering=Window())
+    robot = put()
 
     def step_in(one: KinematicRobot) -> None:
         x, y, heading = one.true_pose

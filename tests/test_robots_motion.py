@@ -9,19 +9,17 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots.kinematic import KinematicRobot, Slip
 from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.path import find_path, gaps, inflate, is_clear, to_discs
-from jaxlangnav.robots.motion.steering import Pursuit, Window
 from jaxlangnav.robots.physics.robot import MACHINES
 from jaxlangnav.robots.robot import Progress, Robot, start_pose
 from jaxlangnav.world.state import empty_scenario
 
-BOTH = pytest.mark.parametrize("steering", [Pursuit(), Window()], ids=["pursuit", "window"])
 SURE = Slip(scale=0.0, noise=0.0, drift=0.0)
 
 
-def put(steering, discs=(), *, start=(0.0, 0.0, 0.0)) -> KinematicRobot:
+def put(discs=(), *, start=(0.0, 0.0, 0.0)) -> KinematicRobot:
     area, pose = np.array([-2.0, 10.0, -6.0, 6.0]), np.array(start)
     scenario = replace(empty_scenario(), area=area, start=pose)
-    robot = KinematicRobot(scenario, seed=0, steering=steering, slip=SURE)
+    robot = KinematicRobot(scenario, seed=0, slip=SURE)
     robot.obstacles = [tuple(disc) for disc in discs]
     return robot
 
@@ -60,50 +58,44 @@ def field(seed: int) -> np.ndarray:
     return np.array(discs)
 
 
-@BOTH
 @pytest.mark.parametrize("seed", range(8))
-def test_it_gets_through_a_random_field_and_touches_nothing(steering, seed: int) -> None:
-    robot = put(steering, field(seed))
+def test_it_gets_through_a_random_field_and_touches_nothing(seed: int) -> None:
+    robot = put(field(seed))
     gets_there(robot, (8.0, 0.0))
     assert np.hypot(*(robot.true_pose[:2] - (8.0, 0.0))) < 0.2
 
 
-@BOTH
 @pytest.mark.parametrize("aside", [0.0, 0.1, -0.3])
-def test_a_thing_straight_in_the_way_holds_nobody_up(steering, aside: float) -> None:
-    robot = put(steering, [(2.0, aside, 0.4)])
+def test_a_thing_straight_in_the_way_holds_nobody_up(aside: float) -> None:
+    robot = put([(2.0, aside, 0.4)])
     gets_there(robot, (4.0, 0.0))
     assert robot.travelled < 6.0
 
 
-@BOTH
-def test_a_pocket_is_no_trap(steering) -> None:
+def test_a_pocket_is_no_trap() -> None:
     """Three sides of a box, open towards the robot: a window alone would stay in it."""
     wall = [(3.0, y, 0.15) for y in np.arange(-1.2, 1.3, 0.3)]
     sides = [(x, y, 0.15) for x in (1.8, 2.1, 2.4, 2.7) for y in (-1.2, 1.2)]
-    gets_there(put(steering, [*wall, *sides]), (5.0, 0.0))
+    gets_there(put([*wall, *sides]), (5.0, 0.0))
 
 
-@BOTH
-def test_who_is_walled_in_gives_up_and_touches_nothing(steering) -> None:
+def test_who_is_walled_in_gives_up_and_touches_nothing() -> None:
     turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]
-    robot = put(steering, [(1.5 * np.cos(one), 1.5 * np.sin(one), 0.2) for one in turns])
+    robot = put([(1.5 * np.cos(one), 1.5 * np.sin(one), 0.2) for one in turns])
     progress, least = go(robot, (5.0, 0.0), seconds=40.0)
     assert progress is Progress.GAVE_UP
     assert least > 0.0
     assert robot.wait(1.0) is Progress.GAVE_UP
 
 
-@BOTH
-def test_a_person_who_steps_in_the_way_is_not_run_over(steering) -> None:
-    robot = put(steering)
+def test_a_person_who_steps_in_the_way_is_not_run_over() -> None:
+    robot = put()
     robot.at(2.5, lambda one: one.obstacles.append((one.true_pose[0] + 1.0, 0.0, 0.25)))
     gets_there(robot, (5.0, 0.0))
 
 
-@BOTH
-def test_a_thing_is_gone_up_to_and_faced(steering) -> None:
-    robot = put(steering, [(3.0, 0.0, 0.3)], start=(0.0, 0.0, 2.0))
+def test_a_thing_is_gone_up_to_and_faced() -> None:
+    robot = put([(3.0, 0.0, 0.3)], start=(0.0, 0.0, 2.0))
     assert gets_there(robot, (3.0, 0.0), clearance=0.6) < 0.35
     x, y, heading = robot.true_pose
     assert abs(np.angle(np.exp(1j * (np.arctan2(-y, 3.0 - x) - heading)))) < 0.2
@@ -112,7 +104,7 @@ def test_a_thing_is_gone_up_to_and_faced(steering) -> None:
 def test_clearance_and_speed_are_those_asked_for() -> None:
     gap, time = {}, {}
     for clearance, speed in ((0.1, 1.5), (0.6, 0.6)):
-        robot = put(Pursuit(), [(3.0, 0.05, 0.3)])
+        robot = put([(3.0, 0.05, 0.3)])
         gap[clearance] = gets_there(robot, (6.0, 0.0), clearance=clearance, speed=speed)
         time[clearance] = robot.seconds
     assert gap[0.6] > 0.45 > gap[0.1] > 0.0
@@ -120,7 +112,7 @@ def test_clearance_and_speed_are_those_asked_for() -> None:
 
 
 def test_waypoints_are_taken_one_after_the_other() -> None:
-    robot = put(Window())
+    robot = put()
     way = []
     robot.on_tick = lambda one: way.append(one.true_pose[:2])
     gets_there(robot, (2.0, 2.0), (4.0, 0.0))
@@ -129,7 +121,7 @@ def test_waypoints_are_taken_one_after_the_other() -> None:
 
 
 def test_stop_brakes_within_the_bodys_limits() -> None:
-    robot = put(Pursuit())
+    robot = put()
     robot.go_to(np.array([[5.0, 0.0]]), speed=1.0, clearance=0.0)
     robot.wait(3.0)
     x = robot.true_pose[0]
@@ -179,7 +171,7 @@ def test_hits_of_one_thing_are_one_disc() -> None:
 
 def test_waypoints_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match="waypoints"):
-        put(Pursuit()).go_to(np.array([[np.nan, 0.0]]), speed=1.0, clearance=0.0)
+        put().go_to(np.array([[np.nan, 0.0]]), speed=1.0, clearance=0.0)
 
 
 @pytest.mark.parametrize("name", sorted(MACHINES))
@@ -191,7 +183,7 @@ def test_a_thing_that_is_all_but_touched_holds_nobody(name: str, gap: float) -> 
         away = machine.body.radius + 0.25 + gap
         disc = np.array([[away, 0.0, 0.25]])
         goal = np.array([away + 2.2 * np.cos(bearing), 2.2 * np.sin(bearing)])
-        mover = Mover(machine.body, machine.steering)
+        mover = Mover(machine.body)
         mover.go_to(goal[None], speed=1.0, clearance=0.3)
         pose, least = np.array([0.0, 0.0, heading]), np.inf
         for _ in range(round(60.0 / TICK)):

@@ -105,15 +105,14 @@ def test_bars_add_up_to_the_value_and_where_it_stops_the_reason_stands_instead(o
     assert not axes.texts
 
 
-def test_numbers_of_waypoints_are_apart_and_inside(one):
-    axes = axes_of(one)
+def test_the_best_waypoints_are_numbered_where_they_stand(one):
+    axes, frame = axes_of(one), one.at(7)
     panels._draw_values(axes, one, 7)
-    spots = np.array([text.get_position() for text in axes.texts])
-    assert [text.get_text() for text in axes.texts] == ["1", "2", "3", "4", "5"]
-    apart = np.hypot(*(spots[:, None] - spots[None]).transpose(2, 0, 1))
-    assert apart[~np.eye(5, dtype=bool)].min() > 0.5
-    x_min, x_max = axes.get_xlim()
-    assert ((spots[:, 0] > x_min) & (spots[:, 0] < x_max)).all()
+    best = panels.best_nodes(frame)
+    places = zip(frame.node_x[best], frame.node_y[best], strict=True)
+    assert [(text.get_text(), text.xy) for text in axes.texts] == [
+        (str(rank), place) for rank, place in enumerate(places, start=1)
+    ]
 
 
 @pytest.mark.parametrize("policy", ["faithful", "informed"])

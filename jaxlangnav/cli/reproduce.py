@@ -15,6 +15,10 @@ _EPISODES = {"robustness": 500}
 _TAKES = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
 _TAKES |= {"robustness": ("params",), "table3": ()}
 """Groups of settings that mean something to an experiment; the others take all of them."""
+_ONLY_IN = {
+    "trials": ("table3",), "extra": ("table2", "all"), "ranges": ("table2", "fig5", "all"),
+}  # fmt: skip
+_POLICIES_OF = {"conversation": ("informed",), "table3": ("informed", "faithful")}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -126,24 +130,18 @@ class Reproduce:
         for option, number in least.items():
             if getattr(self, option) is not None:
                 refuse_below(number, **{f"--{option}": getattr(self, option)})
-        if self.trials is not None and self.what != "table3":
-            raise UsageError(f"--trials is for table3, but {self.what} is run")
+        for option, studies in _ONLY_IN.items():
+            if getattr(self, option) and self.what not in studies:
+                where = " and ".join(studies)
+                raise UsageError(f"--{option} is for {where}, but {self.what} is run")
         checks.check_seed(self.seed or 0)
         checks.check_folder("--out", self.out)
-        if self.what == "conversation" and self.policy not in ("all", "informed"):
-            raise UsageError(f'--policy is "{self.policy}", but in conversation it is informed')
-        if self.extra and self.what not in ("table2", "all"):
-            raise UsageError(f"--extra adds rows to table2, but {self.what} is run")
-        if self.ranges is not None and self.what not in ("table2", "fig5", "all"):
-            raise UsageError(f"--ranges is for table2 and fig5, but {self.what} is run")
-        if self.what.startswith("fig") and self.what != "fig5":
-            checks.check_extra(f"{self.what} is a picture and needs", "matplotlib", "viz")
-        if self.what == "all":
-            checks.check_extra("all draws pictures and needs", "matplotlib", "viz")
-        if self.what == "table3" and self.policy not in ("all", "informed", "faithful"):
+        if self.what in ("fig1", "fig3", "fig4", "all"):
+            checks.check_extra(f"{self.what} draws pictures and needs", "matplotlib", "viz")
+        policies = _POLICIES_OF.get(self.what, (self.policy,))
+        if self.policy not in ("all", *policies):
             raise UsageError(
-                f'--policy is "{self.policy}", but a robot of table3 takes one: informed or '
-                "faithful"
+                f'--policy is "{self.policy}", but {self.what} takes {" or ".join(policies)}'
             )
         # What the experiment would never read.
         is_read = ("what", "trials", "policy", "seed", "out", "json", "settings")

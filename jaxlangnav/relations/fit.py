@@ -11,8 +11,8 @@ with the density f of ``relations`` and shares π of each word. Parameters and s
 posterior by L-BFGS on exact gradients, and the curvature there gives standard errors. What frame
 each pair was meant in is reported as a posterior.
 
-The filter understands relations in the viewer's frame alone; ``in_viewer_frame`` turns a fit into
-the relation with the same mean direction there. Words are "front" to "far", as everywhere.
+The filter understands relations in the viewer's frame alone. Words are "front" to "far", as
+everywhere.
 """
 
 import jax
@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
-from scipy.optimize.elementwise import find_root
 
 from jaxlangnav.numerics.descent import descend
 from jaxlangnav.pytree import field, pytree, replace
@@ -199,27 +198,6 @@ def fit_relations(
         num_pairs=num_pairs,
         is_converged=is_converged,
     )
-
-
-def in_viewer_frame(fit: RelationFit) -> RelationParams:
-    """Describe fitted relations in the viewer's frame alone, as the filter takes them.
-
-    The direction keeps its mean resultant length, I₁(κ') / I₀(κ') = π_viewer I₁(κ) / I₀(κ): what
-    is said in other frames is no direction in this one. Limit: where every pair was meant by the
-    viewer it is ``fit.params``.
-    """
-    kappa = np.asarray(fit.params.concentration, np.float64)
-    target = np.asarray(fit.frame_share[:, 0], np.float64) * _resultant(kappa)
-    low, high = np.zeros_like(kappa), np.maximum(kappa, _MIN_CONCENTRATION)
-    root = find_root(lambda one, wanted: _resultant(one) - wanted, (low, high), args=(target,)).x
-    found = np.where(np.isin(np.arange(len(MODELLED)), _RINGS), 0.0, root)
-    return replace(fit.params, concentration=jnp.asarray(found, jnp.float32))
-
-
-def _resultant(concentration: np.ndarray) -> np.ndarray:
-    kappa = jnp.asarray(concentration)
-    ratio = jax.scipy.special.i1e(kappa) / jax.scipy.special.i0e(kappa)
-    return np.asarray(ratio, np.float64)
 
 
 def describe(fit: RelationFit) -> list[dict[str, float | str]]:

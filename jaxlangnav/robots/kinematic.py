@@ -20,7 +20,7 @@ from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.path import to_discs
-from jaxlangnav.robots.motion.steering import BodyLimits, Pursuit, Steering, WheelCommand
+from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
 from jaxlangnav.robots.robot import Detection, Progress
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
@@ -174,13 +174,12 @@ class KinematicRobot(SimulatedRobot):
         *,
         seed: int,
         sensor: SensorParams | None = None,
-        steering: Steering | None = None,
         slip: Slip | None = None,
     ) -> None:
-        """Put the robot at the start of a place; ``seed`` is of all noise, and steering pursuit."""
+        """Put the robot at the start of a place; ``seed`` is of all noise."""
         self._slip = Slip() if slip is None else slip
         super().__init__(
-            Mover(BODY, Pursuit() if steering is None else steering),
+            Mover(BODY),
             scenario,
             sensor=default_sensor() if sensor is None else sensor,
             seed=seed,

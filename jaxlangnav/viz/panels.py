@@ -24,46 +24,33 @@ NUM_BARS = 5  # waypoints in the chart beneath a map
 
 
 def _lay_out(
-    recording: Recording, number: int, *, text: str, extra: float = 0.0
+    recording: Recording, number: int, *, text: str, has_charts: bool = False
 ) -> "tuple[Figure, list[Axes], list[Axes]]":
-    from matplotlib.figure import Figure
-
+    """Set up maps in rows, all of the area's shape, and a chart beneath each if wanted."""
     x_min, x_max, y_min, y_max = recording.scene.area
     shape = (x_max - x_min) / (y_max - y_min)
-    is_one_row = number <= (4 if shape < 1.0 else 3) or shape < 0.5
-    columns = number if is_one_row else math.ceil(number / 2)
+    columns = number if number <= 4 or shape < 0.5 else math.ceil(number / 2)
     rows = math.ceil(number / columns)
-    left, gap, right, head, foot = 0.62, 0.16, 0.12, 0.66, 0.62
-    above, below = 0.42, 0.40
-    width = min((_WIDTH - left - right - gap * (columns - 1)) / columns, 3.6)
-    height = min(width / shape, 4.4)
-    width = min(width, height * shape)
-    chart = extra + 0.30 if extra else 0.0
-    total = left + right + gap * (columns - 1) + width * columns
-    tall = head + foot + rows * (above + height + below + chart)
+    height = min(3.6, _WIDTH / columns / shape, 4.4)
+    heights = [height + 0.82, 1.25] if has_charts else [height + 0.82]
     # The headline and the legend need room of their own, however few the maps.
-    total = max(total, 8.4)
-    side = left + (total - left - right - gap * (columns - 1) - width * columns) / 2
-    figure = Figure(figsize=(total, tall))
-    maps, charts = [], []
-    for index in range(number):
-        row, column = divmod(index, columns)
-        x = side + column * (width + gap)
-        y = tall - head - row * (above + height + below + chart) - above - height
-        maps.append(figure.add_axes((x / total, y / tall, width / total, height / tall)))
-        if extra:
-            y = y - below - extra
-            charts.append(figure.add_axes((x / total, y / tall, width / total, extra / tall)))
-        maps[-1].set_xlabel("x (m)" if row == rows - 1 or index + columns >= number else "")
-        maps[-1].set_ylabel("y (m)" if column == 0 else "")
-        maps[-1].tick_params(labelleft=column == 0)
-        maps[-1].xaxis.labelpad = maps[-1].yaxis.labelpad = 2
+    size = max(columns * (height * shape + 0.16) + 0.74, 8.4), rows * sum(heights) + 1.28
+    how = {"height_ratios": rows * heights, "hspace": 0.34 if has_charts else 0.25, "wspace": 0.08}
+    figure, grid = style.panels(size, rows * len(heights), columns, (0.62, 0.12, 1.08, 1.02), **how)
+    maps = list(grid[:: len(heights)].flat)
+    for index, axes in enumerate(maps):
+        axes.set_xlabel("x (m)" if index + columns >= number else "")
+        axes.set_ylabel("y (m)" if index % columns == 0 else "")
+        axes.tick_params(labelleft=index % columns == 0)
+    charts = list(grid[1::2].flat) if has_charts else []
+    for axes in (*maps[number:], *charts[number:]):
+        axes.remove()
     style.title(
         figure,
         f"“{recording.scene.text}”" if recording.scene.text else "Episode",
         f"{verdict(recording)}.\n{text}",
     )
-    return figure, maps, charts
+    return figure, maps[:number], charts[:number]
 
 
 def _head_panel(axes: "Axes", moment: Moment, index: int) -> None:
@@ -170,7 +157,7 @@ def values_figure(
         text = "Discs: waypoints it may choose, darker where more valuable at that step."
         if recording.scene.portrayal.is_field:
             text += " Lines: equal value."
-        figure, maps, charts = _lay_out(recording, len(chosen), text=text, extra=0.95)
+        figure, maps, charts = _lay_out(recording, len(chosen), text=text, has_charts=True)
         for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
             _draw_values(axes, recording, step)
             _draw_parts(chart, recording.at(step), with_label=axes.get_ylabel() != "")
@@ -222,23 +209,11 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
 
 
 def _number_nodes(axes: "Axes", frame: Frame) -> None:
-    """Number the best waypoints, each on the side where most room is."""
-    is_open = np.isfinite(frame.value)
-    taken = [*zip(frame.node_x[is_open], frame.node_y[is_open], strict=True), frame.position]
-    scale = abs(float(np.diff(axes.get_ylim())[0])) / 22.0
-    turns = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    """Number the best waypoints, each to its upper right."""
     for rank, node in enumerate(best_nodes(frame), start=1):
-        x, y = float(frame.node_x[node]), float(frame.node_y[node])
-        others = np.array([one for one in taken if tuple(one) != (x, y)], float)
-        spots = np.stack([x + scale * np.cos(turns), y + scale * np.sin(turns)], axis=1)
-        room = np.hypot(*(spots[:, None, :] - others[None]).transpose(2, 0, 1)).min(axis=1)
-        (x_low, x_high), (y_low, y_high) = axes.get_xlim(), axes.get_ylim()
-        inside = ((spots > (x_low, y_low)) & (spots < (x_high, y_high))).all(axis=1)
-        spot = spots[int(np.argmax(np.where(inside, room, -1.0)))]
-        taken.append(tuple(spot))
-        axes.text(
-            float(spot[0]), float(spot[1]), str(rank), ha="center", va="center", fontsize=7.5,
-            fontweight="bold", zorder=9,
+        axes.annotate(
+            str(rank), (frame.node_x[node], frame.node_y[node]), xytext=(5, 5),
+            textcoords="offset points", fontsize=7.5, fontweight="bold", zorder=9,
             bbox={"boxstyle": "circle,pad=0.1", "fc": style.PAPER, "ec": "none", "alpha": 0.75},
         )  # fmt: skip
 

@@ -12,8 +12,8 @@ from jaxlangnav.robots.motion.path import NO_DISCS, find_path, inflate, is_clear
 from jaxlangnav.robots.motion.steering import (
     STILL,
     BodyLimits,
-    Steering,
     WheelCommand,
+    Window,
     turn_by,
     wrap,
 )
@@ -37,9 +37,9 @@ _TRIES = 10  # ways looked for in vain, one after the other, after which there i
 class Mover:
     """A motion planner: the shortest way round inflated discs before a way of steering."""
 
-    def __init__(self, body: BodyLimits, steering: Steering) -> None:
+    def __init__(self, body: BodyLimits) -> None:
         """Build one that stands still."""
-        self.body, self.steering = body, steering
+        self.body, self.steering = body, Window()
         self.moving, self.progress = STILL, Progress.STANDING
         self._waypoints = np.zeros((0, 2))
         self._speed, self._clearance = 1.0, 0.0

@@ -1,14 +1,10 @@
-"""Steering along a way around things: pure pursuit, or a sampled dynamic window.
-
-R. C. Coulter, Implementation of the pure pursuit path tracking algorithm, CMU-RI-TR-92-01, 1992.
-An arc leads to a point of the way some distance ahead; it turns on the spot if that is aside.
+"""Steering along a way around things: a sampled dynamic window.
 
 D. Fox, W. Burgard, S. Thrun, The dynamic window approach to collision avoidance, IEEE RAM 4(1),
 1997. Of the arcs that the body can take next the best one; here along a way around things, as alone
 it deadlocks before one. Where no arc ahead is free it turns on the spot towards the way.
 """
 
-import abc
 import dataclasses
 import math
 from typing import NamedTuple
@@ -19,7 +15,6 @@ from jaxlangnav.robots.motion.path import gaps, is_clear
 
 GRAZE = 0.03
 """Metres that a way round something that is touched, or all but, may come nearer to it."""
-_BEFORE = 0.5  # cosine of the angle off the way ahead within which a thing is before the body
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,26 +46,24 @@ class WheelCommand(NamedTuple):
 STILL = WheelCommand(0.0, 0.0)
 
 
-class _Around(NamedTuple):
-    """What an arc is chosen by."""
-
-    pose: np.ndarray  # f64[3], x, y, heading
-    moving: WheelCommand  # the present command
-    target: np.ndarray  # f64[2], point of the way that is headed for, metres
-    off: float  # radians from the heading to the target
-    discs: np.ndarray  # f64[K, 3], things, metres, not inflated
-    top_speed: float  # metres a second wished for
-    body: BodyLimits
+_SPEEDS, _TURNS, _TIMES = 5, 15, 8
+_REACTION = 0.5  # seconds within which the window's speeds can be reached
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Steering(abc.ABC):
-    """How to follow a way: chooses the next command."""
+class Window:
+    """A dynamic window along a way: chooses the next command."""
 
-    ahead: float
+    ahead: float = 0.9
     """Metres along the way to the point headed for."""
-    widest: float
+    widest: float = 1.0
     """Radians off the way beyond which it turns on the spot."""
+    horizon: float = 1.6
+    """Seconds for which an arc is followed."""
+    spare: float = 0.02
+    """Metres that an arc keeps from things."""
+    clearance_weight: float = 0.3
+    speed_weight: float = 0.3
 
     def steer(
         self,
@@ -99,34 +92,20 @@ class Steering(abc.ABC):
         if abs(off) > self.widest:
             return turn_by(off, body)
         left = float(np.hypot(*np.diff(np.vstack([pose[:2], way]), axis=0).T).sum())
-        arc = self._arc(_Around(pose, moving, target, off, discs, top_speed, body), left)
+        most = min(top_speed, math.sqrt(1.6 * body.acceleration * left))  # so that it can stop
+        arc = self._arc(pose, moving, target, discs, most, body)
         return turn_by(off, body) if arc.speed < 0.02 and abs(off) > 0.05 else arc
 
-    @abc.abstractmethod
-    def _arc(self, around: _Around, left: float) -> WheelCommand:
-        """Choose an arc ahead, ``STILL`` if there is none; so many metres of the way are left."""
-
-
-_SPEEDS, _TURNS, _TIMES = 5, 15, 8
-_REACTION = 0.5  # seconds within which the window's speeds can be reached
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Window(Steering):
-    """Steering by a dynamic window."""
-
-    ahead: float = 0.9
-    widest: float = 1.0
-    horizon: float = 1.6
-    """Seconds for which an arc is followed."""
-    spare: float = 0.02
-    """Metres that an arc keeps from things."""
-    clearance_weight: float = 0.3
-    speed_weight: float = 0.3
-
-    def _arc(self, around: _Around, left: float) -> WheelCommand:
-        pose, moving, target, _, discs, top_speed, body = around
-        most = _braked(top_speed, left, body)
+    def _arc(
+        self,
+        pose: np.ndarray,
+        moving: WheelCommand,
+        target: np.ndarray,
+        discs: np.ndarray,
+        most: float,
+        body: BodyLimits,
+    ) -> WheelCommand:
+        """Choose the best free arc of at most such a speed, ``STILL`` if there is none."""
         low = max(moving.speed - body.acceleration * _REACTION, 0.0)
         high = min(moving.speed + body.acceleration * _REACTION, most)
         swing = body.turn_acceleration * _REACTION
@@ -156,24 +135,6 @@ class Window(Steering):
 
 _SPARE = 0.02  # metres kept from things by the straight line to the point pursued
 _LEAST = 0.15  # metres along the way below which no nearer point is asked for
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Pursuit(Steering):
-    """Steering by pure pursuit."""
-
-    ahead: float = 0.6
-    widest: float = 0.6
-
-    def _arc(self, around: _Around, left: float) -> WheelCommand:
-        pose, _, target, off, discs, top_speed, body = around
-        far = float(np.hypot(*(target - pose[:2])))
-        speed = _braked(top_speed * math.cos(off), left, body)
-        speed = _braked(speed, _room_ahead(pose, discs, body) - 0.02, body)
-        turn = 2.0 * math.sin(off) / max(far, 0.2) * max(speed, 0.1)
-        if abs(turn) > body.turn_rate:
-            speed *= body.turn_rate / abs(turn)
-        return WheelCommand(speed, turn)
 
 
 def _pursued(
@@ -213,25 +174,3 @@ def turn_by(angle: float, body: BodyLimits) -> WheelCommand:
     """Turn on the spot, slowing down in time."""
     rate = min(body.turn_rate, math.sqrt(1.2 * body.turn_acceleration * abs(angle)))
     return WheelCommand(0.0, math.copysign(rate, angle))
-
-
-def _braked(speed: float, room: float, body: BodyLimits) -> float:
-    """Limit a speed so that the body can stop within a room."""
-    return min(speed, math.sqrt(1.6 * body.acceleration * max(room, 0.0)))
-
-
-def _room_ahead(pose: np.ndarray, discs: np.ndarray, body: BodyLimits) -> float:
-    """Measure how far the body can go straight ahead before it touches a thing."""
-    if not len(discs):
-        return math.inf
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    dx, dy = discs[:, 0] - pose[0], discs[:, 1] - pose[1]
-    ahead, side = cosine * dx + sine * dy, cosine * dy - sine * dx
-    reach, away = discs[:, 2] + body.radius, np.hypot(dx, dy)
-    # What it all but touches holds it only where it is before it, not beside it.
-    least = np.where(away < reach + 2.0 * GRAZE, _BEFORE * away, 0.0)
-    is_ahead = (ahead > least) & (np.abs(side) < reach)
-    if not is_ahead.any():
-        return math.inf
-    depth = np.sqrt(reach[is_ahead] ** 2 - side[is_ahead] ** 2)
-    return float(max((ahead[is_ahead] - depth).min(), 0.0))

@@ -12,7 +12,7 @@ import numpy as np
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.kinematic import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, Mover
-from jaxlangnav.robots.motion.steering import BodyLimits, Pursuit, Steering, WheelCommand, Window
+from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, compile_scene
 from jaxlangnav.robots.physics.tags import (
     Camera,
@@ -32,7 +32,6 @@ class Machine:
     """A robot: its body, its wheels, and how it steers."""
 
     body: BodyLimits
-    steering: Steering
     wheel_radius: float
     """Metres, as the loaded wheel rolls: the Husky's soft tyres sink in a little."""
     track: float
@@ -76,7 +75,6 @@ MACHINES = {
             acceleration=0.6,
             turn_acceleration=1.5,
         ),
-        steering=Pursuit(),
         wheel_radius=0.1647,
         track=0.555,
         effective_track=1.92,
@@ -92,7 +90,6 @@ MACHINES = {
             acceleration=0.5,
             turn_acceleration=1.2,
         ),
-        steering=Window(),
         wheel_radius=0.175,
         track=0.56,
         effective_track=1.0,
@@ -131,7 +128,7 @@ class PhysicsRobot(SimulatedRobot):
         """
         self.machine, self._wear = MACHINES[machine], wear or Wear()
         super().__init__(
-            Mover(self.machine.body, self.machine.steering),
+            Mover(self.machine.body),
             scenario,
             sensor=as_told(gates),
             seed=seed,

@@ -1,4 +1,4 @@
-"""Bags of ROS 2: drives are written into them and replayed; needs ``rosbags``, not ROS.
+"""Bags of ROS 2: drives are written into them; needs ``rosbags``, not ROS.
 
 Decisions are made by what the messages say, to the last digit, so that a bag replays to the same
 ones.
@@ -22,7 +22,6 @@ from jaxlangnav.robots.ros2.conversions import (
     detections_of_cloud,
     inverse,
     pose_of,
-    seconds_of,
 )
 from jaxlangnav.robots.ros2.inbox import Inbox
 from jaxlangnav.robots.ros2.robot import RosRobot
@@ -66,77 +65,6 @@ def typestore() -> Any:
         types.update(systems.get_types_from_msg(text, name))
     store.register(types)
     return store
-
-
-class ReplayBus:
-    """A bus on which a bag is played: ``odom`` and ``detections`` by when they were received.
-
-    Its clock goes on only while it is spun. Where deciding took no time in the recording, as in
-    simulation, the same drive makes the same decisions.
-    """
-
-    def __init__(self, path: Path, num_types: int) -> None:
-        """Read a bag, MCAP or SQLite, with so many labels.
-
-        Raises:
-            ValueError: it is no bag, or holds no odometry.
-            MissingExtraError: rosbags is not installed.
-        """
-        self.inbox, self.goals = Inbox(), []
-        """Goals that were sent, f64[3] each, in the robot's odometry frame."""
-        self._num_types, self._next = num_types, 0
-        self._messages = _read(path)
-        times = [time for time, _ in self.recorded("odom")]
-        if not times:
-            raise ValueError(f"{path} holds no odometry on the topic odom: nothing can be replayed")
-        self._now = times[0]
-        self._play()
-
-    def recorded(self, topic: str) -> list[tuple[float, Any]]:
-        """List what was recorded on a topic, each with when it came, seconds."""
-        return [(time, message) for time, name, message in self._messages if name == topic]
-
-    @property
-    def is_over(self) -> bool:
-        """Whether all has been played."""
-        return self._next == len(self._messages)
-
-    def now(self) -> float:
-        """Tell the time of the recording, see ``Bus.now``."""
-        return self._now
-
-    def spin(self, seconds: float) -> None:
-        """Play on, see ``Bus.spin``."""
-        self._now += seconds
-        self._play()
-
-    def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
-        """Keep where to go: nobody goes there, see ``Bus.send_goal``."""
-        self.goals.append(goal)
-
-    def _play(self) -> None:
-        """Take in what had been received by now, to a tenth of a millisecond."""
-        while not self.is_over and self._messages[self._next][0] <= self._now + 1e-4:
-            time, topic, message = self._messages[self._next]
-            self._next += 1
-            if topic == "odom":
-                self.inbox.add_odometry(seconds_of(message.header.stamp), pose_of(message))
-            elif topic == "detections":
-                found = detections_of_cloud(message, self._num_types)
-                self.inbox.add_look(seconds_of(message.header.stamp), found, time)
-
-
-def _read(path: Path) -> list[tuple[float, str, Any]]:
-    """Read all messages of a bag: when each came, its topic, and what it says."""
-    bags, store = ros("rosbags.rosbag2"), typestore()
-    try:
-        with bags.Reader(path) as reader:
-            return [
-                (1e-9 * time, one.topic.strip("/"), store.deserialize_cdr(raw, one.msgtype))
-                for one, time, raw in reader.messages()
-            ]
-    except (bags.ReaderError, OSError) as error:
-        raise ValueError(f"{path} is no bag that can be read: {error}") from error
 
 
 class Loopback:
