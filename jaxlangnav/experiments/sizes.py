@@ -89,8 +89,8 @@ def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str
     remedy = f"at most {fit:,} fit" if fit else "lower the other sizes: not even one fits"
     with_it = f" with {beside}" if beside else ""
     raise ValueError(
-        f"{name} is {readable_count(count)}{with_it}, which takes {_said(need)} of memory, but "
-        f"there are {_said(limit)}: {remedy}"
+        f"{name} is {readable_count(count)}{with_it}, which takes {readable_count(need >> 20)} "
+        f"MiB of memory, but there are {readable_count(limit >> 20)}: {remedy}"
     )
 
 
@@ -122,8 +122,9 @@ def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
 
 def _progress(config: NavigatorConfig) -> Any:
     """Trace the records of an episode under way, without making them."""
-    given = jax.eval_shape(any_task), _any_instructions()
-    return jax.eval_shape(functools.partial(begin, config=config), *given)
+    one = pack_instruction(pad_readings(()), ())  # all sentences have the same shapes
+    some = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), one)
+    return jax.eval_shape(functools.partial(begin, config=config), jax.eval_shape(any_task), some)
 
 
 def any_task(num_slots: int = NUM_SLOTS) -> Task:
@@ -138,13 +139,6 @@ def any_task(num_slots: int = NUM_SLOTS) -> Task:
 
 
 @functools.cache
-def _any_instructions() -> Any:
-    """Build the shapes of a batch of one instruction: all sentences have the same."""
-    one = pack_instruction(pad_readings(()), ())
-    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), one)
-
-
-@functools.cache
 def _host_memory() -> int:
     """Find how much memory the machine has, or the container if that is less."""
     least = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -154,11 +148,3 @@ def _host_memory() -> int:
         except (OSError, ValueError):
             continue
     return least
-
-
-def _said(number: int) -> str:
-    """Write a number of bytes for people."""
-    units = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
-    power = min(max(number.bit_length() - 1, 0) // 10, len(units) - 1)
-    size = number / 1024**power if number < 1 << 1000 else float("inf")
-    return f"{size:.4g} {units[power]}"

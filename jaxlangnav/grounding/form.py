@@ -9,10 +9,10 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Any, NoReturn
+from typing import Any
 
 from jaxlangnav.grounding.readings import Relation
-from jaxlangnav.inputs.documents import read_shipped
+from jaxlangnav.inputs.documents import naming, parse_json, read_shipped
 from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.messages import (
     ACTIONS,
@@ -118,7 +118,13 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
     Raises:
         ValueError: it is no JSON, or a field cannot be; one line with the field's JSON path.
     """
-    document = _load(text)
+    if len(text) > MAX_FORM_CHARACTERS:
+        raise ValueError(
+            f"the annotations have {len(text):,} characters; at most {MAX_FORM_CHARACTERS:,} are "
+            "read"
+        )
+    with naming("annotations"):
+        document = parse_json(text)
     validate(document)
     readings = [
         _read(one, type_names, f"$.readings[{i}]") for i, one in enumerate(document["readings"])
@@ -144,45 +150,6 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
                 )
     shares = [dataclasses.replace(one, probability=one.probability / total) for one in readings]
     return Form(tuple(shares), tuple(document.get("notes", ())))
-
-
-def _load(text: str) -> Any:
-    """Read JSON strictly: no field twice, no NaN, not too long, not too deep."""
-    if len(text) > MAX_FORM_CHARACTERS:
-        raise ValueError(
-            f"the annotations have {len(text):,} characters; at most {MAX_FORM_CHARACTERS:,} are "
-            "read"
-        )
-    try:
-        return json.loads(
-            text,
-            object_pairs_hook=_once_each,
-            parse_constant=_refuse_constant,
-            # Python refuses to read a whole number of thousands of digits: it is infinite.
-            parse_int=lambda digits: int(digits) if len(digits) < 20 else float(digits),
-        )
-    except json.JSONDecodeError as error:
-        raise ValueError(
-            f"annotations are JSON, but {quote(text)} is none: line {error.lineno}, column "
-            f"{error.colno}: {error.msg}"
-        ) from None
-    except RecursionError:
-        raise ValueError("the annotations nest too deeply for any form") from None
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    """Refuse what Python's reader takes for numbers and JSON does not."""
-    raise ValueError(f"the annotations hold {name}, which is no number of JSON")
-
-
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Build an object, and refuse a field that stands twice: one of them would be lost."""
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in found:
-            raise ValueError(f"the annotations have a field {quote(name)} twice: leave one out")
-        found[name] = value
-    return found
 
 
 def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> FormReading:

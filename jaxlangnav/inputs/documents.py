@@ -6,13 +6,14 @@ refused here, before anything else sees the document.
 """
 
 import contextlib
+import functools
 import json
 import os
 import re
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.inputs.whole_files import read_file
@@ -40,8 +41,27 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_json(text: str) -> Any:
-    """Read JSON; DocumentError if it is none, too deep, or has a number beyond 64 bits."""
-    return _parse(json.loads, text, "JSON")
+    """Read JSON; DocumentError if it is none, too deep, or has NaN or a number beyond 64 bits.
+
+    Of an object that has a field twice one would be lost: it is refused.
+    """
+    loads = functools.partial(
+        json.loads, object_pairs_hook=_once_each, parse_constant=_refuse_constant
+    )
+    return _parse(loads, text, "JSON")
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise DocumentError(f"has a field {cut(name, 40)!r} twice: leave one out")
+        found[name] = value
+    return found
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise DocumentError(f"holds {name}, which is no number of JSON")
 
 
 def read_document(path: Path, *, at_most: int) -> Any:
@@ -102,6 +122,8 @@ def _parse(loads: Callable[[str], Any], text: str, kind: str) -> Any:
     too_deep = f"is nested more than {DEEPEST} deep: use fewer tables inside tables"
     try:
         document = loads(text)
+    except DocumentError:
+        raise
     except RecursionError:
         raise DocumentError(too_deep) from None
     except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
