@@ -63,14 +63,14 @@ class AnnotationGrounder:
                 "to be done"
             )
         return Grounded(
-            instruction=_to_instruction(form),
+            instruction=form_instruction(form),
             annotations=tuple(_annotations(form, self.type_names)),
             notes=form.notes,
             spoken=Spoken(goals=tuple(first.type_of(one.thing) for one in first.commands)),
         )
 
 
-def _to_instruction(form: Form) -> Instruction:
+def form_instruction(form: Form) -> Instruction:
     """Turn a form into what the navigator takes: its readings, and a program for each command."""
     readings = [
         (_reading(one, f"$.readings[{i}]"), float(np.log(one.probability)))
@@ -88,7 +88,7 @@ def returning() -> Instruction:
     """Build the instruction to come to where the one who gives it stands."""
     action = ACTIONS.index("navigate")
     command = FormCommand(action=action, mode=0, region=AT, thing=ROBOT, avoid=())
-    return _to_instruction(Form((FormReading(1.0, (), (), (command,)),), notes=()))
+    return form_instruction(Form((FormReading(1.0, (), (), (command,)),), notes=()))
 
 
 def _reading(form: FormReading, path: str) -> Reading:
