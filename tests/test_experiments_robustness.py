@@ -342,12 +342,10 @@ def test_what_explains_a_row_by_hand() -> None:
     z = 30.0 / (1.0 + 0.79**2) ** 0.5
     assert found["rows"][0]["z_distance"] == pytest.approx(z)
     assert found["variations"][1]["rms_z"] == pytest.approx(z / 14**0.5)
-    assert found["explained"][0]["both"] == []
-    assert found["explained"][0]["success"] == ["field of view 90°"]
-    assert found["explained"][3]["both"] == ["field of view 90°"]
+    assert found["explained"][0]["by"] == []
+    assert found["explained"][3]["by"] == ["field of view 90°"]
     lines = UNKNOWNS.notes(found)
-    assert lines[0].startswith("1H1C null: nothing explains both figures (success is near as it is")
-    assert "distance by none" in lines[0]
+    assert lines[0] == "1H1C null: explained by nothing that is varied."
     assert lines[3] == "1H2C behind: explained by field of view 90°."
 
 

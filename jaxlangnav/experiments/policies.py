@@ -172,11 +172,9 @@ def run_policy(
     tasks: Task,
     instructions: Instruction,
     *,
-    params: NavigatorParams | None = None,
     num_particles: int = DEFAULT_PARTICLES,
     on_progress: OnProgress | None = None,
     num_threads: int | None = None,
-    max_steps: int = MAX_STEPS,
 ) -> EpisodeResult:
     """Run any policy on any number of tasks; ``ValueError`` where there is none of that name.
 
@@ -184,15 +182,12 @@ def run_policy(
         policy: one of ``POLICY_NAMES``, or a policy of somebody's own.
         tasks: leaves [E, …].
         instructions: leaves [I, …].
-        params: the navigator's numbers; its defaults if None. Baselines have none.
         num_particles: P, of the navigator's policies.
         on_progress: called with the number of episodes just finished.
         num_threads: pieces under way at once; the number of usable cores by default.
-        max_steps: cycles until a time-out.
 
     Returns:
         Results as NumPy arrays, leaves [E, …], in the order of the tasks.
     """
-    arm = policy_arm(policy, num_particles=num_particles, params=params)
-    arm = dataclasses.replace(arm, max_steps=max_steps)
+    arm = policy_arm(policy, num_particles=num_particles)
     return arm.run(tasks, instructions, on_progress=on_progress, num_threads=num_threads)[0]

@@ -169,14 +169,8 @@ def _found(rows: Sequence[Row], options: Options) -> Row:
 
 def _explained(mine: Sequence[Row]) -> Row:
     """List the variations that bring a row of Table 2 within two standard errors of the paper."""
-    first, *others = mine
-    nearest = min(mine, key=lambda row: max(abs(row["z_success"]), abs(row["z_distance"])))
-    found = {name: first[name] for name in ("world", "range", "relation")}
-    for name, key in (("both", "is_near"), ("success", "is_success_near"),
-                      ("distance", "is_distance_near")):  # fmt: skip
-        found |= {key: first[key], name: [_variation(row) for row in others if row[key]]}
-    z = [nearest["z_success"], nearest["z_distance"]]
-    return found | {"nearest": _variation(nearest), "nearest_z": z}
+    found = {name: mine[0][name] for name in ("world", "range", "relation", "is_near")}
+    return found | {"by": [_variation(row) for row in mine[1:] if row["is_near"]]}
 
 
 def _variation(row: Row) -> str:
@@ -219,23 +213,7 @@ def _matrix(document: Document) -> Table:
 def _explain(one: Mapping[str, Any]) -> str:
     if one["is_near"]:
         return "ours lies within two standard errors as it is."
-    if one["both"]:
-        return f"explained by {_or(one['both'])}."
-    words = [
-        f"{name} is near as it is" if one[f"is_{name}_near"] else f"{name} by {_or(one[name])}"
-        for name in ("success", "distance")
-    ]
-    far = max(abs(z) for z in one["nearest_z"])
-    return (
-        f"nothing explains both figures ({'; '.join(words)}); the nearest is {one['nearest']}, "
-        f"{far:.1f} standard errors away."
-    )
-
-
-def _or(names: Sequence[str]) -> str:
-    """List names: "A, B or C", or "none"."""
-    *others, last = names or ["none"]
-    return f"{', '.join(others)} or {last}" if others else last
+    return f"explained by {' or '.join(one['by']) or 'nothing that is varied'}."
 
 
 def _conditions(document: Document) -> list[str]:
