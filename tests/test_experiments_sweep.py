@@ -395,13 +395,14 @@ def test_the_account_is_that_of_the_real_records() -> None:
 
 
 def test_what_fits_fits_and_one_more_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sizes, "_memory", lambda: 1000)
-    sizes.check_count("things", 90, each=10, fixed=100)
-    with pytest.raises(ValueError, match=r"things is 91 with wings, .* 1010 bytes .*: at most 90 "):
-        sizes.check_count("things", 91, each=10, fixed=100, beside="wings")
+    monkeypatch.setattr(sizes, "_memory", lambda: 1000 << 20)
+    each, fixed = 10 << 20, 100 << 20
+    sizes.check_count("things", 90, each=each, fixed=fixed)
+    with pytest.raises(ValueError, match=r"things is 91 with wings, .* 1,010 MiB .*: at most 90 "):
+        sizes.check_count("things", 91, each=each, fixed=fixed, beside="wings")
     with pytest.raises(ValueError, match="not even one fits"):
-        sizes.check_count("things", 1, each=10, fixed=1000)
-    with pytest.raises(ValueError, match=r"things is 1\.0·10\^30, which takes .* EiB"):
+        sizes.check_count("things", 1, each=each, fixed=10 * fixed)
+    with pytest.raises(ValueError, match=r"things is 1\.0·10\^30, which takes .* MiB"):
         sizes.check_count("things", 10**30, each=10**3)
 
 

@@ -46,7 +46,6 @@ class Belief:
     """Annotations by clause, with their log-probability, best first. A region that is said of "the
     thing" is a relation whose figure is ``ANYTHING``."""
     rank: dict[Path, int]  # phrase → likeliest rank
-    silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
     def marginals(self) -> list[tuple[Annotation, int, float]]:
         """Add up the probability of each annotation, likeliest first, as ``clauses`` has them."""
@@ -172,16 +171,15 @@ def infer_annotations(
     """
     graph = CorrespondenceGraph(space := Annotations(type_names), model)
     joint: list[tuple[tuple[RankedAnnotations, ...], float]] = [((), 0.0)]
-    rank, silent = dict[Path, int](), set[Path]()
+    rank = dict[Path, int]()
     for clause, root in enumerate(parse.clauses):
         tree = graph.weigh(root, None, clause)
         beam = tree.search(width)
         chances = tree.log_ranks()
         rank |= {path: int(np.argmax(one)) for path, one in chances.items()}
-        silent |= {path for path, one in beam[0].walk((clause,)) if not one.expressed.any()}
         sets = _clause_sets(space.symbols_in(None), beam, root, clause, chances)
         best = sorted(sets, key=lambda one: -one[1])[:width]
         pairs = itertools.product(joint, best)
         both = [((*said, more), score + own) for (said, score), (more, own) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
-    return Belief(tuple(joint), rank, frozenset(silent))
+    return Belief(tuple(joint), rank)

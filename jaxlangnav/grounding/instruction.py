@@ -13,11 +13,11 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations
-from jaxlangnav.grounding.binding import BoundSentence, Detector, UnknownObjectError, said_noun
+from jaxlangnav.grounding.binding import BoundSentence, Detector, said_noun
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program
 from jaxlangnav.grounding.readings import to_readings
-from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, bottom_up, count_graph
+from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, count_graph
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, Measure, Parse, Phrase
@@ -229,21 +229,6 @@ def understand(
     return understand_parse(tree, model, detector)
 
 
-def _check_nouns(tree: Parse, belief: Belief, type_names: tuple[str, ...]) -> None:
-    """Refuse a sentence about something unknown, rather than drop what it says of it."""
-    unknown = set(tree.unknown_words)
-    for clause, root in enumerate(tree.clauses):
-        for node in sorted(bottom_up(root, clause), key=lambda node: node.path):
-            if node.phrase.label != "NP" or node.path not in belief.silent:
-                continue
-            for word in node.phrase.words:
-                if word.tag.startswith("NN") and (word.text, word.position) in unknown:
-                    raise UnknownObjectError(
-                        f"'{word.text[:30]}' (word {word.position}): not an object I know; "
-                        f"I know {', '.join(type_names)}, and your own lexicon may add to them"
-                    )
-
-
 def understand_parse(
     tree: Parse, model: GroundingModel, detector: Detector | None = None
 ) -> Understanding:
@@ -252,7 +237,6 @@ def understand_parse(
     bound = BoundSentence(tree, model.type_names, detector)
     tree, names = bound.tree, tuple(bound.names)
     belief = infer_annotations(tree, model.annotation, names)
-    _check_nouns(tree, belief, model.type_names)
     kinds = zip(tree.clauses, tree.kinds, strict=True)
     commands = [
         i for i, (one, kind) in enumerate(kinds) if kind == COMMAND and not is_constraint(one)

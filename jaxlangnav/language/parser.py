@@ -18,7 +18,7 @@ from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reader.proposals import propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
-from jaxlangnav.language.refusal import NOUN, Token, explain, offer, refuse_guesses
+from jaxlangnav.language.refusal import NOUN, Token, explain, refuse_guesses
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import (
     COMMA_MARK,
@@ -39,8 +39,6 @@ LEAST_TO_OVERRULE = 0.7
 """Of another reading of a sentence that can be read as it stands: at less it is read so."""
 _IGNORED = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
-_LONGEST_LINE = 199
-"""Characters of a refusal with the sentence that it offers."""
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
 _DRAWN = re.compile(r"([a-z])\1{2,}")
 """A letter that is drawn out: "pleeease"."""
@@ -197,7 +195,7 @@ def parse(
             raise
         found = _read_freely(reader, None, least_probability)
         if found is None:
-            raise _with_nearest(error, reader) from None
+            raise
         return found
     return _read_freely(reader, as_said, LEAST_TO_OVERRULE) or as_said
 
@@ -274,19 +272,3 @@ def _read(
         probability=probability,
         measures=of_clauses(clauses, measured),
     )
-
-
-def _with_nearest(error: LanguageError, reader: _Reader) -> LanguageError:
-    """Add to a refusal the nearest sentence that can be read, where there is one."""
-
-    def can_read(text: str) -> bool:
-        try:
-            again = _Reader(text, reader.labels, reader.earlier)
-            found = _read(again, again.tokens, is_blame_sought=False)
-        except LanguageError:
-            return False
-        return COMMAND in found.kinds and not found.unknown_words
-
-    near = offer(reader.tokens, error.position or 0, can_read=can_read)
-    line = f"{error}; I can read '{near}'"
-    return error if near is None or len(line) > _LONGEST_LINE else LanguageError(line)

@@ -1,13 +1,12 @@
 """Why a sentence is refused: one line that names the word and its position."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
-from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, WORDS, load_lexicon
+from jaxlangnav.language.lexicon import REASONS, WORDS, load_lexicon
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 from jaxlangnav.language.reference import is_thing
-from jaxlangnav.language.tokens import MARKS, SpokenToken
 
 NOUN = "?noun"
 """Terminal of what can only be a noun."""
@@ -42,7 +41,7 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     refused = load_lexicon().refused
     read = [token for token in tokens[: index + 1] if token.text]
     reasons = {token.position: refused.get(token.text) for token in read}
-    strong = [t for t in read if reasons[t.position] in _STRONG]
+    strong = [t for t in read if refused.get(t.text) in _STRONG]
     denied = [t for t in tokens if refused.get(t.text) == REASONS["negation"] and _is_telling(t)]
     first = min([*strong[:1], *denied[:1]], key=lambda token: token.position, default=None)
     if first is not None:
@@ -92,75 +91,6 @@ def _is_read(token: Token, tokens: list[Token], index: int) -> bool:
 def _is_telling(token: Token) -> bool:
     """Tell whether a refused word is reason enough wherever it stands."""
     return token.text in load_lexicon().refused and token.text not in _SMALL | WORDS["silent"]
-
-
-# -------------------------------------------------- the nearest sentence that can be read, offered
-# What stands in the way is left out, with the phrase that it begins, or the clause that holds it,
-# or all that follows; or "near" stands in its place. Each is tried; the first that the parser
-# reads is offered, never taken.
-
-
-LONGEST = 24
-"""Words of a sentence that is tried: longer ones take too long for a refusal."""
-_SHORTEST = 2
-"""Words that are too few for a sentence that is left of another one's clauses."""
-_OTHERWISE = {"my": "the", "our": "the"}
-_JOINTS = frozenset({*MARKS, "and", "then", "but", "so", "or"})
-
-
-def offer(
-    tokens: Sequence[SpokenToken], position: int, *, can_read: Callable[[str], bool]
-) -> str | None:
-    """Find a sentence near to one that is refused; None where there is none.
-
-    Args:
-        tokens: words and marks of the sentence, as they were said.
-        position: of the word that stands in the way.
-        can_read: whether a sentence can be read; asked four times at most.
-    """
-    index = next((i for i, t in enumerate(tokens) if t.position == position), None)
-    if index is None:
-        return None
-    tried: set[str] = set()
-    for left in _candidates(list(tokens), index):
-        text = " ".join(token.text for token in left)
-        text = text.replace(" ,", ",").replace(" .", ".").replace(" 's", "'s")
-        if not text or text in tried or "it" in (token.text for token in left):
-            continue
-        tried.add(text)
-        if len(left) <= LONGEST and can_read(text):
-            return text
-    return None
-
-
-def _candidates(tokens: list[SpokenToken], index: int) -> Iterator[list[SpokenToken]]:
-    before, after = tokens[:index], tokens[index:]
-    text = after[0].text
-    last = next((i for i, t in enumerate(after) if t.text in _JOINTS), len(after))
-    # Of what turns round what is said ("not", "if", a sign) only what stands apart is offered.
-    is_contrary = text == "but" or not text[:1].isalnum()
-    if not is_contrary and load_lexicon().refused.get(text) not in _STRONG:
-        names = load_lexicon().entries[TYPE_CLASS]
-        named = next((i for i, token in enumerate(after[:last]) if (token.text,) in names), None)
-        if named is not None:
-            yield _trimmed(before + after[named + 1 :])
-        other = _OTHERWISE.get(text, "near")
-        if after[1:] and (after[1].text in _ARTICLES) == (other == "near"):
-            yield [*before, replace(after[0], text=other), *after[1:]]
-    yield _trimmed(before)
-    first = max((i + 1 for i, t in enumerate(before) if t.text in _JOINTS), default=0)
-    apart = _trimmed(tokens[:first] + after[last + 1 :])
-    yield apart if len(apart) > _SHORTEST else []
-
-
-def _trimmed(tokens: list[SpokenToken]) -> list[SpokenToken]:
-    """Leave out joints at both ends, and words that end no sentence."""
-    first, last = 0, len(tokens)
-    while first < last and tokens[first].text in _JOINTS:
-        first += 1
-    while last > first and tokens[last - 1].text in _JOINTS | WORDS["loose"]:
-        last -= 1
-    return tokens[first:last]
 
 
 # -------------------------------------------------- readings that the grammar allows: guesses
