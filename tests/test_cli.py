@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -58,7 +59,7 @@ class Echo:
 @pytest.fixture
 def echo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(SUMMARIES, "echo", "Say a sentence again.")
-    monkeypatch.setattr(cli, "_command_class", lambda name: {"echo": Echo}[name])
+    monkeypatch.setitem(sys.modules, "jaxlangnav.cli.echo", SimpleNamespace(Echo=Echo))
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

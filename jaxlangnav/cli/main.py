@@ -115,7 +115,8 @@ def parse_arguments(arguments: Sequence[str]) -> Any:
     if name not in SUMMARIES:
         hint = did_you_mean(name, SUMMARIES) or f"; choose from {', '.join(SUMMARIES)}"
         raise UsageError(f'unknown command "{name}"{hint}')
-    kind, program = _command_class(name), f"{PROGRAM} {name}"
+    module = importlib.import_module(f"jaxlangnav.cli.{MODULES.get(name, name)}")
+    kind, program = getattr(module, name.capitalize()), f"{PROGRAM} {name}"
     import tyro
 
     groups: tuple[str, ...] = getattr(kind, "SETTINGS", ())
@@ -137,11 +138,6 @@ def parse_arguments(arguments: Sequence[str]) -> Any:
             raise
         message = _explain(complaint.getvalue(), kind, options)
         raise UsageError(f"{message} (see {program} --help)") from None
-
-
-def _command_class(name: str) -> type[Any]:
-    module = importlib.import_module(f"jaxlangnav.cli.{MODULES.get(name, name)}")
-    return getattr(module, name.capitalize())
 
 
 def _lay_out_help(kind: type[Any]) -> str:

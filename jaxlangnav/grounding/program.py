@@ -163,20 +163,15 @@ def _fill_constraint(
 
 def _check_sizes(nodes: tuple[Node, ...]) -> None:
     """Refuse a clause that the arrays do not hold."""
-    if len(nodes) > NUM_PHRASES:
-        raise ValueError(
-            f"the command has {len(nodes)} phrases; at most {NUM_PHRASES} are held: "
-            "say less at once"
-        )
-    for node in nodes:
-        if len(node.children) > NUM_CHILDREN:
-            text = " ".join(word.text for word in node.phrase.all_words())
+    for what, size, most in (
+        ("phrases", len(nodes), NUM_PHRASES),
+        ("parts of one phrase", max(len(node.children) for node in nodes), NUM_CHILDREN),
+        ("nested phrases", max(accumulate(1 - len(node.children) for node in nodes)), MAX_DEPTH),
+    ):
+        if size > most:
             raise ValueError(
-                f"'{text}' has {len(node.children)} parts; at most {NUM_CHILDREN} are held: "
-                "say less at once"
+                f"the command has {size} {what}; at most {most} are held: say less at once"
             )
-    if max(accumulate(1 - len(node.children) for node in nodes)) > MAX_DEPTH:
-        raise ValueError(f"the command nests more than {MAX_DEPTH} phrases: say less at once")
 
 
 def compile_clause(
