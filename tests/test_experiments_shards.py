@@ -29,7 +29,7 @@ from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.shards import PartOf, Shard, ShardError, held
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
-from jaxlangnav.pytree import replace, strong
+from jaxlangnav.pytree import replace
 
 SWEEP, ROWS = "5e" * 32, 300
 SHARD = Shard(sweep=SWEEP, index=3, rows=ROWS)
@@ -72,19 +72,6 @@ def test_no_flipped_bit_passes(path: Path) -> None:
             shards.check_shard(path, SHARD)
         with pytest.raises(ShardError):
             shards.read_shard(path, sweep=SWEEP, index=3)
-
-
-def test_pages_have_checksums_of_their_own(path: Path) -> None:
-    """Whoever reads the files with Parquet alone can verify the values too."""
-    sound = path.read_bytes()
-    chunk = pq.read_metadata(path).row_group(0).column(2)
-    end = chunk.dictionary_page_offset + chunk.total_compressed_size
-    for place in range(end - 240, end, 24):
-        content = bytearray(sound)
-        content[place] ^= 16
-        path.write_bytes(content)
-        with pytest.raises((OSError, pa.ArrowException), match="CRC checksum"):
-            pq.read_table(path, page_checksum_verification=True)
 
 
 def test_no_truncated_file_passes(tmp_path: Path) -> None:
@@ -218,14 +205,6 @@ def test_parts_that_share_files_exclude_each_other(first, second, tmp_path):
         assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_lock_of_no_sense_is_no_obstacle(tmp_path: Path) -> None:
-    (tmp_path / ".held-1-of-1.json").write_bytes(b"\xff{")
-    told: list[str] = []
-    with held(tmp_path, (1, 1), on_note=told.append):
-        pass
-    assert "a process that has not said its name" in told[0]
-
-
 def test_without_locks_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def flock(_handle: int, _operation: int) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
@@ -320,16 +299,6 @@ def test_the_clock_counts_compilation_and_not_running() -> None:
         cube(given).block_until_ready()
     assert first.seconds > 0.0
     assert second.seconds == 0.0, "nothing is compiled a second time"
-
-
-def test_strong_keeps_values_and_keys() -> None:
-    tree = {"plain": 0.5, "weak": jnp.full(3, 2.0), "count": 7, "key": jax.random.key(1)}
-    found = strong(tree)
-    assert jnp.full(3, 2.0).weak_type
-    assert not any(jax.typeof(leaf).weak_type for leaf in jax.tree.leaves(found))
-    assert (found["plain"].dtype, found["count"].dtype) == (jnp.float32, jnp.int32)
-    assert found["weak"].tolist() == [2.0, 2.0, 2.0]
-    assert jax.random.key_data(found["key"]).tolist() == [0, 1]
 
 
 def test_weak_types_do_not_compile_a_batch_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,6 @@ from situations import CHOOSE, nodes_at, seen_goal, situation
 from test_planner_policy import CONFIG, under_way
 
 from jaxlangnav import Navigator
-from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
@@ -267,12 +266,6 @@ def test_values_that_are_no_numbers_leave_it_where_it_is() -> None:
     chosen = choose(nothing)
     assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (0.0, 0.0)
     assert not bool(chosen.is_stop)
-
-
-def test_it_carries_its_function_s_name() -> None:
-    assert PlannerConfig(policy=nearest).chosen.name == "nearest"
-    assert navigator_config(nearest) == navigator_config(nearest)
-    assert navigator_config(nearest) != navigator_config(far_away)
 
 
 def test_a_policy_may_hold_arrays_which_are_traced() -> None:

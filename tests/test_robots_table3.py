@@ -135,35 +135,6 @@ def test_what_cannot_be_run_is_refused_in_one_line(monkeypatch, capsys, words, s
     assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("name", "words", "says"),
-    [
-        ("film_robot", "run.avi", "run.avi is no film"),
-        ("film_robot", "run.gif tank", "invalid choice: 'tank'"),
-        ("film_robot", "run.gif husky --trial -1", "--trial is -1"),
-        ("film_robot", "run.gif husky", "jaxlangnav[robot]"),
-        ("film_robot", "run.html wheelchair", "jaxlangnav[robot]"),
-        ("measure_odometry", "0", "drives is 0"),
-        ("measure_odometry", "3", "jaxlangnav[robot]"),
-        ("measure_detector", "x", "invalid int value: 'x'"),
-        ("measure_detector", "3", "jaxlangnav[robot]"),
-    ],
-)
-def test_scripts_refuse_in_one_line(monkeypatch, capsys, name, words, says, tmp_path) -> None:
-    hide(monkeypatch, "mujoco", "cv2")
-    monkeypatch.setattr("sys.argv", [name, *words.split()])
-    monkeypatch.chdir(tmp_path)
-    try:
-        code = importlib.import_module(name).main()
-    except SystemExit as refused:
-        code = refused.code
-    assert code == 2
-    said = capsys.readouterr().err.splitlines()
-    assert says in said[-1]
-    assert all(line.startswith(("usage:", " ")) for line in said[:-1])
-    assert not list(tmp_path.iterdir())
-
-
 def test_plans_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match="trials is 0"):
         TrialPlan(trials=0)

@@ -16,7 +16,6 @@ from jaxlangnav.grounding.model import (
     CorrespondenceModel,
     Vocabulary,
     feature_group,
-    word_features,
 )
 from jaxlangnav.training.examples import (
     Design,
@@ -277,9 +276,3 @@ def test_bad_requests_are_refused(small):
         )
     with pytest.raises(ValueError, match="no example has a symbol of kind 'smell'"):
         build_design(examples, ("object", "smell"), 3)
-
-
-def test_features_left_out_are_gone():
-    phrase = corpus(num_worlds=0, sentences=SMALL)[0].parse.clauses[0]
-    assert any(name.startswith("word=") for name in word_features(phrase))
-    assert not any(n.startswith("word=") for n in word_features(phrase, frozenset({"word"})))

@@ -18,15 +18,15 @@ from PIL import Image
 from recording_fixture import AREA, make_recording
 from rich.console import Console
 
-from jaxlangnav.grounding import load_shipped, understand_parse
-from jaxlangnav.grounding.symbols import AnnotationSpace, region_symbol, relation_symbol
+from jaxlangnav.grounding import understand_parse
+from jaxlangnav.grounding.symbols import AnnotationSpace, relation_symbol
 from jaxlangnav.language.parser import parse
-from jaxlangnav.messages import BEHIND, NEAR, ROBOT
+from jaxlangnav.messages import BEHIND
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import style, terminal
 from jaxlangnav.viz.film import write_film
-from jaxlangnav.viz.graph import _phrase_beliefs, _symbol_name, graph_figure
-from jaxlangnav.viz.html import _page_data, _render_html, write_graph, write_html
+from jaxlangnav.viz.graph import _phrase_beliefs, graph_figure
+from jaxlangnav.viz.html import _page_data, _render_html, write_html
 from jaxlangnav.viz.rrd import write_rrd
 
 
@@ -59,15 +59,6 @@ def test_the_arrow_turns_with_the_robot(heading, arrow):
     one = make_recording(3, 5)
     frame = replace(one.at(0), heading=np.float32(heading))
     assert arrow in terminal._draw_map(one.scene, frame, width=30).plain
-
-
-def test_looked_at_ground_is_blank():
-    one = make_recording(3, 5)
-    nothing = np.zeros_like(one.at(0).is_hypothesised)
-    frame = replace(one.at(0), is_hypothesised=nothing)
-    text = terminal._draw_map(one.scene, frame, width=40).plain
-    share = text.count("·") / (text.count("·") + text.count(" "))
-    assert share == pytest.approx(np.mean(frame.miss >= 0.5), abs=0.08)
 
 
 def test_letters_are_unique():
@@ -189,18 +180,6 @@ def test_no_symbols_are_refused(model):
         graph_figure(parse("go to the hydrant"), model, num_symbols=0)
 
 
-def test_symbol_names():
-    types = load_shipped().type_names
-    assert _symbol_name(relation_symbol(0, BEHIND, 1), types) == "hydrant behind cone"
-    assert _symbol_name(region_symbol(NEAR, ROBOT), types) == "near robot"
-
-
-def test_it_is_written(model, tmp_path):
-    paths = write_graph(parse(PAPER), model, tmp_path)
-    assert [path.name for path in paths] == ["graph.png", "graph.svg"]
-    assert all(path.stat().st_size > 1000 for path in paths)
-
-
 # ---------------------------------------------------------------- the page
 
 HOSTILE = "</script><script>alert(1)</script><!-- __DATA__ __TITLE__ \x1b[31m \u202e <b> & \"'"
@@ -271,13 +250,6 @@ def test_pictures_of_a_robot_go_with_their_steps():
     assert kept == [step["From outside"] for step in pictures]
     assert data["outcome"] == "blocked"
     assert data["closing"][0] == "Blocked: <no way>."
-
-
-def test_no_hypotheses_at_all():
-    one = make_recording(3, 5)
-    frames = one.frames
-    object.__setattr__(frames, "is_hypothesised", np.zeros_like(frames.is_hypothesised))
-    assert _page_data(one)["num_mentions"] == 0
 
 
 def test_200_steps_of_256_particles_are_small(tmp_path):
