@@ -54,6 +54,24 @@ def crosses(p: np.ndarray, q: np.ndarray, wall: tuple[float, ...]) -> np.ndarray
     return (side(p, q, a) != side(p, q, b)) & (side(a, b, p) != side(a, b, q))
 
 
+def test_a_body_goes_as_far_as_no_wall_is_in_its_way() -> None:
+    """Against the first of 800 parts of the way, and of a body's radius more, that is crossed."""
+    generator, body = np.random.default_rng(4), 0.25
+    ends = [tuple(generator.uniform(-3, 3, 4)) for _ in range(4)]
+    p, q = generator.uniform(-4, 4, (2, 300, 2))
+    length = np.hypot(*(q - p).T)
+    reach, parts = 1.0 + body / length, np.linspace(0.0, 1.0, 801)[:, None, None]
+    there = p + parts * reach[:, None] * (q - p)
+    hit = np.any([crosses(np.broadcast_to(p, there.shape), there, wall) for wall in ends], axis=0)
+    first = np.where(hit.any(axis=0), hit.argmax(axis=0) / 800, np.inf)
+    expected = np.clip(reach * first - body / length, 0.0, 1.0)
+    way = Stretch(*(jnp.asarray(one, jnp.float32) for one in (*p.T, *q.T)))
+    share = walls(*ends).clear_share(way, body)
+    assert 0.1 < np.mean(expected < 1.0) < 0.9
+    np.testing.assert_allclose(share, expected, atol=2e-3 * reach.max())
+    assert OpenField().clear_share(way, body) is None
+
+
 def test_what_is_behind_a_wall_is_not_seen() -> None:
     generator = np.random.default_rng(0)
     ends = [tuple(generator.uniform(-5, 5, 4)) for _ in range(6)]

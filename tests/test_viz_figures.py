@@ -1,5 +1,6 @@
 """Figures: what is drawn is what was recorded, point by point; files are whole."""
 
+import dataclasses
 import sys
 import xml.etree.ElementTree as ET
 
@@ -11,8 +12,11 @@ from PIL import Image
 from recording_fixture import make_recording
 
 from jaxlangnav.pytree import replace
+from jaxlangnav.terrain.geodesic import among_walls
 from jaxlangnav.viz import html, mapping, panels, style
+from jaxlangnav.viz.narrative import narrate
 from jaxlangnav.viz.panels import belief_figure, values_figure
+from jaxlangnav.viz.sentences import bumped
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +117,22 @@ def test_the_best_waypoints_are_numbered_where_they_stand(one):
     assert [(text.get_text(), text.xy) for text in axes.texts] == [
         (str(rank), place) for rank, place in enumerate(places, start=1)
     ]
+
+
+def test_walls_are_drawn_and_told_and_one_that_halts_the_robot_too():
+    one = make_recording(9, 20)
+    x, y = one.frames.position[3] + [0.25, 0.0]
+    terrain = among_walls((x, y - 2, x, y + 2), (0, 5, 3, 5))
+    scene = dataclasses.replace(one.scene, scenario=replace(one.scene.scenario, terrain=terrain))
+    one = dataclasses.replace(one, scene=scene)
+    axes = axes_of(one)
+    panels.draw_belief(axes, one, 3)
+    drawn = [line.get_xydata().tolist() for line in axes.lines if line.get_color() == style.WALL]
+    assert drawn == pytest.approx(np.reshape(terrain.view.ends[:2], (2, 2, 2)))
+    assert "2 walls and nothing that stands there" in narrate(one)[3]
+    halts = [step for step, now in enumerate(one.moments) if bumped(now)]
+    assert 3 in halts
+    assert html._page_data(one)["walls"] == terrain.view.ends[:2].tolist()
 
 
 @pytest.mark.parametrize("policy", ["faithful", "informed"])

@@ -24,7 +24,8 @@ from jaxlangnav.world.files import (
     world_to_dict,
 )
 from jaxlangnav.world.scenario import sample_scenario
-from jaxlangnav.world.state import CONE, HYDRANT
+from jaxlangnav.world.simulator import known_distance
+from jaxlangnav.world.state import CONE, HYDRANT, walls_of
 from jaxlangnav.world.templates import Template
 
 YARD = """
@@ -147,6 +148,21 @@ def test_open_world_tells_templates_shipped_worlds_and_files_apart(tmp_path: Pat
         open_world("gone.toml")
 
 
+def test_walls_are_read_known_and_written_back(tmp_path: Path) -> None:
+    """One straight across the way: round an end of it, and 0.2 m past that."""
+    ends = "[[4, -1], [4, 2]]", "[[8, 0], [8, 1]]"
+    walls = "".join(f"[[walls]]\nends = {one}\n" for one in ends)
+    world = load_world(write(tmp_path, YARD + walls))
+    np.testing.assert_array_equal(walls_of(world.scenario), [[4, -1, 4, 2], [8, 0, 8, 1]])
+    start, goal, turn = world.scenario.start[:2], world.scenario.goal, np.array([4.0, -1.2])
+    straight = np.hypot(*(goal - start))
+    around = np.hypot(*(turn - start)) + np.hypot(*(goal - turn))
+    assert straight < float(known_distance(world.scenario)) <= around + 0.5
+    save_world(world, tmp_path / "again.toml")
+    chex.assert_trees_all_equal(load_world(tmp_path / "again.toml").scenario, world.scenario)
+    assert len(walls_of(open_world("yard").scenario)) == 0
+
+
 def change(table: dict, where: str, value: object) -> dict:
     """Set the key at a dotted place; a value of ``...`` deletes it."""
     table = copy.deepcopy(table)
@@ -188,6 +204,9 @@ COMPLAINTS = [
     ("sensor.range", 0, "sensor.range is 0, but must be a number, at least 0.01"),
     ("sensor.noise", 5.5, "sensor.noise is 5.5, but must be at most 5, the range"),
     ("instruction", " ", "instruction is ' ', but must be a text that is not empty"),
+    ("walls", [{"ends": [[1, 1], [99, 1]]}], r"walls\[0\].ends.x is 99.0, but the area reaches"),
+    ("walls", [{"ends": [[1, 1], [1, 1]]}], r"walls\[0\].ends are both \[1.0, 1.0\]: give two"),
+    ("walls", [{"ends": [[1, 1]]}], r"walls\[0\].ends has 1 entries, but must have 2"),
     ("robots", 1, "robots is unknown: known keys are area, goal, instruction"),
     ("area.x_max", 10**400, "x_max is a whole number of 1329 bits, but must be"),
     ("name", "\x1b]0;title\x07", r"name has the control character U\+001B at place 1: remove"),

@@ -95,7 +95,7 @@ class Follow:
         from jaxlangnav.experiments.policies import without_compass
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import alone, rehearse
-        from jaxlangnav.task.opening import refuse_what_it_lacks, slots_of
+        from jaxlangnav.task.opening import emptied, refuse_what_it_lacks
         from jaxlangnav.task.talk import roomy
 
         refuse_what_it_lacks(self.world, understood)
@@ -105,7 +105,7 @@ class Follow:
             speech.check_script(script, grounder, understood)
             understood = roomy(understood)
             heard = {"script": script, "grounder": grounder, "first": understood}
-        rehearse(alone(understood), slots_of(self.world), **sizes)
+        rehearse(alone(understood), emptied(self.world), **sizes)
         prepared = self._open(understood, output)
         prepared, sizes["params"] = equip(prepared, values, params=sizes["params"])
         sizes["config"] = without_compass(sizes["config"], prepared.task.motion)

@@ -17,7 +17,7 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import HOLONOMIC, Body
+from jaxlangnav.world.motion import HOLONOMIC, Body, halted
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -121,7 +121,8 @@ def cycle(
     state, action, info = navigator.step(
         decide_key, progress.navigator, observation, params=params, config=config
     )
-    world = task.body.move(move_key, progress.world, action, task.motion)
+    moved = task.body.move(move_key, progress.world, action, task.motion)
+    world = halted(progress.world, moved, task.scenario.terrain)
     sums = count(progress, info)
     after = replace(progress, navigator=state, world=world, steps=progress.steps + 1, **sums)
     return after, info, observation

@@ -22,7 +22,7 @@ from jaxlangnav.planner.policy import Portrayal
 from jaxlangnav.planner.termination import missing_types
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import Scenario, walls_of
 
 Leaf: TypeAlias = Any  # a JAX array inside the compiled cycle, a NumPy array in a recording
 
@@ -123,6 +123,11 @@ class StaticScene:
         """The operating area, x_min, x_max, y_min, y_max, metres."""
         x_min, x_max, y_min, y_max = (float(edge) for edge in self.scenario.area)
         return x_min, x_max, y_min, y_max
+
+    @property
+    def walls(self) -> np.ndarray:
+        """The walls there, f32[W, 4], x, y of both ends, metres."""
+        return walls_of(self.scenario)
 
     def type_name(self, object_type: int) -> str:
         """Name an object type; "thing" where the index is unknown."""

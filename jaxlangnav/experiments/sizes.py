@@ -21,7 +21,7 @@ from jaxlangnav.grounding.instruction import pack_instruction
 from jaxlangnav.grounding.readings import pad_readings
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.world.state import NUM_SLOTS, empty_scenario
+from jaxlangnav.world.state import Scenario, empty_scenario
 
 SCRATCH = 8.5
 """Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a
@@ -127,11 +127,11 @@ def _progress(config: NavigatorConfig) -> Any:
     return jax.eval_shape(functools.partial(begin, config=config), jax.eval_shape(any_task), some)
 
 
-def any_task(num_slots: int = NUM_SLOTS) -> Task:
-    """Build a task in an empty world: all of as many slots have the same shapes."""
+def any_task(scenario: Scenario | None = None) -> Task:
+    """Build a task, in an empty world by default: all of as many slots have the same shapes."""
     return Task(
         key=jax.random.key(0),
-        scenario=empty_scenario(num_slots),
+        scenario=empty_scenario() if scenario is None else scenario,
         instruction_index=jax.device_put(np.int32(0)),
         sensor=default_sensor(),
         motion=default_motion(),

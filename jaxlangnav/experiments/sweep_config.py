@@ -50,7 +50,7 @@ from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator.deployment import FIELDS
 from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
 from jaxlangnav.world.scenario import scenario_law
-from jaxlangnav.world.state import NUM_SLOTS
+from jaxlangnav.world.state import NUM_SLOTS, walls_of
 from jaxlangnav.world.templates import Template, check_relation
 
 _LARGEST_FILE = 1 << 20  # bytes of a configuration
@@ -195,6 +195,11 @@ def _open_worlds(
             raise ValueError(
                 f"world {cut(entry)} has {number} objects, but a sweep's worlds have at most "
                 f"{NUM_SLOTS}: remove some, or run it alone with jaxlangnav follow --world"
+            )
+        if len(walls_of(found.scenario)):
+            raise ValueError(
+                f"world {cut(entry)} has walls, which a sweep's worlds have not: run it alone with "
+                "jaxlangnav follow --world"
             )
         if not found.has_goal:
             raise ValueError(

@@ -36,7 +36,7 @@ from jaxlangnav.task.opening import (
 )
 from jaxlangnav.world.files import open_world
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
-from jaxlangnav.world.state import NUM_SLOTS
+from jaxlangnav.world.state import NUM_SLOTS, Scenario
 from jaxlangnav.world.templates import Template
 
 
@@ -133,17 +133,17 @@ def alone(understood: Understanding) -> Instruction:
 
 
 def rehearse(
-    instructions: Instruction, num_slots: int, *, params: NavigatorParams, config: NavigatorConfig
+    instructions: Instruction, empty: Scenario, *, params: NavigatorParams, config: NavigatorConfig
 ) -> None:
     """Load or compile the decision cycle in a thread, while other things are done.
 
     A step of an episode in an empty world asks for it: shapes are the same for every sentence,
-    leaves [1, …], in every world with as many slots. Where no programs are kept nothing is done, as
-    two threads would compile the same.
+    leaves [1, …], in every world with as many slots and walls. Where no programs are kept nothing
+    is done, as two threads would compile the same.
     """
     if cache_dir() is None:
         return
-    task = any_task(num_slots)
+    task = any_task(empty)
 
     def step() -> None:
         # What goes wrong here goes wrong again where it is asked for, and is told there.

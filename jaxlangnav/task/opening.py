@@ -21,7 +21,7 @@ from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import is_among, meant_goals, place_scenario, with_goal
 from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
-from jaxlangnav.world.state import NUM_SLOTS, Scenario
+from jaxlangnav.world.state import Scenario, empty_scenario
 from jaxlangnav.world.templates import Template
 
 AnnotationDocument = Mapping[str, Any]
@@ -110,10 +110,12 @@ def detector_of(world: str, type_names: Sequence[str]) -> Detector:
     return Detector(type_names)
 
 
-def slots_of(world: str) -> int:
-    """Tell how many object slots a world has: what its compiled programs go by."""
+def emptied(world: str) -> Scenario:
+    """Take all things out of a world; its slots and walls are what compiled programs go by."""
     place = open_world(world)
-    return place.scenario.is_object.size if isinstance(place, WorldFile) else NUM_SLOTS
+    if not isinstance(place, WorldFile):
+        return empty_scenario()
+    return replace(empty_scenario(place.scenario.is_object.size), terrain=place.scenario.terrain)
 
 
 def sensor_of(world: str, sensing_range: float | None) -> SensorParams:

@@ -8,12 +8,14 @@ worked out once (Floyd and Warshall), and any other way is the straight line, or
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
+from jaxlangnav.terrain import Terrain
 from jaxlangnav.terrain.view import NEVER, Eye, StraightLines, Stretch, View
-from jaxlangnav.terrain.walls import Walls
+from jaxlangnav.terrain.walls import Walls, walls
 
 CLEARANCE = 0.2
 """Metres past a wall's end at which a way turns round it."""
@@ -107,3 +109,22 @@ def geodesic(walls: Walls) -> Geodesic:
     ways = jax.lax.fori_loop(0, x.size, through, start) if x.size else start
     between = jnp.minimum(ways, NEVER)
     return Geodesic(walls=walls, turn_x=x, turn_y=y, between=between)
+
+
+_COUNTS = (4, 8, 16, 32)
+"""Walls to which fewer are filled up, so that places of like numbers share compiled programs."""
+
+
+def among_walls(*ends: tuple[float, float, float, float]) -> Terrain:
+    """Build a place of straight walls, of x, y of one end and of the other, metres, map frame.
+
+    Host only. The last wall stands there again until there are 4, 8, 16 or 32.
+
+    Raises:
+        ValueError: none, more than 32, or one that is not four finite numbers.
+    """
+    if not 0 < len(ends) <= _COUNTS[-1]:
+        raise ValueError(f"there are {len(ends)} walls, but must be 1 to {_COUNTS[-1]}")
+    number = next(size for size in _COUNTS if size >= len(ends))
+    there = walls(*ends, *[ends[-1]] * (number - len(ends)))
+    return jax.tree.map(np.asarray, Terrain(view=there, travel=geodesic(there)))

@@ -66,6 +66,10 @@ class View(Protocol):
         """
         ...
 
+    def clear_share(self, stretch: Stretch, clearance: float) -> Array | None:
+        """Compute which share of straight stretches a body can go, f32[...]; None: all of each."""
+        ...
+
 
 @pytree
 class OpenField:
@@ -135,6 +139,9 @@ class OpenField:
             leave = along - jnp.sqrt(jnp.maximum(aside, 0.0)) * cotangent
             is_seen &= (enter + GLANCE <= leave) | (angle >= jnp.pi - 1e-3)
         return jnp.where(is_seen, enter, NEVER)
+
+    def clear_share(self, stretch: Stretch, clearance: float) -> None:
+        """Say that nothing is in the way."""
 
 
 def wrapped(angle: Array) -> Array:

@@ -62,6 +62,34 @@ class Walls:
         is_clear = (first < NEVER) & (self._past_shadows(entry, x, y) >= 0.0)
         return jnp.where(is_clear, first, found)
 
+    def clear_share(self, stretch: Stretch, clearance: float) -> Array:
+        """Compute which share of straight stretches a body can go before a wall, f32[...].
+
+            p + t (q − p) = a + u (b − a),   share = min_t (t − c / |q − p|) over 0 ≤ t, u ≤ 1
+
+        Limits: 1 where no wall is crossed; 0 for who stands within ``clearance`` c, metres, of the
+        wall that it makes for.
+        """
+        from_x, from_y, to_x, to_y = (end[None] for end in stretch)
+        length = jnp.sqrt((to_x - from_x) ** 2 + (to_y - from_y) ** 2 + 1e-12)
+        # Before a wall that ends at the clearance it halts, too.
+        reach = (length + clearance) / length
+        span_x, span_y = reach * (to_x - from_x), reach * (to_y - from_y)
+        one_x, one_y, other_x, other_y = (append_axes(end, span_x.ndim) for end in self.ends.T)
+        wall_x, wall_y, off_x, off_y = (
+            other_x - one_x,
+            other_y - one_y,
+            one_x - from_x,
+            one_y - from_y,
+        )
+        across = span_x * wall_y - span_y * wall_x
+        across = jnp.where(jnp.abs(across) < 1e-9, 1e-9, across)
+        along = (off_x * wall_y - off_y * wall_x) / across
+        at_wall = (off_x * span_y - off_y * span_x) / across
+        is_hit = (along >= 0.0) & (along <= 1.0) & (at_wall >= 0.0) & (at_wall <= 1.0)
+        share = jnp.where(is_hit, reach * along - clearance / length, 1.0)
+        return jnp.clip(jnp.min(share, axis=0), 0.0, 1.0)
+
     def is_between(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
         """Tell whether a wall stands between two points, bool[...]."""
         return self._past_shadows(Eye(from_x, from_y, jnp.float32(0.0)), to_x, to_y) < 0.0

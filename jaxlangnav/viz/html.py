@@ -73,6 +73,7 @@ def _page_data(recording: Recording) -> dict[str, Any]:
         "field_of_view": float(scene.sensor.field_of_view),
         "goal": [float(one) for one in scene.scenario.goal],
         "success_radius": scene.stop_radius,
+        "walls": scene.walls.tolist(),
         "truth": [
             {
                 "type": int(world.object_type[slot]),

@@ -13,7 +13,7 @@ from jaxlangnav.episode.recording import Frame, Recording, StaticScene
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.viz import style
 from jaxlangnav.viz.summary import seen_objects
-from jaxlangnav.world.state import Scenario, WorldState
+from jaxlangnav.world.state import Scenario, WorldState, walls_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,14 @@ def draw_ground(axes: "Axes", scene: StaticScene, frame: Frame) -> "AxesImage":
         interpolation="bilinear", zorder=0,
     )  # fmt: skip
     frame_area(axes, scene.area)
+    draw_walls(axes, scene.walls)
     return image
+
+
+def draw_walls(axes: "Axes", walls: np.ndarray) -> None:
+    """Draw walls, f32[W, 4], x, y of both ends, metres."""
+    for one_x, one_y, other_x, other_y in walls:
+        axes.plot([one_x, other_x], [one_y, other_y], color=style.WALL, linewidth=2.4, zorder=2)
 
 
 def frame_area(axes: "Axes", area: tuple[float, float, float, float]) -> None:
@@ -191,6 +198,7 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
         handle("way gone", linestyle="-", color=style.PATH, linewidth=1.1),
         handle("field of view", linestyle="--", color=style.VIEW, linewidth=0.9),
         handle("meant goal, 1.5 m", linestyle=":", color=style.MUTED, linewidth=1.0),
+        *[handle("wall", linestyle="-", color=style.WALL, linewidth=2.4)][: len(scene.walls)],
     ]
 
 
@@ -215,6 +223,7 @@ def drive_picture(
         canvas = FigureCanvasAgg(figure)
         frame_area(axes, (x_min, x_max, y_min, y_max))
         _draw_world(axes, scenario)
+        draw_walls(axes, walls_of(scenario))
         draw_view(axes, sensor, world)
         axes.plot(way[:, 0], way[:, 1], color=style.PATH, linewidth=1.1, zorder=4)
         draw_robot(axes, world)

@@ -89,8 +89,9 @@ def opening(scene: StaticScene) -> list[str]:
         if others:
             lines.append(f"It may also mean {', or '.join(others)}.")
     lines.append(
-        f"It knows the edges of its area, {x_max - x_min:.1f} m by {y_max - y_min:.1f} m, and "
-        f"nothing that stands there; it sees {float(scene.sensor.range_max):.1f} m far."
+        f"It knows the edges of its area, {x_max - x_min:.1f} m by {y_max - y_min:.1f} m, "
+        f"{sentences.walls_told(scene)}and nothing that stands there; it sees "
+        f"{float(scene.sensor.range_max):.1f} m far."
     )
     return lines
 
@@ -110,6 +111,7 @@ def tell_step(moment: Moment) -> list[str]:
     told = [
         *heard,
         turned if is_same and turns else "",
+        sentences.bumped(moment),
         sentences.seen(moment),
         sentences.refuted(moment),
         sentences.reread(moment) if is_same else "",
@@ -228,6 +230,8 @@ def _is_quiet(moment: Moment) -> bool:
     if int(frame.status) in (Status.HALTED, Status.IDLE):
         return int(frame.status) == int(before.status)
     if bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
+        return False
+    if sentences.bumped(moment):
         return False
     if bool(frame.is_done):
         return bool(before.is_done) and int(frame.status) == int(before.status)

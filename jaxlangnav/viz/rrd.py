@@ -69,6 +69,9 @@ def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
     corners = _flat([x_min, x_max, x_max, x_min, x_min], [y_min, y_min, y_max, y_max, y_min])
     edge = rerun.LineStrips3D([corners], colors=_rgba(style.MUTED), radii=0.02)
     stream.log("world/area", edge, static=True)
+    walls = [_flat(one[::2], one[1::2]) for one in scene.walls]
+    barrier = rerun.LineStrips3D(walls, colors=_rgba(style.WALL), radii=0.05)
+    stream.log("world/walls", barrier, static=True)
     kinds = [int(one) for one in world.object_type[is_in]]
     truth = rerun.Points3D(
         _flat(world.object_x[is_in], world.object_y[is_in]),

@@ -30,6 +30,7 @@ LINE = "#d5d8dd"
 PAPER = "#ffffff"
 UNSEEN = "#dfe3e8"  # ground that nobody has looked at
 PATH = "#1f2328"
+WALL = "#4b3621"
 VIEW = "#7aa6c2"  # the field of view
 GOOD = "#009e73"
 BAD = "#b3261e"

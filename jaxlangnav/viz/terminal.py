@@ -61,6 +61,10 @@ def _draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
         cells[row][column], looks[row][column] = character, look
 
     _shade(scene, frame, cells, looks)
+    for one_x, one_y, other_x, other_y in scene.walls:
+        for part in np.linspace(0.0, 1.0, 2 * width):
+            x, y = one_x + part * (other_x - one_x), one_y + part * (other_y - one_y)
+            put(float(x), float(y), "█", "grey30")
     names = _letters(scene)
     for one in summary.seen_objects(frame):
         letter = names.get(one.object_type, "?")

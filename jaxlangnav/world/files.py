@@ -29,6 +29,9 @@ clockwise from +x); the map frame is the file's own.
     colour = "red"                     # optional, as are material, size and height:
                                        # what the detector reports of it (``ATTRIBUTES``)
 
+    [[walls]]                          # optional, up to 32: they hide what is behind them and halt
+    ends = [[4.0, -2.0], [4.0, 2.0]]   # the robot, which knows them; x and y of both ends
+
     [sensor]                           # optional, each key too
     range = 3.0
     field_of_view = 360.0

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import Action, MotionParams, Status
-from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain.view import wrapped
+from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.terrain import Terrain
+from jaxlangnav.terrain.view import Stretch, wrapped
 from jaxlangnav.world.state import WorldState
 
 
@@ -101,6 +102,28 @@ def _driven(
         heading=heading + error + drift,
         odometry=jnp.stack([state.odometry[0] + step[0], state.odometry[1] + step[1], heading]),
         distance=state.distance + jnp.hypot(displacement[0], displacement[1]),
+    )
+
+
+BODY_RADIUS = 0.25
+"""Metres from a wall at which the middle of a robot is halted by it."""
+
+
+def halted(before: WorldState, after: WorldState, terrain: Terrain) -> WorldState:
+    """Halt a robot at the first wall in its way; its wheels stand there, too.
+
+    Limits: where no wall is in the way nothing changes.
+    """
+    way = Stretch(*before.position, *after.position)
+    share = terrain.view.clear_share(way, BODY_RADIUS)
+    if share is None:
+        return after
+    odometry = before.odometry + share * (after.odometry - before.odometry)
+    return replace(
+        after,
+        position=before.position + share * (after.position - before.position),
+        odometry=odometry.at[2].set(after.odometry[2]),
+        distance=before.distance + share * (after.distance - before.distance),
     )
 
 

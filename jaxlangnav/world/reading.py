@@ -20,8 +20,11 @@ from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.messages import DRIFTS, NONE, MotionParams, SensorParams
-from jaxlangnav.world.state import Scenario, placed
+from jaxlangnav.terrain import OPEN
+from jaxlangnav.terrain.geodesic import among_walls
+from jaxlangnav.world.state import Scenario, placed, walls_of
 
+MOST_WALLS = 32
 MOST_OBJECTS = SLOTS[-1]
 """Objects of a world file: as many as may be in view."""
 _NARROWEST = 0.1
@@ -101,6 +104,14 @@ class _Object(Schema, omit_defaults=True, kw_only=True):
         return {group: word for group, word in found.items() if word is not None}
 
 
+class _Wall(Schema):
+    ends: tuple[tuple[_Place, _Place], tuple[_Place, _Place]]
+
+    def __post_init__(self) -> None:
+        if self.ends[0] == self.ends[1]:
+            raise ValueError(f"ends are both {list(self.ends[0])}: give two places")
+
+
 class _Sensor(Schema):
     range_max: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] = field(default=3.0, name="range")
     field_of_view: Annotated[float, Meta(ge=0.1, le=360.0)] = 360.0
@@ -151,6 +162,7 @@ class _World(Schema, omit_defaults=True, kw_only=True):
     sensor: _Sensor = field(default_factory=_Sensor)
     motion: _Motion = field(default_factory=_Motion)
     objects: Annotated[list[_Object], Meta(min_length=1, max_length=MOST_OBJECTS)]
+    walls: Annotated[list[_Wall], Meta(max_length=MOST_WALLS)] = field(default_factory=list)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -212,6 +224,9 @@ def _to_world(world: _World, stem: str) -> WorldFile:
         if one.name and twin < index:
             raise ValueError(f"{where}.name is {one.name!r} as is objects[{twin}]: rename one")
         types.append(_type_index(one.type, type_names, where))
+    for index, one in enumerate(world.walls):
+        for place in one.ends:
+            world.area.check(f"walls[{index}].ends", *place)
     goal, goal_index = _goal(world, start, names)
     codes = [attributes(*one.looks.values()) for one in world.objects]
     codes += [0] * (num_slots - number)
@@ -226,6 +241,9 @@ def _to_world(world: _World, stem: str) -> WorldFile:
             goal_index=np.asarray(goal_index, np.int32),
             start=np.array([start.x, start.y, math.radians(start.heading)], np.float32),
             object_attribute=np.array(codes, np.int32) if any(codes) else None,
+            terrain=among_walls(*((*a, *b) for a, b in (one.ends for one in world.walls)))
+            if world.walls
+            else OPEN,
         ),
         sensor=SensorParams(**_to_arrays(world.sensor)),
         motion=MotionParams(**_to_arrays(world.motion)),
@@ -303,6 +321,10 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
                 **{str(group_of(word)): word for word in words_of(int(codes[slot]))},
             )
             for slot in np.flatnonzero(np.asarray(scenario.is_object))
+        ],
+        walls=[
+            _Wall(ends=((_decimal(a), _decimal(b)), (_decimal(c), _decimal(d))))
+            for a, b, c, d in walls_of(scenario)
         ],
     )
     return to_builtins(table)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import MotionParams
-from jaxlangnav.world.motion import carry_out, plain_action
+from jaxlangnav.world.motion import carry_out, halted, plain_action
 from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
@@ -51,9 +51,8 @@ class _Drive(NamedTuple):
 
 
 def known_distance(scenario: Scenario) -> Array:
-    """Measure the straight way from start to goal, f32[] metres: the least any robot travels."""
-    offset = scenario.goal - scenario.start[:2]
-    return jnp.hypot(offset[0], offset[1])
+    """Measure the shortest way from start to goal, f32[] metres: the least any robot travels."""
+    return scenario.terrain.travel.metres(*scenario.start[:2], *scenario.goal)
 
 
 def drive_known_map(
@@ -73,10 +72,11 @@ def drive_known_map(
 
     def advance(drive: _Drive) -> _Drive:
         # It is localised in its map, so it steers by the true offset.
-        offset = scenario.goal - drive.state.position
-        action = plain_action(scenario.goal, offset, jnp.array(False))
+        here, terrain = drive.state.position, scenario.terrain
+        place = jnp.stack(terrain.travel.next_place(*here, *scenario.goal))
+        action = plain_action(scenario.goal, place - here, jnp.array(False))
         key_step = jax.random.fold_in(key, drive.num_steps)
-        state = carry_out(key_step, drive.state, action, motion)
+        state = halted(drive.state, carry_out(key_step, drive.state, action, motion), terrain)
         return _Drive(state=state, num_steps=drive.num_steps + 1)
 
     start = _Drive(state=reset(scenario), num_steps=jnp.int32(0))

@@ -101,3 +101,9 @@ def placed(
 def empty_scenario(number: int = NUM_SLOTS) -> Scenario:
     """Build a place without objects, on the host; of the shapes of one with so many slots."""
     return placed(slots=number)
+
+
+def walls_of(scenario: Scenario) -> np.ndarray:
+    """List the walls of a place, f32[W, 4], x, y of both ends, metres (host); each once."""
+    ends = np.asarray(getattr(scenario.terrain.view, "ends", np.zeros((0, 4), np.float32)))
+    return ends[np.sort(np.unique(ends, axis=0, return_index=True)[1])]
