@@ -21,7 +21,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.follow import judged, usual_engine
 from jaxlangnav.task.labelled import meant_goals
-from jaxlangnav.task.opening import Prepared, detector_of, open_task, slots_of
+from jaxlangnav.task.opening import Prepared, detector_of, emptied, open_task
 from jaxlangnav.viz.narrative import closing
 
 COMMAND = "go to the hydrant behind the cone"
@@ -284,7 +284,7 @@ def test_a_world_without_a_goal_is_not_judged_where_several_fit_alike(tmp_path: 
 def test_crowded_worlds_get_the_sizes_for_places_as_they_are(number, slots, tmp_path):
     world = bare(tmp_path / "bare.toml", number)
     params, config = usual_engine(world, "informed", 32)
-    assert slots_of(world) == slots
+    assert emptied(world).is_object.shape == (slots,)
     assert config.map.num_particles == 32
     assert config.map.has_doubts == (slots > 8)
     # The search prior is of the worlds of the templates: nowhere else is it of use.
