@@ -7,6 +7,7 @@ it stopped. Every number comes from the recording; nothing is made up for the oc
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
@@ -14,9 +15,11 @@ from jaxlangnav.episode.recording import Frame, Moment, Recording, Remark, Stati
 from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
+from jaxlangnav.terrain.view import Stretch
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.sentences import percent
 from jaxlangnav.viz.summary import explored_share, pick_moments as pick_moments
+from jaxlangnav.world.motion import BODY_RADIUS
 
 _ENDED = {
     int(Status.NOT_FOUND): "gives up",
@@ -88,9 +91,11 @@ def opening(scene: StaticScene) -> list[str]:
             lines.append(f"It is to {'; then to '.join(commands)}.")
         if others:
             lines.append(f"It may also mean {', or '.join(others)}.")
+    number = len(scene.walls)
+    walls = f"{sentences.counted(['wall'] * number)} " if number else ""
     lines.append(
         f"It knows the edges of its area, {x_max - x_min:.1f} m by {y_max - y_min:.1f} m, "
-        f"{sentences.walls_told(scene)}and nothing that stands there; it sees "
+        f"{walls}and nothing that stands there; it sees "
         f"{float(scene.sensor.range_max):.1f} m far."
     )
     return lines
@@ -111,7 +116,7 @@ def tell_step(moment: Moment) -> list[str]:
     told = [
         *heard,
         turned if is_same and turns else "",
-        sentences.bumped(moment),
+        _bumped(moment),
         sentences.seen(moment),
         sentences.refuted(moment),
         sentences.reread(moment) if is_same else "",
@@ -222,6 +227,18 @@ def tell_on(
         yield moment.frame, moment.result
 
 
+def _bumped(moment: Moment) -> str:
+    """Tell that a wall has halted the robot on its way to where it went last."""
+    frame, before = moment.frame, moment.before
+    if before is None or not len(moment.scene.walls):
+        return ""
+    here = np.asarray(frame.position)
+    ends = jnp.asarray([*here, *(here + before.waypoint - before.position)])
+    way = Stretch(*ends)
+    share = moment.scene.scenario.terrain.view.clear_share(way, BODY_RADIUS + 0.01)
+    return "A wall has halted it." if share is not None and float(share) == 0.0 else ""
+
+
 def _is_quiet(moment: Moment) -> bool:
     """Tell whether nothing worth a line of its own happened in a step."""
     frame, before = moment.frame, moment.before
@@ -231,7 +248,7 @@ def _is_quiet(moment: Moment) -> bool:
         return int(frame.status) == int(before.status)
     if bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
         return False
-    if sentences.bumped(moment):
+    if _bumped(moment):
         return False
     if bool(frame.is_done):
         return bool(before.is_done) and int(frame.status) == int(before.status)

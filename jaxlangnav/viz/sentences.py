@@ -5,7 +5,6 @@
 
 import math
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode.recording import Frame, Moment, Remark, StaticScene, missing_names
@@ -14,9 +13,7 @@ from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, ROBOT, Fault, Status
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
 from jaxlangnav.relations.table import REGISTRY
-from jaxlangnav.terrain.view import Stretch
 from jaxlangnav.viz import summary
-from jaxlangnav.world.motion import BODY_RADIUS
 
 SUPERLATIVE_WORDS = {
     "front": "most in front of",
@@ -182,24 +179,6 @@ def heard(frame: Frame, said: Remark) -> str:
         things = [f"the {one.type_name} {_place(frame, one.x, one.y)}" for one in said.ruled_out]
         told.append(f"Rules out {listed(things)}.")
     return " ".join([*told, *(f"{note[:1].upper()}{note[1:]}." for note in said.notes)])
-
-
-def walls_told(scene: StaticScene) -> str:
-    """Count the walls, which are known to the robot: "3 walls "."""
-    number = len(scene.walls)
-    return f"{number} wall{'s' if number > 1 else ''} " if number else ""
-
-
-def bumped(moment: Moment) -> str:
-    """Tell that a wall has halted the robot on its way to where it went last."""
-    frame, before = moment.frame, moment.before
-    if before is None or not len(moment.scene.walls):
-        return ""
-    here = np.asarray(frame.position)
-    ends = jnp.asarray([*here, *(here + before.waypoint - before.position)])
-    way = Stretch(*ends)
-    share = moment.scene.scenario.terrain.view.clear_share(way, BODY_RADIUS + 0.01)
-    return "A wall has halted it." if share is not None and float(share) == 0.0 else ""
 
 
 def rests(frame: Frame) -> str:
