@@ -116,7 +116,7 @@ def tell_step(moment: Moment) -> list[str]:
     told = [
         *heard,
         turned if is_same and turns else "",
-        _bumped(moment),
+        bumped(moment),
         sentences.seen(moment),
         sentences.refuted(moment),
         sentences.reread(moment) if is_same else "",
@@ -227,7 +227,7 @@ def tell_on(
         yield moment.frame, moment.result
 
 
-def _bumped(moment: Moment) -> str:
+def bumped(moment: Moment) -> str:
     """Tell that a wall has halted the robot on its way to where it went last."""
     frame, before = moment.frame, moment.before
     if before is None or not len(moment.scene.walls):
@@ -248,7 +248,7 @@ def _is_quiet(moment: Moment) -> bool:
         return int(frame.status) == int(before.status)
     if bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
         return False
-    if _bumped(moment):
+    if bumped(moment):
         return False
     if bool(frame.is_done):
         return bool(before.is_done) and int(frame.status) == int(before.status)
