@@ -11,8 +11,8 @@ from test_semantic_map_words import ground_lanes
 
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import belief as beliefs, heading_bias, motion
+from jaxlangnav.semantic_map.motion import predict
 from jaxlangnav.semantic_map.observe import observe
-from jaxlangnav.semantic_map.predict import predict
 
 NUMBER = 4096
 FIRST, SECOND = np.array([2.5, 0.5]), np.array([1.3, 0.9])

@@ -1,5 +1,8 @@
 """No silent death: contradictions, overflow, NaN; what cannot be is left out, said, forgotten."""
 
+import functools
+
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,8 +12,8 @@ from hostile import MUTATIONS
 
 from jaxlangnav.messages import BEHIND, FRONT, NONE, ROBOT, Fault
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import gating
-from jaxlangnav.semantic_map.predict import predict
+from jaxlangnav.semantic_map import filter as semantic_filter, gating
+from jaxlangnav.semantic_map.motion import predict
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 BEHIND_CONE = by_hand.readings([[HYDRANT, CONE]], [[(0, BEHIND, 1, False)]])
@@ -175,12 +178,12 @@ def test_no_words() -> None:
 # ---------------------------------------------------------------- looks that cannot be
 
 GOOD = by_hand.observation(POSE, [(CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2)])
-SOUND = jax.jit(gating.gate_observation)
+SOUND = jax.jit(lambda belief, look, far: gating.gate(belief, gating.Look(look, far)))
 FAR = jnp.float32(1.5)
 
 
 def judge(look, belief=None, farthest=FAR) -> gating.Look:
-    return SOUND(belief or by_hand.begin((5.0, 0.0, 0.0)), look, farthest)
+    return SOUND(belief or by_hand.begin((5.0, 0.0, 0.0)), look, farthest)[1]
 
 
 def test_a_sound_look_is_believed_as_it_is() -> None:
@@ -257,7 +260,7 @@ def test_a_jump_is_doubted_once_and_taken_over_when_it_stands() -> None:
     assert int(first.fault) == Fault.JUMP
     assert not bool(first.is_jump)
     np.testing.assert_array_equal(first.observation.pose, POSE)
-    belief = replace(belief, reported_pose=first.reported_pose)
+    belief = SOUND(belief, away, FAR)[0]
     # Somewhere else again: doubted as before. Back where it was: as if nothing had been.
     other = by_hand.observation(np.array([9.0, 2.0, 0.0]), [])
     assert not bool(judge(other, belief).is_jump)
@@ -318,3 +321,16 @@ def test_places_of_the_wrong_shape_are_refused() -> None:
         gating.check_place((0.0, 0.0, 0.0), (0.0, 1.0))
     with pytest.raises(ValueError, match="pose is"):
         gating.check_place((0.0, 0.0), by_hand.AREA)
+
+
+def test_the_papers_step_has_no_components() -> None:
+    """It takes the same sound look as ours, and every look for sound."""
+    plain = jax.jit(functools.partial(semantic_filter.step, components=()))
+    sentence, numbers = by_hand.NULL, by_hand.params()
+    key, start = jax.random.key(0), by_hand.begin()
+    ours, theirs = (
+        run(key, start, sentence, GOOD, params=numbers) for run in (by_hand.step_one, plain)
+    )
+    chex.assert_trees_all_equal(ours[0].particles, theirs[0].particles)
+    nowhere = replace(GOOD, pose=jnp.full(3, jnp.nan))
+    assert not jnp.isfinite(plain(key, start, sentence, nowhere, params=numbers)[0].last_pose).any()

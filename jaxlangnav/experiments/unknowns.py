@@ -108,13 +108,8 @@ def _turned(tasks: Task, seed: int) -> Task:
     scenario, shape = tasks.scenario, tasks.instruction_index.shape
     key = jax.random.fold_in(jax.random.key(seed), 1)
     angle = jax.random.uniform(key, shape, maxval=2.0 * jnp.pi)
-    cosine, sine = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
-
-    def turn(x: Array, y: Array) -> tuple[Array, Array]:
-        return cosine * x - sine * y, sine * x + cosine * y
-
-    x, y = turn(scenario.object_x, scenario.object_y)
-    goal_x, goal_y = turn(scenario.goal[:, :1], scenario.goal[:, 1:])
+    x, y = rotated(scenario.object_x, scenario.object_y, angle[:, None])
+    goal_x, goal_y = rotated(scenario.goal[:, :1], scenario.goal[:, 1:], angle[:, None])
     depth = scenario.area[:, 1:2]
     is_inside = (jnp.maximum(jnp.abs(x), jnp.abs(y)) <= depth) | ~scenario.is_object
     turned = replace(

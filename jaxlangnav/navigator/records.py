@@ -19,8 +19,8 @@ from jaxlangnav.planner.params import PlannerParams, default_planner_params
 from jaxlangnav.planner.policy import Policy
 from jaxlangnav.pytree import field, pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
-from jaxlangnav.semantic_map.motion import rotated
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
+from jaxlangnav.terrain.view import rotated
 
 _MOST_LOOKED = 0.75  # share of the area beyond which a robot that waits as good as never stops
 

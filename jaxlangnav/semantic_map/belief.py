@@ -5,10 +5,10 @@ from jax import Array
 
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.coverage import Coverage
-from jaxlangnav.semantic_map.motion import rotated
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.unreferenced_objects import Bystanders
 from jaxlangnav.terrain import SensorModel, Terrain
+from jaxlangnav.terrain.view import rotated
 
 
 @pytree

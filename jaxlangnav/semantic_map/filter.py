@@ -5,6 +5,7 @@ re-ground the utterance in particles whose hypothesis was refuted (``proposal``)
 """
 
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import chex
@@ -20,16 +21,16 @@ from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, systematic
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import particle
-from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift, robot_position
+from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.components import COMPONENTS, Component
 from jaxlangnav.semantic_map.coverage import unexplored
-from jaxlangnav.semantic_map.gating import gate_observation, sound_place
-from jaxlangnav.semantic_map.heading_bias import switch_bias_hypothesis
+from jaxlangnav.semantic_map.gating import Look, sound_place
+from jaxlangnav.semantic_map.motion import drift_noise, predict
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, observe
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
-from jaxlangnav.semantic_map.predict import drift_noise, predict, with_drift
 from jaxlangnav.semantic_map.proposal.sparse_regrounding import Regrounded, reground
 from jaxlangnav.semantic_map.proposal.utterance import ground_words
-from jaxlangnav.semantic_map.unreferenced_objects import nobody, part, promote, remember_bystanders
+from jaxlangnav.semantic_map.unreferenced_objects import nobody
 from jaxlangnav.terrain import OPEN, POSITIONS, SensorModel, Terrain
 
 _RANGE = 1  # folded into the key of the detections for ranges that are not measured
@@ -102,42 +103,12 @@ def start(
     )
 
 
-def _part(
-    belief: ParticleBelief, observation: Observation, spoken: Array | None
-) -> tuple[ParticleBelief, Observation, Observation | None]:
-    """Part what the particles hold from bystanders, in the map and in what is seen now."""
-    if spoken is None or belief.bystanders.x.shape[0] == 0 or not belief.sensor_model.is_located:
-        return belief, observation, None
-    particles, known = promote(
-        belief.particles, belief.bystanders, spoken, belief.log_weight, belief.must_ground
-    )
-    return replace(belief, particles=particles, bystanders=known), *part(observation, spoken)
-
-
 def _num_pooled(belief: ParticleBelief, spoken: Array | None) -> Array:
     """Count the types of which things take slots, f32[]: those that the task speaks of."""
     if spoken is None:
         return belief.num_types.astype(jnp.float32)
     is_type = jnp.arange(spoken.shape[0]) < belief.num_types
     return jnp.maximum(jnp.sum(spoken & is_type), 1).astype(jnp.float32)
-
-
-def _remember(
-    belief: ParticleBelief, others: Observation | None
-) -> tuple[ParticleBelief, Array | int]:
-    """Remember bystanders that are seen; i32[] tells how many found no room."""
-    if others is None:
-        return belief, 0
-    weight, particles = jnp.exp(belief.log_weight), belief.particles
-    here, spread = robot_position(belief), particles.covariance[-1, -1]
-    if mean_drift(belief) is not None:
-        weight = jnp.where(is_led(belief), weight, 0.0)
-        weight = weight / jnp.maximum(jnp.sum(weight), 1e-30)
-        apart = (particles.mean_x[-1] - here[0]) ** 2 + (particles.mean_y[-1] - here[1]) ** 2
-        spread = spread + 0.5 * apart
-    robot = *here, jnp.sum(weight * spread)
-    known, num_lost = remember_bystanders(belief.bystanders, with_drift(belief, others), robot)
-    return replace(belief, bystanders=known), num_lost
 
 
 def _assert_arrays(belief: ParticleBelief, readings: Readings, observation: Observation) -> None:
@@ -190,8 +161,9 @@ def step(
     farthest: Array | None = None,
     spoken: Array | None = None,
     pools_counts: bool = False,
+    components: Sequence[Component] = COMPONENTS,
 ) -> tuple[ParticleBelief, FilterInfo]:
-    """Run one step: gate, predict (eq. 6), associate and weigh (7b, 8), re-ground (7a), resample.
+    """Run one step: predict (eq. 6), associate and weigh (7b, 8), re-ground (7a), resample.
 
     Args:
         key: random key, consumed.
@@ -204,22 +176,23 @@ def step(
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
         spoken: bool[T], types that the task speaks of, the others are bystanders; None: all.
         pools_counts: whether the types that it speaks of have one rate of how many there are.
+        components: what goes beyond the paper; the paper's step has none.
     """
     _assert_arrays(belief, readings, observation)
     number, was_told = belief.log_weight.shape[0], belief.must_ground
     keys = jax.random.split(key, 4)
     associate, keep, resample = _draw(keys, observation.detection_type.shape[0], number)
-    gated, log_weight = gate_observation(belief, observation, farthest), belief.log_weight
-    # Weights that are none become equal.
-    is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
-    log_weight = jnp.where(is_alive, log_weight, -jnp.log(float(number)))
-    belief = replace(belief, reported_pose=gated.reported_pose, log_weight=log_weight)
-    belief, seen, others = _part(belief, gated.observation, spoken)
+    look = Look(observation, farthest, spoken)
+    for component in components:
+        belief, look = component.admit(belief, look)
+    # Propose where the robot is (eq. 6) and what each detection is of (7b), and weigh (8).
     noise = drift_noise(keys[0], belief)
-    belief = predict(belief, seen.pose, gated.is_jump, noise, params=params)
+    belief = predict(belief, look.observation.pose, look.is_jump, noise, params=params)
     pooled = _num_pooled(belief, spoken) if pools_counts else None
-    belief, update = observe(associate, belief, seen, params=params, num_pooled=pooled)
-    belief, num_lost = _remember(belief, others)
+    belief, update = observe(associate, belief, look.observation, params=params, num_pooled=pooled)
+    for component in components:
+        belief, look = component.keep(belief, look)
+    # Propose what the words refer to (7a), where that was refuted.
     ground = functools.partial(
         ground_words, params=params, context=context, is_sparse=is_sparse, num_pooled=pooled
     )
@@ -227,13 +200,15 @@ def step(
     size = effective_sample_size(grounded.weight)
     is_resampled = size < params.resample_threshold * number
     belief = _resampled(resample, belief, grounded, is_resampled)
-    return switch_bias_hypothesis(belief), FilterInfo(
+    for component in components:
+        belief = component.settle(belief)
+    return belief, FilterInfo(
         effective_sample_size=size,
         is_resampled=is_resampled,
         num_regrounded=jnp.sum(grounded.is_fresh),
         log_language_evidence=grounded.log_language,
-        overflow=jnp.max(update.overflow) + num_lost,
-        fault=gated.fault + jnp.where(is_alive & ~grounded.is_dead, 0, int(Fault.WEIGHTS)),
+        overflow=jnp.max(update.overflow) + look.num_lost,
+        fault=look.fault | jnp.where(grounded.is_dead, int(Fault.WEIGHTS), 0),
         is_news=was_told | jnp.any(update.is_new),
         surprise=update.surprise,
         is_contradiction=update.surprise > LOG_CONTRADICTION,

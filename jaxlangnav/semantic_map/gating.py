@@ -84,12 +84,15 @@ def sound_place(pose: Array, area: Array) -> tuple[Array, Array, Array]:
 
 
 class Look(NamedTuple):
-    """What is believed of an observation."""
+    """An observation on its way through a step of the filter, and what is believed of it."""
 
-    observation: Observation  # as it came; or from where the robot last was, with its eyes shut
-    fault: Array  # i32[] bits of Fault; 0 for a sound look
-    reported_pose: Array  # f32[3] the pose that was reported, if it can be one at all
-    is_jump: Array  # bool[] the pose is one that the motion does not explain, and is taken over
+    observation: Observation  # as it came; then what the particles are updated by
+    farthest: Array | None = None  # f32[] metres the robot can have gone since; None: anywhere
+    spoken: Array | None = None  # bool[T] types that the task speaks of; None: all
+    fault: Array | int = 0  # i32[] bits of Fault; 0 for a sound look
+    is_jump: Array | bool = False  # bool[] motion does not explain the pose, which is taken over
+    others: Observation | None = None  # detections of types that the task does not speak of
+    num_lost: Array | int = 0  # i32[] of those, how many found no room
 
 
 def _is_sensor(sensor: SensorParams) -> Array:
@@ -135,19 +138,13 @@ def _is_within(pose: Array, other: Array, metres: Array) -> Array:
     return jnp.sum(span * span) <= metres * metres
 
 
-def gate_observation(
-    belief: ParticleBelief, observation: Observation, farthest: Array | None
-) -> Look:
-    """Hold every field of an observation against what it can be.
+def gate(belief: ParticleBelief, look: Look) -> tuple[ParticleBelief, Look]:
+    """Hold every field of an observation, which may be anything, against what it can be.
 
-    Args:
-        belief: at the last look.
-        observation: as it came; any of its fields may hold anything.
-        farthest: f32[], metres that the robot can have gone since the last look; None: anywhere.
-
-    Returns:
-        What is to be believed of it, all of it finite, and what was wrong.
+    What is to be believed of it, all of it finite: as it came, or from where the robot last was,
+    with its eyes shut; and what was wrong.
     """
+    observation, farthest = look.observation, look.farthest
     pose, last = observation.pose, belief.last_pose
     has_pose = is_pose(pose, belief.coverage.area)
     is_far = is_steady = jnp.asarray(False)
@@ -180,9 +177,6 @@ def gate_observation(
         is_detection=is_seen,
         sensor=sensor,
     )
-    return Look(
-        observation=believed,
-        fault=fault,
-        reported_pose=jnp.where(has_pose, pose, belief.reported_pose),
-        is_jump=is_jump,
-    )
+    reported = jnp.where(has_pose, pose, belief.reported_pose)
+    look = look._replace(observation=believed, fault=fault, is_jump=is_jump)
+    return replace(belief, reported_pose=reported), look

@@ -1,23 +1,71 @@
-"""Proposal for the robot's motion: a node and an edge, the old pose marginalised out (eq. 6).
+"""The robot's motion: a node and an edge, the old pose marginalised out (section 3.2, eq. 6).
 
 Without a compass the heading is dead-reckoned, too, and drifts. How far it has drifted acts on all
 that is seen and driven from then on by a rotation, which no Gaussian holds: every particle has a
-drift of its own, and what it sees again weighs it (FastSLAM; Montemerlo et al. 2002).
+drift of its own, and what it sees again weighs it (FastSLAM; Montemerlo et al. 2002). What is seen
+is told in the mean of them; ``headings`` says where each particle takes the robot to look.
 """
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import MotionParams
+from jaxlangnav.messages import MotionParams, Observation
 from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
+from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.terrain.view import rotated, wrapped
+
+_DRIFT = 1  # folded into the key of the detections for the drift of the heading
 
 
-def rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
-    """Turn offsets counter-clockwise, radians; exact where the angle is zero."""
-    cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    return cosine * x - sine * y, sine * x + cosine * y
+def predict(
+    belief: ParticleBelief,
+    pose: Array,
+    is_jump: Array | bool,
+    noise: Array | None = None,
+    *,
+    params: MapParams,
+) -> ParticleBelief:
+    """Move the robot in every particle by what odometry has measured since the last step.
+
+    The dead-reckoned pose is f32[3]; where it is a jump, bool[], the robot may be there or where it
+    was. Particles that hold a ``drift`` need ``noise``, f32[P], standard normal.
+    """
+    step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
+    share = jnp.where(is_jump, 1.0, params.motion.odometry_noise)
+    squared = step_x * step_x + step_y * step_y
+    variance, particles = (share**2) * squared, belief.particles
+    if noise is not None:
+        way, turn = jnp.sqrt(squared), wrapped(pose[2] - belief.last_pose[2])
+        drift = drifted(particles.drift, way, turn, noise, motion=params.motion)
+        # Over the step it is half of what has come in.
+        halfway = 0.5 * (particles.drift[:1] + drift[:1])
+        step_x, step_y = rotated(step_x, step_y, halfway)
+        particles = replace(particles, drift=drift)
+    moved = move(particles, step_x, step_y, variance)
+    return replace(belief, particles=moved, last_pose=pose)
+
+
+def drift_noise(key: Array, belief: ParticleBelief) -> Array | None:
+    """Draw by what the headings drift, f32[P]; None where a compass gives them."""
+    if belief.particles.drift.shape[0] == 0:
+        return None
+    return jax.random.normal(jax.random.fold_in(key, _DRIFT), belief.log_weight.shape)
+
+
+def with_drift(belief: ParticleBelief, observation: Observation) -> Observation:
+    """Correct the heading of a look by how far the robot is believed to have drifted."""
+    drift, pose = mean_drift(belief), observation.pose
+    return observation if drift is None else replace(observation, pose=pose.at[2].add(drift))
+
+
+def headings(belief: ParticleBelief, heading: Array) -> Array:
+    """Tell where each particle takes the robot to look, f32[] or f32[1, P], given the mean."""
+    drift = mean_drift(belief)
+    return heading if drift is None else heading + belief.particles.drift[:1] - drift
 
 
 def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: MotionParams) -> Array:

@@ -17,16 +17,17 @@ from jaxlangnav.messages import Observation
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import association, motion
+from jaxlangnav.semantic_map import association
 from jaxlangnav.semantic_map.association import Association
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.counts import exposed, log_expected, log_exposure, share_unseen
 from jaxlangnav.semantic_map.coverage import area_size
 from jaxlangnav.semantic_map.heading_bias import log_missed, look_around
+from jaxlangnav.semantic_map.motion import headings, with_drift
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
-from jaxlangnav.semantic_map.predict import headings, with_drift
 from jaxlangnav.semantic_map.update import condition, log_absence
+from jaxlangnav.terrain.view import rotated
 
 LEAST_DOUBT = 1e-2
 """Least probability that what has been detected is not there: things are taken away."""
@@ -123,7 +124,7 @@ def _detections(
     if drift is not None:
         own = (belief.particles.drift[:1] - drift)[None]
         offset_x, offset_y = (append_axes(offset, 3) for offset in (offset_x, offset_y))
-        offset_x, offset_y = motion.rotated(offset_x, offset_y, own)
+        offset_x, offset_y = rotated(offset_x, offset_y, own)
     log_unseen = log_missed(belief, offset_x, offset_y)
     kinds, attributes = observation.detection_type, observation.detection_attribute
     return association.Detections(

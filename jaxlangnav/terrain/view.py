@@ -144,6 +144,12 @@ class OpenField:
         """Say that nothing is in the way."""
 
 
+def rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
+    """Turn offsets counter-clockwise, radians; exact where the angle is zero."""
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    return cosine * x - sine * y, sine * x + cosine * y
+
+
 def wrapped(angle: Array) -> Array:
     """Bring an angle to within half a turn, radians."""
     return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
