@@ -202,21 +202,6 @@ def test_a_block_says_once_what_it_shares() -> None:
     assert drawn(alone).count("1H1C") == 2
 
 
-def test_numbers_are_aligned_and_empty_columns_go_from_a_page() -> None:
-    page = TABLE_TABLE.html()
-    assert "<th class=number>Success %</th>" in page
-    assert "<th>Policy</th>" in page
-    assert "empty" not in page
-    justified = [column.justify for column in TABLE_TABLE.text().columns]
-    assert justified == ["left", "left", "right", "right", "right"]
-
-
-def test_what_is_dim() -> None:
-    text = TABLE_TABLE.text()
-    assert [row.style for row in text.rows] == [None, "dim", None]
-    assert [column.header for column in text.columns if column.style == "dim"] == ["paper"]
-
-
 def test_cells_are_text_unless_they_are_marked() -> None:
     assert "| 2H\\|1C |" in TABLE_TABLE.markdown()
     bold = Table(headings=["a"], rows=[["**1**"]])

@@ -1,6 +1,7 @@
 """What a command sets up before JAX computes: the kept programs, and progress on the terminal."""
 
 import contextlib
+import functools
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -79,14 +80,7 @@ def progress_bar(what: str, total: int | None) -> Iterator[Advance]:
     text, elapsed = "{task.description}", rich.TimeElapsedColumn()
     columns = [rich.SpinnerColumn(), text, elapsed]
     if total is not None:
-        columns = [text, rich.BarColumn(), rich.MofNCompleteColumn(), "{task.fields[rate]}"]
-        columns += [elapsed, "left", rich.TimeRemainingColumn()]
+        columns = [text, rich.BarColumn(), rich.MofNCompleteColumn(), elapsed]
+        columns += ["left", rich.TimeRemainingColumn()]
     with rich.Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
-        task = bar.add_task(what, total=total, rate="")
-
-        def advance(done: int) -> None:
-            bar.advance(task, done)
-            speed = bar.tasks[0].speed
-            bar.update(task, rate=f"{speed:.0f}/s" if speed else "")
-
-        yield advance
+        yield functools.partial(bar.advance, bar.add_task(what, total=total))

@@ -120,6 +120,10 @@ def compare(
         raise ValueError("no episode was run by both arms")
     only_first = int(np.sum(first_success & ~second_success))
     only_second = int(np.sum(second_success & ~first_success))
+    # McNemar's test: under the null hypothesis each episode that only one arm solved went to either
+    # like a coin: exact, two-sided. Limits: no such episode gives 1.
+    solved = only_first + only_second
+    by_chance = float(stats.binomtest(only_first, solved).pvalue) if solved else 1.0
     difference = np.asarray(second_distance, np.float64) - np.asarray(first_distance, np.float64)
     mean, number = float(difference.mean()), len(difference)
     half = _Z95 * float(difference.std(ddof=1)) / math.sqrt(number) if number > 1 else 0.0
@@ -127,19 +131,11 @@ def compare(
         pairs=number,
         success_only_first=only_first,
         success_only_second=only_second,
-        success_p=_mcnemar(only_first, only_second),
+        success_p=by_chance,
         distance_difference=mean,
         distance_ci=(mean - half, mean + half),
         distance_p=_sign_flip(difference),
     )
-
-
-def _mcnemar(only_first: int, only_second: int) -> float:
-    """Test whether two success rates differ, by the episodes that only one arm solved."""
-    # Under the null hypothesis each of them went to either arm like a coin: exact, two-sided.
-    # Limits: no such episode gives 1.
-    number = only_first + only_second
-    return float(stats.binomtest(only_first, number).pvalue) if number else 1.0
 
 
 def _sign_flip(difference: np.ndarray) -> float:

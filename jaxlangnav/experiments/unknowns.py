@@ -15,7 +15,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.experiment import Experiment, Options
@@ -34,6 +33,7 @@ from jaxlangnav.experiments.table import Document, Row, Table
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
+from jaxlangnav.terrain.view import rotated
 from jaxlangnav.world.scenario import OBJECT_BEARING_MAX
 from jaxlangnav.world.templates import TABLE_2
 
@@ -154,23 +154,19 @@ def _found(rows: Sequence[Row], options: Options) -> Row:
         near = sum(row["is_near"] for row in mine)
         named = {name: mine[0][name] for name in ("unknown", "value")}
         fits.append(named | {"rows_near": near, "rms_z": float(np.sqrt((z**2).mean()))})
+    # By row of Table 2: what brings it within two standard errors of the paper.
+    explained = []
+    for at in range(len(PRINTED)):
+        first, *rest = rows[at :: len(PRINTED)]
+        by = [f"{row['unknown']} {row['value']}".strip() for row in rest if row["is_near"]]
+        own = {name: first[name] for name in ("world", "range", "relation", "is_near")}
+        explained.append(own | {"by": by})
     return {
         "policy": _POLICY,
         "ours": ours | {"bearing_max": OBJECT_BEARING_MAX},
         "variations": fits,
-        "explained": [_explained(rows[at :: len(PRINTED)]) for at in range(len(PRINTED))],
+        "explained": explained,
     }
-
-
-def _explained(mine: Sequence[Row]) -> Row:
-    """List the variations that bring a row of Table 2 within two standard errors of the paper."""
-    found = {name: mine[0][name] for name in ("world", "range", "relation", "is_near")}
-    return found | {"by": [_variation(row) for row in mine[1:] if row["is_near"]]}
-
-
-def _variation(row: Row) -> str:
-    """Name a variation: "field of view 90°"."""
-    return f"{row['unknown']} {row['value']}".strip()
 
 
 def row_name(row: Mapping[str, Any]) -> str:

@@ -111,8 +111,7 @@ def best_tour(plan: Plan, value: Array) -> Tour:
 
 def no_tour(x: Array, y: Array) -> Tour:
     """Build the tour of a robot that has not planned yet: it has arrived everywhere."""
-    stay = jnp.ones(NUM_STOPS, jnp.float32)
-    return Tour(x=stay * x, y=stay * y)
+    return Tour(x=jnp.full(NUM_STOPS, x), y=jnp.full(NUM_STOPS, y))
 
 
 def _drop_reached(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:

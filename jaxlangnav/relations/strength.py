@@ -43,11 +43,6 @@ def degree(relation: ArrayLike, distance: Values, sideways: Values) -> Values:
     return by_distance * distance + by_side * sideways
 
 
-def sign_of_distance(relation: Array) -> Array:
-    """Tell whether by a relation the nearer or the farther comes first, f32[...] 1 or −1."""
-    return jnp.where(relation == FAR, -1.0, 1.0)
-
-
 def num_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
     """Count who comes before each figure, i[..., n] (host only): none before the first.
 

@@ -143,8 +143,7 @@ def filter_untyped_goals(
 
     nowhere = jnp.zeros_like(particles.mean_x[:num_objects])
     is_out = skip_unless_any(is_any, look_up, (nowhere, particles, readings, context))
-    room = behavior.goal.shape[1] - num_objects
-    is_out = jnp.pad(is_out, ((0, room), (0, 0)))
+    is_out = jnp.pad(is_out, ((0, behavior.goal.shape[1] - num_objects), (0, 0)))
     return replace(behavior, goal=jnp.where(is_out[None] > 0.0, 0.0, behavior.goal))
 
 

@@ -1,9 +1,8 @@
 """What the filter's step is given beyond the paper: components of the model (section 3.2; ours).
 
-A component changes the belief and the look at it before the particles move (``admit``), after they
-have been updated (``keep``), and after they have been resampled (``settle``). Without any of them
-the step is the paper's. Existence and counts are factors of eq. 7b and 8 (``association``,
-``counts``), and the detector is one of the belief's (``SensorModel``).
+A component changes belief and look before the particles move (``admit``), after they have been
+updated (``keep``), and after they have been resampled (``settle``). Without any the step is the
+paper's. Existence and counts are factors of eq. 7b and 8 (``association``, ``counts``).
 """
 
 from collections.abc import Callable
@@ -44,11 +43,9 @@ def _part(belief: ParticleBelief, look: Look) -> tuple[ParticleBelief, Look]:
     known, spoken = belief.bystanders, look.spoken
     if spoken is None or known.x.shape[0] == 0 or not belief.sensor_model.is_located:
         return belief, look
-    particles, known = promote(
-        belief.particles, known, spoken, belief.log_weight, belief.must_ground
-    )
+    held = promote(belief.particles, known, spoken, belief.log_weight, belief.must_ground)
     ours, others = part(look.observation, spoken)
-    belief = replace(belief, particles=particles, bystanders=known)
+    belief = replace(belief, particles=held[0], bystanders=held[1])
     return belief, look._replace(observation=ours, others=others)
 
 

@@ -141,8 +141,7 @@ def _is_within(pose: Array, other: Array, metres: Array) -> Array:
 def gate(belief: ParticleBelief, look: Look) -> tuple[ParticleBelief, Look]:
     """Hold every field of an observation, which may be anything, against what it can be.
 
-    What is to be believed of it, all of it finite: as it came, or from where the robot last was,
-    with its eyes shut; and what was wrong.
+    What is believed, all finite: as it came, or from the last pose, eyes shut; and what is wrong.
     """
     observation, farthest = look.observation, look.farthest
     pose, last = observation.pose, belief.last_pose

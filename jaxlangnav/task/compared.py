@@ -135,15 +135,11 @@ def _asked(instruction: Instruction, world: World) -> list[_Asked]:
     return found
 
 
-def _slots(reading: FormReading) -> list[int]:
-    """List the type of each slot: each thing, and another one of it if something is said."""
-    figures = dict.fromkeys(reading.types[one.figure] for one in reading.relations)
-    return [*reading.types, *figures]
-
-
 def _world(reading: FormReading) -> World:
     """Build a world in which exactly what the label says holds; the robot has the last slot."""
-    kinds, related, ranked = _slots(reading), [], []
+    # Each thing has a slot, and so has another one of it if something is said.
+    figures = dict.fromkeys(reading.types[one.figure] for one in reading.relations)
+    kinds, related, ranked = [*reading.types, *figures], [], []
     for figure, relation, landmark, rank in reading.relations:
         edge = SYMBOL[relation], figure, len(kinds) if landmark == ROBOT else landmark
         converse = REGISTRY[relation].converse

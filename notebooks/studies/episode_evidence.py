@@ -31,7 +31,7 @@ from jax import Array
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import RelationParams, log_density, prepare, viewer_frame
-from jaxlangnav.relations.strength import sign_of_distance
+from jaxlangnav.relations.strength import degree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import area_size, cell_centres
 from jaxlangnav.semantic_map.params import MapParams
@@ -193,7 +193,7 @@ def _log_superlative(
 ) -> Array:
     """Penalise figures that an observed one of their type beats, f32[F, L]."""
     readings = one.readings
-    sign = sign_of_distance(readings.relation[reading, 0])
+    sign = -degree(readings.relation[reading, 0], jnp.float32(1.0), jnp.float32(0.0))
     kind = readings.mention_type[reading, readings.figure[reading, 0]]
     is_rival = (one.object_type == kind) & (kind >= 0)
     rivals = _distance((one.object_x, one.object_y), landmarks)

@@ -37,7 +37,7 @@ from jaxlangnav.relations import (
     to_map,
     viewer_frame,
 )
-from jaxlangnav.relations.strength import sign_of_distance
+from jaxlangnav.relations.strength import degree
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.world.state import Scenario
 
@@ -187,8 +187,8 @@ def _log_fit(
         is_robot = readings.mention_type[reading, landmark] == ROBOT
         from_x = jnp.where(is_robot, start[0], x[landmark])
         from_y = jnp.where(is_robot, start[1], y[landmark])
-        sign = sign_of_distance(readings.relation[reading, index])
-        gap = sign * jnp.hypot(x - from_x, y - from_y)
+        away = jnp.hypot(x - from_x, y - from_y)
+        gap = -degree(readings.relation[reading, index], away, jnp.zeros_like(away))
         is_rival = is_object & (types == types[figure]) & (jnp.arange(x.shape[0]) != landmark)
         excess = gap[figure] - jnp.min(jnp.where(is_rival, gap, gap[figure]))
         applies = (readings.rank[reading, index] == 1) & (figure != NONE) & (landmark != NONE)

@@ -20,7 +20,7 @@ from jaxlangnav.inputs.object_types import fits, is_anything
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import insert_axes, prepend_axes, skip_unless_any
 from jaxlangnav.relations import degree, is_on_side, robot_frame
-from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
+from jaxlangnav.relations.strength import value_of_rank
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored
@@ -65,24 +65,20 @@ def log_rank(
 
 
 def _excess(query: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
-    """Measure by how many metres the figure is beaten by a seen thing of its type, f32[n, ...]."""
-    sign = sign_of_distance(query.relation)[None]
-
-    def merit(dx: Array, dy: Array) -> Array:
-        return prepend_axes(sign, dx.ndim) * (dx * dx + dy * dy + 1e-9)
-
-    own = merit(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y)
+    """Measure by how many metres a seen rival is nearer, f32[n, ...]; "farthest" is an order."""
+    dx, dy = pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y
+    own = dx * dx + dy * dy + 1e-9
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
     x, y = insert_axes(seen.x, own.ndim + 1), insert_axes(seen.y, own.ndim + 1)
     is_rival = insert_axes(_is_rival(seen, query), own.ndim + 1)
     away_x, away_y = x - at_x[None], y - at_y[None]
-    rival = merit(away_x, away_y)  # [O, landmarks, ...]
+    squared = away_x * away_x + away_y * away_y + 1e-9  # [O, landmarks, ...]
     # The thing nearest to the cone is not the cone.
-    is_any = prepend_axes(is_anything(query.kind[FIGURE]), rival.ndim)
-    is_landmark = is_any & (away_x * away_x + away_y * away_y < _TIE**2)
-    best = jnp.min(jnp.where(is_rival & ~is_landmark, rival, jnp.inf), axis=0)
+    is_any = prepend_axes(is_anything(query.kind[FIGURE]), squared.ndim)
+    is_landmark = is_any & (squared < _TIE**2)
+    best = jnp.min(jnp.where(is_rival & ~is_landmark, squared, jnp.inf), axis=0)
     best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
-    return sign * (jnp.sqrt(jnp.abs(own)) - jnp.sqrt(jnp.abs(best)))
+    return jnp.sqrt(own) - jnp.sqrt(best)
 
 
 def _log_order(
