@@ -132,21 +132,23 @@ def _draw(keys: Array, num_detections: int, number: int) -> tuple[Any, Array, Ar
     return (associate, ranges), keep[: 2 * number].reshape(2, number), resample[0]
 
 
-def _resampled(
-    uniform: Array, belief: ParticleBelief, found: Regrounded, is_resampled: Array
-) -> ParticleBelief:
-    """Take over the particles with their weights, or resample them to equal ones."""
-    number = belief.log_weight.shape[0]
+def _resample(
+    uniform: Array, belief: ParticleBelief, found: Regrounded, params: MapParams
+) -> tuple[ParticleBelief, Array, Array]:
+    """Take over the particles with their weights, or resample them to equal ones; ESS, is it so."""
+    number, size = belief.log_weight.shape[0], effective_sample_size(found.weight)
+    is_resampled = size < params.resample_threshold * number
     ancestors = systematic(found.weight, uniform)
     ancestors = jnp.where(is_resampled, ancestors, jnp.arange(number))
     log_weight = jnp.log(jnp.maximum(found.weight, 1e-30))
-    return replace(
+    belief = replace(
         belief,
         particles=take(found.particles, ancestors),
         log_weight=jnp.where(is_resampled, -jnp.log(float(number)), log_weight),
         must_ground=jnp.asarray(False),
         log_evidence=belief.log_evidence + found.log_total,
     )
+    return belief, size, is_resampled
 
 
 def step(
@@ -171,7 +173,7 @@ def step(
         readings: what the instruction says.
         observation: pose and detections now; what cannot be is left out and flagged.
         params: traced numbers.
-        context: from where relations were said; all from the belief's viewer by default.
+        context: from where relations were said; by default the belief's viewer.
         is_sparse: under ``vmap`` ground the words only where needed; no reverse-mode gradient.
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
         spoken: bool[T], types that the task speaks of, the others are bystanders; None: all.
@@ -179,27 +181,23 @@ def step(
         components: what goes beyond the paper; the paper's step has none.
     """
     _assert_arrays(belief, readings, observation)
-    number, was_told = belief.log_weight.shape[0], belief.must_ground
-    keys = jax.random.split(key, 4)
-    associate, keep, resample = _draw(keys, observation.detection_type.shape[0], number)
+    keys, was_told = jax.random.split(key, 4), belief.must_ground
+    associate, keep, resample = _draw(keys, observation.detection_type.size, belief.log_weight.size)
     look = Look(observation, farthest, spoken)
     for component in components:
         belief, look = component.admit(belief, look)
     # Propose where the robot is (eq. 6) and what each detection is of (7b), and weigh (8).
-    noise = drift_noise(keys[0], belief)
-    belief = predict(belief, look.observation.pose, look.is_jump, noise, params=params)
+    seen, noise = look.observation, drift_noise(keys[0], belief)
+    belief = predict(belief, seen.pose, look.is_jump, noise, params=params)
     pooled = _num_pooled(belief, spoken) if pools_counts else None
-    belief, update = observe(associate, belief, look.observation, params=params, num_pooled=pooled)
+    belief, update = observe(associate, belief, seen, params=params, num_pooled=pooled)
     for component in components:
         belief, look = component.keep(belief, look)
     # Propose what the words refer to (7a), where that was refuted.
-    ground = functools.partial(
-        ground_words, params=params, context=context, is_sparse=is_sparse, num_pooled=pooled
-    )
+    options = {"context": context, "is_sparse": is_sparse, "num_pooled": pooled}
+    ground = functools.partial(ground_words, params=params, **options)
     grounded = reground(keys[1], keep, belief, readings, update, ground)
-    size = effective_sample_size(grounded.weight)
-    is_resampled = size < params.resample_threshold * number
-    belief = _resampled(resample, belief, grounded, is_resampled)
+    belief, size, is_resampled = _resample(resample, belief, grounded, params)
     for component in components:
         belief = component.settle(belief)
     return belief, FilterInfo(
