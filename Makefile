@@ -30,7 +30,7 @@ ROS2_EXTRAS ?= ros2
 # Test processes. One holds up to 3 GB, so this is not the number of cores.
 WORKERS ?= 2
 
-.PHONY: help demo test test-all test-ros2 fuzz lint format types budget check bench build docs notebooks frozen clean
+.PHONY: help demo test test-all test-browser test-ros2 fuzz lint format types budget check bench build docs notebooks frozen clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -43,6 +43,9 @@ test: $(STAMPS)/dev ## the quick tier of tests, WORKERS=2 at a time
 
 test-all: $(STAMPS)/dev ## every test, the slow ones too
 	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder -m "" $(ARGS)
+
+test-browser: $(STAMPS)/browser ## the page of serve in the Chromium of this system
+	@$(BIN)/python -m pytest -m "" tests/test_serve_browser.py $(ARGS)
 
 test-ros2: $(ROS2)/stamps/ros2 ## bags and the node live on loopback, in an environment of its own (Python 3.11)
 	@$(ROS2)/bin/python -m pytest -m "" tests/test_robots_ros2_bags.py tests/test_robots_ros2_live.py $(ARGS)
@@ -119,6 +122,11 @@ $(STAMPS)/dev: $(STAMPS)/python $(PROJECT)
 $(STAMPS)/bench: $(STAMPS)/dev
 	@echo "Installing the libraries that speed is compared with into $(VENV)"
 	$(INSTALL) --editable '.[viz,dev,bench]'
+	touch $@
+
+$(STAMPS)/browser: $(STAMPS)/dev
+	@echo "Installing what drives a browser into $(VENV)"
+	$(INSTALL) --editable '.[viz,dev,browser]'
 	touch $@
 
 $(STAMPS)/docs: $(STAMPS)/dev

@@ -121,7 +121,7 @@ def test_story_page_and_document_tell_what_was_said() -> None:
     story = "\n".join(narrate(recording))
     assert "Hears “the other one”, and keeps to its task: nothing is being approached" in story
     assert "Hears “no, the other one”, a correction. Rules out the hydrant" in story
-    page = html._page_data(recording)
+    page = html.page_data(recording)
     assert "Rules out the hydrant" in " ".join(page["story"][5])
     document = speech.describe_talk(recording)
     assert [one["kind"] for one in document["utterances"]] == [None, "correction"]

@@ -32,7 +32,7 @@ LAYERS = (
     ("episode",),
     ("experiments",),
     ("task", "viz"),
-    ("environments", "robots"),
+    ("environments", "robots", "serve"),
     ("cli",),
     ("__main__",),
 )

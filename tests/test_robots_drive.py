@@ -15,7 +15,7 @@ from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress, observe
-from jaxlangnav.viz.html import _page_data, _render_html
+from jaxlangnav.viz.html import _render_html, page_data
 from jaxlangnav.viz.panels import outcome
 from jaxlangnav.world.state import CONE, HYDRANT
 
@@ -179,7 +179,7 @@ def test_a_camera_that_stops_makes_it_blind_and_a_recording_tells(navigator) -> 
     assert outcome(kept) == "blind"
     assert not kept.frames.is_detection[-1].any()
     np.testing.assert_allclose(kept.frames.position[-1], robot.true_pose[:2], atol=1e-5)
-    closing = _page_data(kept)["closing"]
+    closing = page_data(kept)["closing"]
     assert "picture" in closing[0]
     assert not any("out of time" in line for line in closing)
 

@@ -131,7 +131,7 @@ def test_walls_are_drawn_and_told_and_one_that_halts_the_robot_too():
     assert "two walls and nothing that stands there" in narrate(one)[3]
     halts = [step for step, now in enumerate(one.moments) if bumped(now)]
     assert 3 in halts
-    assert html._page_data(one)["walls"] == terrain.view.ends[:2].tolist()
+    assert html.page_data(one)["walls"] == terrain.view.ends[:2].tolist()
 
 
 @pytest.mark.parametrize("policy", ["faithful", "informed"])

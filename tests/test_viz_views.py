@@ -26,7 +26,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.viz import style, terminal
 from jaxlangnav.viz.film import write_film
 from jaxlangnav.viz.graph import _phrase_beliefs, graph_figure
-from jaxlangnav.viz.html import _page_data, _render_html, write_html
+from jaxlangnav.viz.html import _render_html, page_data, write_html
 from jaxlangnav.viz.rrd import write_rrd
 
 
@@ -242,7 +242,7 @@ def test_hypotheses_survive_the_packing():
 
 def test_pictures_of_a_robot_go_with_their_steps():
     one = make_recording(3, 5)
-    assert _page_data(one)["pictures"] == []
+    assert page_data(one)["pictures"] == []
     pictures = tuple({"From outside": b"\xff\xd8" + bytes([step])} for step in range(3))
     page, data = read(dataclasses.replace(one, pictures=pictures, ended="blocked: <no way>"))
     assert "views" in page.ids

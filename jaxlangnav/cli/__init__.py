@@ -6,6 +6,7 @@ returns the document that ``--json`` prints; what people read goes through an ``
 
 SUMMARIES = {
     "follow": "Follow a sentence in a world never seen, until the robot says stop.",
+    "serve": "Open a page on this machine: type, watch the robot search, say more.",
     "parse": "Show the phrases of a sentence.",
     "ground": "Show what a sentence is taken to mean, with probabilities.",
     "train": "Train a model of language from labelled sentences.",

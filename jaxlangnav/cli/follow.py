@@ -145,10 +145,11 @@ class Follow:
         from jaxlangnav.navigator import check
         from jaxlangnav.task.follow import usual_engine
         from jaxlangnav.task.opening import sensor_of
+        from jaxlangnav.task.talk import allow_questions
 
         params, config = usual_engine(self.world, self.policy, self.particles)
         params, config = apply(params, values, "params"), apply(config, values, "config")
-        params = speech.allow_questions(params) if self.ask else params
+        params = allow_questions(params) if self.ask else params
         check_sensor(apply(sensor_of(self.world, self.range), values, "sensor"))
         if values:
             check(params, policy=config.planner.chosen)

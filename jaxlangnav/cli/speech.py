@@ -1,6 +1,5 @@
 """What is said to the robot of ``follow`` under way: options, and who sits at the terminal."""
 
-import math
 import queue
 import re
 import sys
@@ -16,12 +15,9 @@ if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording, Remark
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
-    from jaxlangnav.navigator import NavigatorParams
     from jaxlangnav.navigator.candidates import Candidate
     from jaxlangnav.task.talk import Earshot
 
-QUESTION_COST = 0.1
-"""What a question costs, in probability of success, where questions are allowed by ``--ask``."""
 _PACE = 0.4  # seconds that a step takes at least while somebody may type
 
 
@@ -75,18 +71,6 @@ def check_script(
                 check_words(grounder, first, text)
             except ValueError as refusal:
                 raise UsageError(f'--hear "{step}: {cut(text)}": {refusal}') from refusal
-
-
-def allow_questions(params: "NavigatorParams") -> "NavigatorParams":
-    """Give questions a finite cost where they have none yet."""
-    import jax.numpy as jnp
-
-    from jaxlangnav.pytree import replace
-
-    if math.isfinite(float(params.planner.question_cost)):
-        return params
-    cost = jnp.float32(QUESTION_COST)
-    return replace(params, planner=replace(params.planner, question_cost=cost))
 
 
 def ear_of(output: Output, *, person: str | None, ask: bool, talk: bool, **given: Any) -> "Earshot":

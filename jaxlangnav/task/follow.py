@@ -40,6 +40,17 @@ from jaxlangnav.world.state import NUM_SLOTS, Scenario
 from jaxlangnav.world.templates import Template
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OpenedEpisode:
+    """An episode that can be run: what was said, where, and by what robot."""
+
+    text: str
+    understood: Understanding
+    prepared: Prepared
+    params: NavigatorParams
+    config: NavigatorConfig
+
+
 def follow(
     text: str,
     *,
@@ -71,6 +82,38 @@ def follow(
     Raises:
         ValueError: the sentence, the world or an option is refused; one line.
     """
+    opened = open_episode(
+        text,
+        world=world,
+        sensing_range=sensing_range,
+        policy=policy,
+        seed=seed,
+        particles=particles,
+        params=params,
+        model=model,
+    )
+    return record_episode(
+        opened.understood,
+        opened.prepared,
+        text=text,
+        params=opened.params,
+        config=opened.config,
+        max_steps=max_steps,
+    )
+
+
+def open_episode(
+    text: str,
+    *,
+    world: str | Path = "1H1C",
+    sensing_range: float | None = None,
+    policy: AnyPolicy = "informed",
+    seed: int = 0,
+    particles: int = MapConfig().num_particles,
+    params: NavigatorParams | None = None,
+    model: GroundingModel | None = None,
+) -> OpenedEpisode:
+    """Understand a sentence and open a world for it; arguments and errors as of ``follow``."""
     world, model = str(world), load_shipped() if model is None else model
     understood = understand(text, model, detector_of(world, model.type_names))
     understood.check_task()
@@ -84,13 +127,12 @@ def follow(
     if prepared.is_drawn and not prepared.is_meant:
         counts = count_types(prepared.task.scenario, understood.type_names)
         raise ValueError(nothing_there(prepared.world, counts, ()))
-    return record_episode(
-        understood,
-        prepared,
+    return OpenedEpisode(
         text=text,
+        understood=understood,
+        prepared=prepared,
         params=replace(params, map=replace(params.map, motion=motion)),
         config=without_compass(config, motion),
-        max_steps=max_steps,
     )
 
 

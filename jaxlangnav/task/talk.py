@@ -6,9 +6,11 @@ what it was at.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.dialogue import first_words
@@ -26,13 +28,15 @@ from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.messages import NONE, Status
-from jaxlangnav.navigator import NavigatorState
+from jaxlangnav.navigator import NavigatorParams, NavigatorState
 from jaxlangnav.navigator.candidates import Candidate, candidates, thing_at
 from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import PERSONS, Person, PersonParams, Says, params_of, unspoken
 
-_PLACES = ("the first", "the second", "the third")
+QUESTION_COST = 0.1
+"""What a question costs, in probability of success, where questions are allowed."""
+_PLACES = ("the first", "the second", "the third", "the fourth", "the fifth", "the sixth")
 _WORDS = {int(Says.OTHER): "no, the other one", int(Says.NONE_OF_THEM): "no"}
 _speak = cached_jit()(speak)
 
@@ -62,10 +66,22 @@ class Watcher:
         self.person, said, slot = _speak(progress, self.person, params=self.params)
         if int(said) != Says.THIS:
             return _WORDS.get(int(said))
-        # A candidate is named by its place in the list, the nearest first, as far as words go.
-        slots = [one.slot for one in doubt]
-        named = dict.fromkeys(slots[-1:], "the farthest")
-        return (named | dict(zip(slots, _PLACES, strict=False))).get(int(slot))
+        return name_candidates(doubt).get(int(slot))
+
+
+def name_candidates(doubt: Sequence[Candidate]) -> dict[int, str]:
+    """Find words that answer which one is meant, by slot: its place, the nearest first."""
+    slots = [one.slot for one in doubt]
+    named = dict.fromkeys(slots[-1:], "the farthest")
+    return named | dict(zip(slots, _PLACES, strict=False))
+
+
+def allow_questions(params: NavigatorParams) -> NavigatorParams:
+    """Give questions a finite cost where they have none yet."""
+    if math.isfinite(float(params.planner.question_cost)):
+        return params
+    cost = jnp.float32(QUESTION_COST)
+    return replace(params, planner=replace(params.planner, question_cost=cost))
 
 
 CHANGE_WHAT_IS_MEANT = frozenset(

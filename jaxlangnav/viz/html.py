@@ -40,19 +40,43 @@ def write_html(recording: Recording, path: Path | str) -> Path:
 
 
 def _render_html(recording: Recording) -> str:
+    return fill_page(recording.scene.text or "Episode", page_data(recording))
+
+
+def fill_page(title: str, data: Any, *, controls: str = "", connect: str = "") -> str:
+    """Fill the page of an episode.
+
+    Args:
+        title: of the window.
+        data: of ``page_data``; None for a page that a script of its ``controls`` fills.
+        controls: HTML above the episode.
+        connect: of the content security policy: where the page may connect to, nowhere if empty.
+    """
     template = resources.files("jaxlangnav.viz") / "recording.html"
-    form: dict[str, Any] = {"separators": (",", ":"), "ensure_ascii": False, "allow_nan": False}
-    data = json.dumps(_page_data(recording), **form)
-    title = html.escape(printable(recording.scene.text or "Episode"))
     # Inside a script element only "</" and "<!--" could end the data early. In one pass, as the
     # sentence itself may hold the name of a place to be filled.
-    parts = {"__TITLE__": title, "__DATA__": data.replace("<", "\\u003c")}
+    parts = {
+        "__TITLE__": html.escape(printable(title)),
+        "__DATA__": page_json(data).replace("<", "\\u003c"),
+        "__CONTROLS__": controls,
+        "__CONNECT__": f"; connect-src {connect}" if connect else "",
+    }
     page = template.read_text(encoding="utf-8")
     return re.sub("|".join(parts), lambda found: parts[found[0]], page)
 
 
-def _page_data(recording: Recording) -> dict[str, Any]:
-    """Gather everything the page shows, in JSON's own types."""
+def page_json(data: Any) -> str:
+    """Write what a page reads as JSON, as short as it goes."""
+    return json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, Any]:
+    """Gather everything the page shows, in JSON's own types.
+
+    Args:
+        recording: the episode, as far as it has come.
+        is_under_way: it goes on: how it ends cannot be told yet.
+    """
     scene, frames, world = recording.scene, recording.frames, recording.scene.scenario
     claims = describe_readings(scene, least=0.005)
     # What the words are taken to say, first and after each utterance under way.
@@ -62,8 +86,11 @@ def _page_data(recording: Recording) -> dict[str, Any]:
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
     return {
         "text": printable(scene.text),
-        "summary": " ".join([*first, f"The {panels.verdict(recording)}."]),
-        "outcome": panels.outcome(recording),
+        "summary": " ".join(
+            first if is_under_way else [*first, f"The {panels.verdict(recording)}."]
+        ),
+        "outcome": "under way" if is_under_way else panels.outcome(recording),
+        "is_under_way": is_under_way,
         "num_steps": recording.num_steps,
         "num_particles": recording.num_particles,
         "num_nodes": int(frames.value.shape[1]),
@@ -94,12 +121,12 @@ def _page_data(recording: Recording) -> dict[str, Any]:
             {title: base64.b64encode(one).decode("ascii") for title, one in step.items()}
             for step in recording.pictures
         ],
-        **_by_step(recording, all_claims),
+        **_by_step(recording, all_claims, is_under_way=is_under_way),
         **_arrays(recording),
     }
 
 
-def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
+def _by_step(recording: Recording, claims: list[str], *, is_under_way: bool) -> dict[str, Any]:
     """Gather what is short enough to stand in the page as it is: the story, objects, events."""
     frames = recording.frames
     story = [narrative.tell_step(moment) for moment in recording.moments]
@@ -123,6 +150,8 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
         said = printable(recording.ended).replace("_", " ")
         drove = f"It drove {float(recording.result.distance):.1f} m."
         closing = [f"{said[:1].upper()}{said[1:]}.", drove]
+    if is_under_way:
+        closing = []
     return {
         "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
         "headlines": [narrative.headline(moment) for moment in recording.moments],

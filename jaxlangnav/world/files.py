@@ -128,7 +128,7 @@ def save_world(world: WorldFile, path: str | Path) -> None:
     path, table = _check_name(path), world_to_dict(world)
     text = json.dumps(table, indent=2)
     if path.suffix.lower() == ".toml":
-        text = _to_toml(table)
+        text = to_toml(table)
     try:
         write_text(text + "\n", path)
     except OSError as error:
@@ -142,7 +142,7 @@ def _check_name(path: str | Path) -> Path:
     return Path(path)
 
 
-def _to_toml(table: dict[str, Any]) -> str:
+def to_toml(table: dict[str, Any]) -> str:
     """Write keys, tables and lists of tables; JSON's texts and numbers are TOML's too."""
     lines: list[str] = []
     for key, value in table.items():
