@@ -46,7 +46,7 @@ range = 8.0
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    command = [sys.executable, "-m", "jaxlangnav", "serve", "--port", "0", "--pace", "0.25"]
+    command = [sys.executable, "-m", "jaxlangnav", "serve", "--port", "0", "--pace", "0.1"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     said = ""
@@ -121,11 +121,11 @@ def test_stop_halts_at_once(page: "sync.Page") -> None:
     wait_for_state(page, "going")
     page.click("#stop")
     wait_for_state(page, "resting")
-    assert page.inner_text("#verdict") == "stands, told to halt"
+    assert page.inner_text("#verdict") == "halted"
     assert "“stop”" in page.inner_text("#heard")
 
 
-def test_a_dropped_world_a_question_answered_by_a_click_and_corrected(page: "sync.Page") -> None:
+def test_a_dropped_world_and_a_question_answered_by_a_click(page: "sync.Page") -> None:
     files = [{"name": "two.toml", "mimeType": "application/toml", "buffer": TWO_HYDRANTS.encode()}]
     page.set_input_files("#file", files=files)  # type: ignore[arg-type]
     page.wait_for_selector("#editor:not([hidden])")
@@ -135,15 +135,24 @@ def test_a_dropped_world_a_question_answered_by_a_click_and_corrected(page: "syn
     page.click("#question button:nth-of-type(2)")
     page.wait_for_selector("#heard li", timeout=LONG)
     wait_for_state(page, "resting")
+    assert "taken as answer" in page.inner_text("#heard")
+
+
+def test_the_robot_is_corrected_where_it_has_arrived(page: "sync.Page") -> None:
+    page.select_option("#world", "2H1C")
+    page.uncheck("#may_ask")
+    go(page, "go to the hydrant")
+    wait_for_state(page, "resting")
     page.fill("#say", "no, the other one")
     page.press("#say", "Enter")
-    page.wait_for_selector("#heard li:nth-child(2)", timeout=LONG)
+    page.wait_for_selector("#heard li", timeout=LONG)
     wait_for_state(page, "resting")
     assert "taken as correction" in page.inner_text("#heard")
 
 
 def test_a_world_is_drawn_and_searched(page: "sync.Page") -> None:
     page.click("#draw")
+    page.fill("#range", "8")
     page.fill("#kind", "mug")
     page.click("#plan", position={"x": 200, "y": 150})
     page.click("#wall")
@@ -182,8 +191,7 @@ def test_two_tabs_have_episodes_of_their_own(
     other.wait_for_selector("body[data-controls=ready]")
     page.select_option("#world", "street")
     go(page, "find the car")
-    other.select_option("#world", "yard")
-    go(other, "go to the hydrant")
+    go(other, "go to the hydrant behind the cone")
     wait_for_state(page, "going")
     page.click("#stop")
     wait_for_state(page, "resting")

@@ -79,6 +79,7 @@ class Serve:
         try:
             listener.bind(("127.0.0.1", self.port))
         except OSError as error:
+            listener.close()
             remedy = "name another, or --port 0 for any that is free"
             raise UsageError(
                 f"--port is {self.port}, but cannot be taken ({error.strerror}): {remedy}"

@@ -29,7 +29,7 @@ from jaxlangnav.grounding import GroundingModel
 from jaxlangnav.inputs.sanitize import printable
 from jaxlangnav.inputs.schema import convert
 from jaxlangnav.inputs.whole_files import read_file
-from jaxlangnav.serve.session import Request, Session, places, read_world, warm_up
+from jaxlangnav.serve.session import Message, Request, Session, places, read_world, warm_up
 from jaxlangnav.viz.html import fill_page, page_json, write_html
 from jaxlangnav.world.files import LARGEST_WORLD_FILE
 
@@ -197,11 +197,11 @@ async def _listen(socket: WebSocket, session: Session) -> None:
         while True:
             text = await socket.receive_text()
             try:
-                message = convert(json.loads(text), dict[str, str | bool])
-                if message.get("close"):
+                message = convert(json.loads(text), Message)
+                if message.close:
                     session.close()
                 else:
-                    session.say(str(message.get("say", "")))
+                    session.say(message.say)
             except ValueError as error:
                 await socket.send_text(page_json({"refusal": printable(str(error))}))
 

@@ -1,5 +1,6 @@
 """One episode behind the page: it runs in a thread, is looked at and spoken to from others."""
 
+import contextlib
 import dataclasses
 import queue
 import threading
@@ -61,6 +62,13 @@ class Request(Struct, forbid_unknown_fields=True, kw_only=True):
     may_ask: bool = True
 
 
+class Message(Struct, forbid_unknown_fields=True):
+    """What comes from the page on the way: an utterance, or that nobody listens any more."""
+
+    say: str = ""
+    close: bool = False
+
+
 def places() -> tuple[str, ...]:
     """List the worlds that can be picked by name: templates and shipped ones."""
     return *TEMPLATE_NAMES, *shipped_worlds()
@@ -115,7 +123,7 @@ class Session:
         self._steps: list[tuple[Frame, EpisodeResult]] = []
         self._unheard: queue.Queue[str | None] = queue.Queue(_MOST_UNHEARD)
         self._question: list[dict[str, str]] = []
-        self._is_resting = False
+        self._is_resting, self._heard_at = False, -1
         self._change = threading.Condition()
         self._version = 0
         self._closed = threading.Event()
@@ -188,6 +196,9 @@ class Session:
 
     def _hear(self, step: int, progress: EpisodeState, doubt: Sequence[Candidate]) -> str | None:
         """Take the next utterance: a robot at rest, or one that asks, waits for it."""
+        if step == self._heard_at:
+            # What came of it is seen after the step; until then more may be said, nothing need be.
+            return self._next(0.0)
         is_resting = bool(progress.navigator.is_resting)
         self._is_resting, words = is_resting, name_candidates(doubt)
         self._question = [
@@ -202,14 +213,19 @@ class Session:
         is_waiting = (is_resting or bool(doubt)) and not self._closed.is_set()
         if is_waiting:
             self._tell()
-        try:
-            said = self._unheard.get(is_waiting, _PATIENCE)
-        except queue.Empty:
-            if is_waiting:
-                self._closed.set()
-            return None
-        self._question = []
+        said = self._next(_PATIENCE if is_waiting else 0.0)
+        if said is not None:
+            self._heard_at, self._is_resting, self._question = step, False, []
+        elif is_waiting:
+            self._closed.set()
         return said
+
+    def _next(self, seconds: float) -> str | None:
+        """Take what is said within so many seconds."""
+        try:
+            return self._unheard.get(seconds > 0.0, seconds)
+        except queue.Empty:
+            return None
 
     def say(self, text: str) -> None:
         """Say something to the robot, which hears it before its next decision.
@@ -234,10 +250,8 @@ class Session:
     def close(self) -> None:
         """End the episode after its present step."""
         self._closed.set()
-        try:
+        with contextlib.suppress(queue.Full):
             self._unheard.put_nowait(None)
-        except queue.Full:
-            pass
 
     def _tell(self) -> None:
         """Wake those who wait for something new."""
@@ -261,10 +275,11 @@ class Session:
         return with_talk(judged(recording, self._opened.prepared), self._ear)
 
     def describe(self) -> dict[str, Any]:
-        """Gather what the page shows now, in JSON's own types."""
+        """Gather what the page shows now, in JSON's own types; a robot that asks is under way."""
         is_over, is_resting = self.is_over, self._is_resting
         recording = self.recording()
-        is_under_way = not (is_over or is_resting)
+        question = self._question
+        is_under_way = not is_over and (bool(question) or not is_resting)
         heard = [
             {"text": printable(one.text), "kind": one.kind, "refusal": printable(one.refusal)}
             for one in list(self._ear.said)
@@ -274,7 +289,7 @@ class Session:
             if recording is None
             else page_data(recording, is_under_way=is_under_way),
             "heard": heard,
-            "question": self._question,
+            "question": question,
             "is_resting": is_resting,
             "is_over": is_over,
             "fault": self.fault,
