@@ -95,7 +95,7 @@ def test_every_command_has_help_with_examples(name, capsys):
     ("words", "expected"),
     [
         (["folow", "x"], 'unknown command "folow"; did you mean "follow"?'),
-        (["zzz"], 'unknown command "zzz"; choose from follow, parse'),
+        (["zzz"], 'unknown command "zzz"; choose from follow, serve'),
         (["--json", "echo"], 'expected a command before "--json"'),
         (["echo", "x", "--tims", "2"], 'unknown option "--tims"; did you mean "--times"?'),
         (["echo", "x", "--times", "two"], '--times is "two", but must be a whole number'),

@@ -19,8 +19,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.grounding import load_shipped
-from jaxlangnav.serve import server, session
-from jaxlangnav.serve.session import Request, Session
+from jaxlangnav.serve import live, server
+from jaxlangnav.serve.live import LiveEpisode, Request
 from jaxlangnav.world.files import load_world
 
 TOKEN = "a-token"
@@ -298,7 +298,7 @@ def test_two_episodes_go_on_at_once_and_do_not_hear_each_other(client: Client) -
 
 
 def test_the_oldest_episode_is_dropped_for_a_new_one(client: Client) -> None:
-    names = [client.open("go to the hydrant", max_steps=1) for _ in range(server.MOST_SESSIONS + 1)]
+    names = [client.open("go to the hydrant", max_steps=1) for _ in range(server.MOST_EPISODES + 1)]
     assert client.ask(f"/episodes/{names[0]}/world.toml")[0] == 404
     assert client.ask(f"/episodes/{names[1]}/world.toml")[0] == 200
     with client.watch(names[0]) as line, pytest.raises(ConnectionClosed, match="not kept"):
@@ -313,7 +313,7 @@ def test_a_fault_of_ours_is_told_and_the_server_goes_on(
         yield
 
     with monkeypatch.context() as patch:
-        patch.setattr(session.recorder, "play", fail)
+        patch.setattr(live.recorder, "play", fail)
         name = client.open("go to the hydrant")
     with client.watch(name) as line:
         news = until(line, lambda news: news["is_over"])
@@ -323,7 +323,7 @@ def test_a_fault_of_ours_is_told_and_the_server_goes_on(
 
 def test_utterances_wait_in_a_short_queue(tmp_path: Path) -> None:
     asked = Request(text="go to the hydrant")
-    one = Session(asked, model=load_shipped(), folder=tmp_path, pace=0.0)
+    one = LiveEpisode(asked, model=load_shipped(), folder=tmp_path, pace=0.0)
     for _ in range(8):
         one.say("go on")
     with pytest.raises(ValueError, match="still unheard"):
@@ -332,7 +332,7 @@ def test_utterances_wait_in_a_short_queue(tmp_path: Path) -> None:
 
 
 def test_the_engine_is_warmed_up_by_a_sentence(tmp_path: Path) -> None:
-    session.warm_up(load_shipped(), tmp_path)
+    live.warm_up(load_shipped(), tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from jaxlangnav.grounding import GroundingModel
 from jaxlangnav.inputs.sanitize import printable
 from jaxlangnav.inputs.schema import convert
 from jaxlangnav.inputs.whole_files import read_file
-from jaxlangnav.serve.session import Message, Request, Session, places, read_world, warm_up
+from jaxlangnav.serve.live import LiveEpisode, Message, Request, places, read_world, warm_up
 from jaxlangnav.viz.html import fill_page, page_json, write_html
 from jaxlangnav.world.files import LARGEST_WORLD_FILE
 
@@ -37,7 +37,7 @@ LARGEST_BODY = 2 * LARGEST_WORLD_FILE
 """Bytes of a request: a world file, escaped, and what is asked of it."""
 LARGEST_MESSAGE = 8 * 1024
 """Bytes of what comes through a WebSocket: an utterance."""
-MOST_SESSIONS = 8
+MOST_EPISODES = 8
 """Episodes that are kept: the oldest is closed for a new one."""
 _LARGEST_RECORDING = 1 << 30
 _POLL = 0.5  # seconds after which a wait for news looks whether the page is still there
@@ -84,12 +84,12 @@ class Guard:
 
 
 class Server:
-    """The sessions of one process, and the routes that lead to them."""
+    """The episodes of one process, and the routes that lead to them."""
 
     def __init__(self, model: GroundingModel, folder: Path, *, pace: float) -> None:
         """Serve trained models; worlds that are sent lie in a folder while they are in use."""
         self._model, self._folder, self._pace = model, folder, pace
-        self._sessions: dict[str, Session] = {}
+        self._episodes: dict[str, LiveEpisode] = {}
         self.num_opened = 0
 
     def routes(self) -> list[Route | WebSocketRoute]:
@@ -110,8 +110,8 @@ class Server:
 
     def close(self) -> None:
         """End every episode."""
-        for session in self._sessions.values():
-            session.close()
+        for episode in self._episodes.values():
+            episode.close()
 
     async def _page(self, request: HttpRequest) -> Response:
         controls = resources.files("jaxlangnav.serve") / "controls.html"
@@ -137,23 +137,23 @@ class Server:
     def _start(self, document: Any) -> str:
         asked = convert(document, Request)
         name = secrets.token_hex(8)
-        session = Session(asked, model=self._model, folder=self._folder / name, pace=self._pace)
-        for oldest in list(self._sessions)[: max(0, len(self._sessions) + 1 - MOST_SESSIONS)]:
-            self._sessions.pop(oldest).close()
-        self._sessions[name] = session
+        episode = LiveEpisode(asked, model=self._model, folder=self._folder / name, pace=self._pace)
+        for oldest in list(self._episodes)[: max(0, len(self._episodes) + 1 - MOST_EPISODES)]:
+            self._episodes.pop(oldest).close()
+        self._episodes[name] = episode
         self.num_opened += 1
-        session.start()
+        episode.start()
         return name
 
     async def _world(self, request: HttpRequest) -> Response:
-        session = self._sessions.get(request.path_params["name"])
-        if session is None:
+        episode = self._episodes.get(request.path_params["name"])
+        if episode is None:
             return _gone()
-        return _file(session.world().encode(), "world.toml", "application/toml")
+        return _file(episode.world().encode(), "world.toml", "application/toml")
 
     async def _recording(self, request: HttpRequest) -> Response:
-        session = self._sessions.get(request.path_params["name"])
-        recording = None if session is None else await run_in_threadpool(session.recording)
+        episode = self._episodes.get(request.path_params["name"])
+        recording = None if episode is None else await run_in_threadpool(episode.recording)
         if recording is None:
             return _gone()
         path = self._folder / f"{secrets.token_hex(8)}.html"
@@ -164,20 +164,20 @@ class Server:
 
     async def _live(self, socket: WebSocket) -> None:
         """Show an episode as it grows, and hear what is said to it."""
-        session = self._sessions.get(socket.path_params["name"])
+        episode = self._episodes.get(socket.path_params["name"])
         await socket.accept()
-        if session is None:
+        if episode is None:
             await socket.close(1008, "this episode is not kept any more")
             return
-        listening = asyncio.create_task(_listen(socket, session))
+        listening = asyncio.create_task(_listen(socket, episode))
         try:
             version = -1
             while not listening.done():
-                newest = await run_in_threadpool(session.wait, version, _POLL)
+                newest = await run_in_threadpool(episode.wait, version, _POLL)
                 if newest > version:
                     version = newest
-                    is_over = session.is_over
-                    text = await run_in_threadpool(lambda: page_json(session.describe()))
+                    is_over = episode.is_over
+                    text = await run_in_threadpool(lambda: page_json(episode.describe()))
                     await socket.send_text(text)
                     if is_over:
                         # Nothing more comes, but what is said is still answered.
@@ -191,7 +191,7 @@ class Server:
                     await socket.close()
 
 
-async def _listen(socket: WebSocket, session: Session) -> None:
+async def _listen(socket: WebSocket, episode: LiveEpisode) -> None:
     """Take in what a page says until it is closed."""
     with contextlib.suppress(WebSocketDisconnect):
         while True:
@@ -199,9 +199,9 @@ async def _listen(socket: WebSocket, session: Session) -> None:
             try:
                 message = convert(json.loads(text), Message)
                 if message.close:
-                    session.close()
+                    episode.close()
                 else:
-                    session.say(message.say)
+                    episode.say(message.say)
             except ValueError as error:
                 await socket.send_text(page_json({"refusal": printable(str(error))}))
 

@@ -87,7 +87,7 @@ def read_world(text: str) -> dict[str, Any]:
     return world_to_dict(world_from_dict(table, file="your world"))
 
 
-class Session:
+class LiveEpisode:
     """An episode that goes on until it is closed, has no steps left, or nobody says more."""
 
     def __init__(self, request: Request, *, model: GroundingModel, folder: Path, pace: float):
@@ -96,7 +96,7 @@ class Session:
         Args:
             request: what is asked for.
             model: trained models of language.
-            folder: where the world of this session is kept while it lasts.
+            folder: where the world of this episode is kept while it lasts.
             pace: seconds that a step takes at least.
 
         Raises:
@@ -314,13 +314,13 @@ class Session:
 
 def warm_up(model: GroundingModel, folder: Path) -> None:
     """Load or compile what the first sentence in a drawn world needs."""
-    session = Session(
+    episode = LiveEpisode(
         Request(text="go to the hydrant behind the cone", max_steps=1),
         model=model,
         folder=folder,
         pace=0.0,
     )
-    session.close()
-    session._run()
-    if session.fault:
-        raise RuntimeError(session.fault)
+    episode.close()
+    episode._run()
+    if episode.fault:
+        raise RuntimeError(episode.fault)
