@@ -5,6 +5,7 @@ help stay instant; JAX is imported only once something computes.
 """
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.inputs.old_names import know_old_names as _know_old_names
@@ -57,6 +58,9 @@ __all__ = [
 
 
 _know_old_names()
+if "gymnasium" in sys.modules:
+    # Gymnasium looks for environments in modules that are named, as "jaxlangnav:jaxlangnav/…".
+    importlib.import_module("jaxlangnav.environments")
 
 
 def __getattr__(name: str) -> Any:

@@ -121,6 +121,7 @@ def test_reproduce_fig5_without_the_navigator(tmp_path, capsys):
     assert "falls" in found
 
 
+@pytest.mark.slow
 def test_reproduce_fig4_tells_where_the_goal_is_believed_to_be(tmp_path, capsys):
     # The policy and size whose program other tests compile too.
     words = ["reproduce", "fig4", "--policy", "informed", "--particles", "64"]

@@ -209,6 +209,14 @@ def test_a_network_is_trained_and_stands_beside_the_policies() -> None:
     assert abs(found["learned"].distance_mean - found["faithful"].distance_mean) < 2.0
 
 
+@pytest.mark.slow
+def test_agents_are_compared_on_the_same_worlds() -> None:
+    found = runpy.run_path(str(EXAMPLES / "agents.py"))["main"]("0.2")
+    rates = {name.split(",")[0]: rate for name, (rate, metres) in found.items()}
+    assert rates["random"] < 10.0 < 40.0 < rates["PPO"]
+    assert min(rates[name] for name in ("scripted", "faithful", "informed")) > 95.0
+
+
 def test_own_world_is_short() -> None:
     """The promise is some thirty lines of program."""
     code = (EXAMPLES / "own_world.py").read_text("utf-8").split("def main")[1].splitlines()

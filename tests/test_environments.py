@@ -11,35 +11,40 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from jaxlangnav.environments import functional
+from jaxlangnav.environments import ID, functional
+from jaxlangnav.environments.command import COMMAND_SIZE, command_of
 from jaxlangnav.environments.functional import (
     DISCRETE_ACTIONS,
+    NUM_CELLS,
     OBSERVATION_SIZE,
     STOP_ABOVE,
-    draw_pool,
-    pick_world,
+    VIEW_SIZE,
 )
 from jaxlangnav.environments.gymnasium_env import (
-    ID,
     FollowEnv,
     FollowVectorEnv,
     action_space,
     to_functional,
 )
+from jaxlangnav.environments.pool import draw_pool, next_world
 from jaxlangnav.experiments.tasks import SENTENCES
+from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.messages import BEHIND, NONE, ROBOT
 from jaxlangnav.pytree import replace
+from jaxlangnav.relations.table import REGISTRY
+from jaxlangnav.world.state import CONE, HYDRANT
 from jaxlangnav.world.templates import RELATION_NAMES
 
 STOP = jnp.array([0.0, 0.0, 1.0])
 RESET, STEP = jax.jit(functional.reset), jax.jit(functional.step)
 STEP_AND_RESET = jax.jit(functional.step_and_reset)
-RESET_MANY = jax.jit(jax.vmap(functional.reset, in_axes=(0, None, None)))
-PICK_MANY = jax.jit(jax.vmap(pick_world, in_axes=(0, None)))
+RESET_MANY = jax.jit(jax.vmap(functional.reset, in_axes=(0, None)))
+PICK_MANY = jax.jit(jax.vmap(next_world, in_axes=(0, None)))
 
 
 @pytest.fixture(scope="module")
 def pool() -> Any:
-    return draw_pool(jax.random.key(9), functional.default_params().law, num_worlds=64)
+    return draw_pool(jax.random.key(9), functional.default_params().worlds, num_worlds=64)
 
 
 def test_commands_are_those_of_the_tables() -> None:
@@ -55,14 +60,75 @@ def test_the_observation_says_what_is_sensed() -> None:
     assert observation.shape == (OBSERVATION_SIZE,)
     assert observation[:4].tolist() == [0.0, 0.0, 1.0, 0.0]
     np.testing.assert_allclose(observation[4:8], state.scenario.area)
-    assert observation[8:12].tolist() == [50.0, 0.0, 1.0, 0.0]
-    seen = np.asarray(observation[12:]).reshape(-1, 5)
+    command = np.zeros(COMMAND_SIZE)
+    command[BEHIND] = 1.0
+    np.testing.assert_allclose(observation[8 : 9 + COMMAND_SIZE], [50.0, *command], atol=1e-3)
+    seen = np.asarray(observation[9 + COMMAND_SIZE : VIEW_SIZE]).reshape(-1, 5)
     assert seen[:, 0].tolist() == [1.0, 1.0, *[0.0] * 6]
     assert not seen[2:].any()
     # Facing +x from the origin, the robot's frame is the map's; the cone is nearer.
-    kinds, places = seen[:2, 3:], seen[:2, 1:3]
-    np.testing.assert_array_equal(kinds, [[0.0, 1.0], [1.0, 0.0]])
+    roles, places = seen[:2, 3:], seen[:2, 1:3]
+    np.testing.assert_array_equal(roles, [[0.0, 1.0], [1.0, 0.0]])
     np.testing.assert_allclose(places[1], state.scenario.goal, atol=1e-4)
+    known = np.asarray(observation[VIEW_SIZE : VIEW_SIZE + 6]).reshape(2, 3)
+    np.testing.assert_allclose(known, [[1.0, *places[1]], [1.0, *places[0]]], atol=1e-4)
+    assert observation[VIEW_SIZE + 6 :].tolist() == [1.0] * NUM_CELLS**2
+
+
+def test_what_has_been_seen_is_remembered_and_where_it_was_looked() -> None:
+    params = functional.default_params(sensing_range=3.0)
+    _, state = RESET(jax.random.key(0), params)
+    x, y = np.asarray(state.scenario.goal)
+    back = jnp.array([-1.0, 0.0, -1.0])
+    seen = 0.0
+    for key in jax.random.split(jax.random.key(1), 20):
+        way = state.scenario.goal - state.world.position
+        action = jnp.append(jnp.clip(way, -1.0, 1.0), -1.0) if seen == 0.0 else back
+        observation, state, *_ = STEP(key, state, action, params)
+        seen = float(observation[VIEW_SIZE])
+    assert float(observation[2]) == pytest.approx(-1.0)  # it has turned round
+    place = observation[:2] - observation[VIEW_SIZE + 1 : VIEW_SIZE + 3]
+    np.testing.assert_allclose(place, [x, y], atol=0.7)
+    looked = np.asarray(observation[VIEW_SIZE + 6 :]).reshape(NUM_CELLS, NUM_CELLS)
+    assert 0.1 < looked.mean() < 0.9
+    assert looked[NUM_CELLS // 2, 0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "relation", "flags", "landmark"),
+    [
+        ("go to the hydrant", None, [0, 0, 0, 0], NONE),
+        ("go to the hydrant nearest to the cone", "near", [1, 0, 0, 0], CONE),
+        ("find the hydrant on your left", "left", [0, 1, 0, 1], ROBOT),
+        ("move behind the cone", "behind", [0, 0, 1, 0], CONE),
+    ],
+)
+def test_a_sentence_is_embedded(
+    text: str, relation: str | None, flags: list[int], landmark: int
+) -> None:
+    command = command_of(understand(text, load_shipped()), is_find="find" in text)
+    expected = [float(one.name == relation) for one in REGISTRY] + [float(one) for one in flags]
+    np.testing.assert_allclose(command.embedding, expected, atol=0.01)
+    assert int(command.landmark) == landmark
+    assert int(command.figure) == (NONE if relation == "behind" else HYDRANT)
+
+
+def test_a_world_file_and_any_sentence_make_an_environment() -> None:
+    params = functional.default_params(world="street", instruction="find the car", shaping=0.1)
+    _, state = RESET(jax.random.key(0), params)
+    total, metres = 0.0, float(jnp.hypot(*(state.scenario.goal - state.world.position)))
+    for key in jax.random.split(jax.random.key(1), 60):
+        way = state.scenario.goal - state.world.position
+        is_near = jnp.hypot(way[0], way[1]) < params.sensor.range_max - 0.5
+        action = STOP if is_near else jnp.append(jnp.clip(way, -1.0, 1.0), -1.0)
+        _, state, reward, is_over, info = STEP(key, state, action, params)
+        total += float(reward)
+        if is_over:
+            break
+    assert bool(info.is_success)
+    assert float(params.stop_radius) > 1.5  # to find is to see
+    nearer = 0.1 * (metres - float(info.goal_distance))
+    assert total == pytest.approx(1.0 - 0.01 * float(info.distance) + nearer, abs=1e-4)
 
 
 def test_going_to_the_goal_and_stopping_is_rewarded() -> None:
@@ -100,23 +166,24 @@ def test_stopping_elsewhere_earns_nothing_and_time_runs_out() -> None:
 def test_lanes_are_alike_alone_and_together(pool: Any) -> None:
     params = functional.default_params()
     keys = jax.random.split(jax.random.key(7), 5)
-    together, _ = RESET_MANY(keys, params, pool)
-    alone = [RESET(key, params, pool)[0] for key in keys]
+    params = replace(params, worlds=pool)
+    together, _ = RESET_MANY(keys, params)
+    alone = [RESET(key, params)[0] for key in keys]
     np.testing.assert_allclose(together, np.stack(alone), atol=1e-5)
     assert len({tuple(row) for row in np.asarray(together[:, 4:8]).tolist()}) == 1
 
 
 def test_step_and_reset_begins_anew(pool: Any) -> None:
-    params = functional.default_params()
+    params = replace(functional.default_params(), worlds=pool)
     _, state = RESET(jax.random.key(0), params)
-    observation, after, _, is_over, _ = STEP_AND_RESET(jax.random.key(1), state, STOP, params, pool)
+    observation, after, _, is_over, _ = STEP_AND_RESET(jax.random.key(1), state, STOP, params)
     assert bool(is_over)
     assert int(after.steps) == 0
     goals = np.asarray(pool.goal)
     assert (goals == np.asarray(after.scenario.goal)).all(axis=1).sum() == 1
     assert observation[:4].tolist() == [0.0, 0.0, 1.0, 0.0]
     _, after, _, is_over, info = STEP_AND_RESET(
-        jax.random.key(1), state, jnp.array([1.0, 0.0, -1.0]), params, pool
+        jax.random.key(1), state, jnp.array([1.0, 0.0, -1.0]), params
     )
     assert not bool(is_over)
     assert int(after.steps) == 1
@@ -135,12 +202,12 @@ def test_a_pool_holds_the_worlds_of_the_law_and_hands_them_out_evenly(pool: Any)
     # Each is handed out a hundred times, with a standard deviation of ten.
     assert np.abs(times - 100).max() < 50
     with pytest.raises(ValueError, match="num_worlds is 0"):
-        draw_pool(jax.random.key(0), functional.default_params().law, num_worlds=0)
+        draw_pool(jax.random.key(0), functional.default_params().worlds, num_worlds=0)
 
 
 def test_a_world_that_does_not_meet_the_law_is_replaced() -> None:
     """Three hydrants and three cones in a few metres often find no place."""
-    law = functional.default_params(world="3H3C").law
+    law = functional.default_params(world="3H3C").worlds
     crowded = replace(law, range_mean=0.9 * law.range_mean, range_sd=0.5 * law.range_sd)
     pool = draw_pool(jax.random.key(4), crowded, num_worlds=64)
     assert bool(pool.is_valid.all())
@@ -174,6 +241,9 @@ def test_discrete_actions_are_stop_and_whole_steps() -> None:
         (functional.default_params, {"relation": "beside"}, "beside"),
         (functional.default_params, {"sensing_range": 0.0}, "sensing_range is 0"),
         (functional.default_params, {"max_steps": 0}, "max_steps is 0"),
+        (functional.default_params, {"instruction": "go"}, "in 1H1C worlds relation names"),
+        (functional.default_params, {"world": "street", "instruction": "go to the cone"}, "fits"),
+        (functional.default_params, {"world": "nowhere"}, "unknown world"),
         (FollowEnv, {"relation": "beside"}, "relation"),
         (FollowEnv, {"actions": "few"}, 'actions is "few", but must be one of continuous, disc'),
         (FollowEnv, {"render_mode": "human"}, '"human", but must be one of rgb_array'),
@@ -189,7 +259,7 @@ def test_bad_options_are_refused(make: Any, options: dict, expected: str) -> Non
 @pytest.mark.parametrize("options", [{}, {"actions": "discrete", "render_mode": "rgb_array"}])
 def test_gymnasium_finds_nothing_to_object_to(options: dict) -> None:
     law = {"world": "2H1C", "relation": "nearest", "sensing_range": 5.0}
-    env = gymnasium.make(f"{FollowEnv.__module__}:{ID}", **law, **options)
+    env = gymnasium.make(f"jaxlangnav:{ID}", **law, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env.unwrapped)
@@ -226,8 +296,10 @@ def test_without_a_render_mode_there_is_no_picture() -> None:
 
 
 def test_the_vector_form_begins_ended_lanes_anew() -> None:
-    env = FollowVectorEnv(4, relation="null", num_worlds=64, render_mode="rgb_array")
-    observation, _ = env.reset(seed=2)
+    options = {"relation": "null", "render_mode": "rgb_array"}
+    env = gymnasium.make_vec(f"jaxlangnav:{ID}", num_envs=4, num_worlds=64, **options).unwrapped
+    observation, info = env.reset(seed=2)
+    assert info["instruction"].tolist() == ["go to the hydrant"] * 4
     assert observation.shape == (4, OBSERVATION_SIZE)
     assert env.observation_space.contains(observation)
     first = env.reset(seed=2)[0]

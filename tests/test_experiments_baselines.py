@@ -78,6 +78,7 @@ def test_arcs_by_hand() -> None:
     np.testing.assert_allclose(after, baselines._lane_waypoint(area, reach, jnp.int32(0)))
 
 
+@pytest.mark.slow
 def test_knowing_the_law_is_worth_metres(instructions: Any) -> None:
     tasks = make_tasks(cell("1H1C", "null", 0, 3.0, BLOCK, 11))
     mean = {name: float(np.mean(run(name, tasks, instructions).distance)) for name in SEARCHES}

@@ -71,8 +71,8 @@ def test_the_other_is_not_the_previous_goal():
     ("name", "every"),
     [
         ("corpus39", 1),
-        ("corpus_spoken", 1),
-        ("corpus", 5),
+        ("corpus_spoken", 4),
+        ("corpus", 20),
         pytest.param("corpus", 1, marks=pytest.mark.slow),
     ],
 )

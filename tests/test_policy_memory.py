@@ -268,6 +268,7 @@ def test_values_that_are_no_numbers_leave_it_where_it_is() -> None:
     assert not bool(chosen.is_stop)
 
 
+@pytest.mark.slow
 def test_a_policy_may_hold_arrays_which_are_traced() -> None:
     near, far = (Navigator.pretrained(Weighted(weight=jnp.float32(sign))) for sign in (1, -1))
     assert near.config == far.config

@@ -60,6 +60,7 @@ def test_a_range_that_is_not_measured_is_drawn_evenly_over_the_view() -> None:
     assert float(POSITIONS.log_volume(SENSOR)) == 0.0
 
 
+@pytest.mark.slow
 def test_a_camera_without_ranges_finds_the_hydrant() -> None:
     """From start to stop, in Table 2's worlds: 36 of 48 episodes end within 1.5 m of it."""
     assert EXAMPLE["success_rate"](CAMERA, 48, particles=64) >= 75.0

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from test_serve import TWO_HYDRANTS
 
 sync = pytest.importorskip("playwright.sync_api", reason="needs the extra browser")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -22,26 +23,6 @@ FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
-TWO_HYDRANTS = """
-[area]
-x_min = -2.0
-x_max = 10.0
-y_min = -5.0
-y_max = 5.0
-
-[[objects]]
-type = "hydrant"
-x = 4.0
-y = 2.0
-
-[[objects]]
-type = "hydrant"
-x = 4.0
-y = -2.5
-
-[sensor]
-range = 8.0
-"""
 
 
 @pytest.fixture(scope="module")

@@ -136,10 +136,10 @@ def outcomes(part: str, every: int = 1) -> Counter[str]:
     return Counter(one.outcome for one in score_sentences(some, load_shipped()))
 
 
-def test_every_third_of_the_shipped_sentences_stays_as_well_read():
-    counts = sum((outcomes(part, every=3) for part in PARTS), Counter())
-    assert counts["right"] >= 579
-    assert counts["wrong"] <= 16
+def test_every_ninth_of_the_shipped_sentences_stays_as_well_read():
+    counts = sum((outcomes(part, every=9) for part in PARTS), Counter())
+    assert counts["right"] >= 190
+    assert counts["wrong"] <= 5
 
 
 @pytest.mark.slow

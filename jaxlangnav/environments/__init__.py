@@ -1,5 +1,20 @@
-"""The worlds of section 4.2 as environments for agents other than ours.
+"""The worlds of section 4.2, and any world file, as environments for agents other than ours.
 
 ``functional`` has ``reset`` and ``step`` as pure functions of keys and arrays; ``gymnasium_env``
-wraps them for Gymnasium (extra ``gym``).
+wraps them for Gymnasium (extra ``gym``), which knows them by ``ID`` from here on.
 """
+
+import contextlib
+
+ID = "jaxlangnav/Follow-v2"
+
+with contextlib.suppress(ImportError):
+    import gymnasium
+
+    _MODULE = "jaxlangnav.environments.gymnasium_env"
+    if ID not in gymnasium.registry:
+        gymnasium.register(
+            ID,
+            entry_point=f"{_MODULE}:FollowEnv",
+            vector_entry_point=f"{_MODULE}:FollowVectorEnv",
+        )

@@ -1,18 +1,32 @@
 """Following a command as a pure environment: ``reset`` and ``step`` (section 4.2).
 
-An agent drives the simulated robot of our worlds itself: it is told which of Table 2's commands it
-is to carry out, senses what the robot senses, and says stop where it takes the goal to be.
+An agent drives the simulated robot itself: it is told a sentence, senses what the robot senses, and
+says stop where it takes the goal to be.
 
-    params = default_params(world="2H1C", relation="behind")
+    params = default_params(world="yard", instruction="go to the hydrant behind the cone")
     observation, state = reset(key, params)
     observation, state, reward, is_over, info = step(key, state, action, params)
 
-Where episodes follow one another, worlds are drawn ahead:
+Where episodes follow one another, worlds of a template are drawn ahead:
 
-    pool = draw_pool(key, params.law)
-    observation, state, reward, is_over, info = step_and_reset(key, state, action, params, pool)
+    params = replace(params, worlds=draw_pool(key, params.worlds))
+    observation, state, reward, is_over, info = step_and_reset(key, state, action, params)
 
 Everything is ``jit``- and ``vmap``-able; ``params`` are traced and may differ from lane to lane.
+
+An observation, f32[OBSERVATION_SIZE], has the raw view first, then what memory makes of it:
+
+    0:4      x, y of odometry, metres; cosine and sine of its heading
+    4:8      the operating area: x_min, x_max, y_min, y_max, metres
+    8        the sensing range, metres
+    9:21     the command, probabilities over its readings: the goal is related to the landmark by
+             each relation of ``relations.table.REGISTRY``; more so than others of its type; the
+             landmark is the robot; the goal is a region at the landmark; finding is enough
+    21:61    eight detections, nearest first: is one there, x and y in the robot's frame, metres,
+             is it of the goal's type, is it of the landmark's
+    61:67    the goal's type and the landmark's, as last detected: is it known, x and y in the
+             robot's frame, metres
+    67:131   8 × 8 cells of the area, row by row from y_min: has its middle been in view
 """
 
 import functools
@@ -23,22 +37,33 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.environments.command import (
+    COMMAND_SIZE,
+    DEFAULT_RELATION,
+    EmbeddedCommand,
+    command_of,
+    text_of,
+)
+from jaxlangnav.environments.pool import next_world
 from jaxlangnav.episode import MAX_STEPS
-from jaxlangnav.experiments.tasks import SENTENCES
+from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.task.opening import detector_of, open_task
+from jaxlangnav.terrain.view import eye_of, rotated
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import carry_out, plain_action
-from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
+from jaxlangnav.world.files import WorldFile, open_world
+from jaxlangnav.world.motion import carry_out, halted, plain_action
+from jaxlangnav.world.scenario import ScenarioLaw, scenario_law
 from jaxlangnav.world.sensor import NUM_DETECTIONS, sense
-from jaxlangnav.world.state import CONE, HYDRANT, Scenario, WorldState
+from jaxlangnav.world.state import Scenario, WorldState
 
 ACTION_SIZE = 3
 STOP_ABOVE = 0.9
 """An action stops where its last entry is above this: one in twenty of uniformly random ones."""
 NUM_DIRECTIONS = 16
-
 
 _TURNS = np.arange(NUM_DIRECTIONS) * (2.0 * math.pi / NUM_DIRECTIONS)
 DISCRETE_ACTIONS = np.array(
@@ -46,48 +71,26 @@ DISCRETE_ACTIONS = np.array(
 )
 """f32[17, 3], the discrete actions: stop, then the greatest step in 16 directions, +x to +y."""
 
-
 BOUND = 100.0  # entries of an observation are clipped to plus and minus this
-OBSERVATION_SIZE = 12 + 5 * NUM_DETECTIONS
-
-
-NUM_WORLDS = 1024
-"""Worlds of a pool unless told otherwise: 150 kB, and an average's σ/√N is 3 % of σ."""
-_SLICE = 64  # worlds drawn together; all at once would hold every place tried
-DEFAULT_RELATION = "behind"
-
-
-@functools.partial(jax.jit, static_argnames="num_worlds")
-def draw_pool(key: Array, law: ScenarioLaw, *, num_worlds: int = NUM_WORLDS) -> Scenario:
-    """Draw the worlds of a pool, a leading axis N ≥ 1 on every leaf; another N recompiles.
-
-    Limits: one world makes every episode the same place; a world that does not meet the law is
-    replaced by one of the pool that does (if there is one).
-    """
-    refuse_below(1, num_worlds=num_worlds)
-    keys = jax.random.split(key, num_worlds)
-    drawn = jax.lax.map(lambda one: draw_scenario(one, law), keys, batch_size=_SLICE)
-    best = jnp.argsort(~drawn.is_valid, stable=True)
-    number = jnp.maximum(jnp.sum(drawn.is_valid), 1)
-    return jax.tree.map(lambda leaf: leaf[best[jnp.arange(num_worlds) % number]], drawn)
-
-
-def pick_world(key: Array, pool: Scenario) -> Scenario:
-    """Take one of the N worlds of a pool by lot."""
-    # One draw where randint takes four; 2³² is so large that its remainder favours nobody.
-    index = jax.random.bits(key) % jnp.uint32(pool.goal_index.shape[0])
-    return jax.tree.map(lambda leaf: leaf[index], pool)
+NUM_CELLS = 8
+"""Cells of the coverage, along x and along y."""
+VIEW_SIZE = 9 + COMMAND_SIZE + 5 * NUM_DETECTIONS
+"""Entries of the raw view, the first of an observation."""
+OBSERVATION_SIZE = VIEW_SIZE + 6 + NUM_CELLS**2
 
 
 @pytree
 class EnvironmentParams:
     """What may vary from lane to lane; traced."""
 
-    law: ScenarioLaw  # how worlds are drawn, the command's relation included
+    worlds: ScenarioLaw | Scenario  # how they are drawn; or a pool, leaves [N, …]
+    command: EmbeddedCommand
     sensor: SensorParams
     motion: MotionParams
     max_steps: Array  # i32[] steps after which an episode is cut off
+    stop_radius: Array  # f32[] metres from the goal within which a stop is a success
     metre_cost: Array  # f32[] subtracted from the reward for each metre travelled
+    shaping: Array  # f32[] added to the reward for each metre that the goal has come nearer
 
 
 @pytree
@@ -97,13 +100,16 @@ class EnvironmentState:
     scenario: Scenario
     world: WorldState
     steps: Array  # i32[]
+    is_known: Array  # bool[2] the goal's type and the landmark's have been detected
+    known_place: Array  # f32[2, 2] where, x and y by odometry, metres
+    is_looked_at: Array  # bool[NUM_CELLS, NUM_CELLS] a cell's middle has been in view; [y, x]
 
 
 @pytree
 class EnvironmentInfo:
     """What a person or a test wants to know of one step."""
 
-    is_success: Array  # bool[] stopped within 1.5 m of the goal
+    is_success: Array  # bool[] stopped within the stop radius of the goal
     is_stopped: Array  # bool[] the agent has said stop
     is_cut_off: Array  # bool[] out of time
     distance: Array  # f32[] metres travelled in this episode
@@ -114,36 +120,66 @@ def default_params(
     *,
     world: str = "1H1C",
     relation: str = DEFAULT_RELATION,
-    sensing_range: float = 3.0,
+    instruction: str | None = None,
+    sensing_range: float | None = None,
     max_steps: int = MAX_STEPS,
     metre_cost: float = 0.01,
+    shaping: float = 0.0,
 ) -> EnvironmentParams:
-    """Build the parameters of an environment, with the default noise of all tables.
+    """Build the parameters of an environment.
 
-    ``world``: a template such as "2H1C"; ``relation``: "null", "behind" or "nearest", which command
-    is given; ``sensing_range``: metres; ``max_steps``: those after which an episode is cut off;
-    ``metre_cost``: subtracted from the reward for each metre travelled. ``ValueError``: an unknown
-    world or relation, or a number outside its limits.
+    Args:
+        world: a template such as "2H1C", whose worlds are drawn; a shipped world, or a file.
+        relation: which of Table 2's commands is given in a template: "null", "behind", "nearest".
+        instruction: the sentence in a world of a file; the file's own if None.
+        sensing_range: metres; 3, or what the world's file says, if None.
+        max_steps: those after which an episode is cut off.
+        metre_cost: subtracted from the reward for each metre travelled.
+        shaping: added to the reward for each metre that the goal has come nearer.
+
+    Raises:
+        ValueError: an unknown world or relation, a sentence that is not understood or that nothing
+            there fits, or a number outside its limits; one line.
     """
-    if not sensing_range > 0.0:
+    if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be above 0 m")
     refuse_below(1, max_steps=max_steps)
+    model, place = load_shipped(), open_world(world)
+    is_find = False
+    if isinstance(place, WorldFile):
+        text = text_of(world=world, instruction=instruction)
+        if not text:
+            raise ValueError(f"world {place.name} has no instruction of its own: give one")
+        understood = understand(text, model, detector_of(world, model.type_names))
+        prepared = open_task(world, understood, sensing_range=sensing_range, seed=0)
+        if prepared.unjudged:
+            raise ValueError(f"world {place.name}: {prepared.unjudged}")
+        task, is_find = prepared.task, prepared.is_find
+        worlds = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], task.scenario)
+        sensor, motion = task.sensor, task.motion
+    elif instruction is not None:
+        raise ValueError(f"instruction is given, but in {world} worlds relation names the command")
+    else:
+        worlds = scenario_law(template=place, relation=relation)
+        sensor, motion = default_sensor(sensing_range or 3.0), default_motion()
+        understood = understand(text_of(world=world, relation=relation), model)
+    reach = jnp.maximum(sensor.range_max, simulator.SUCCESS_RADIUS)
     return EnvironmentParams(
-        law=scenario_law(template=world, relation=relation),
-        sensor=default_sensor(sensing_range),
-        motion=default_motion(),
+        worlds=worlds,
+        command=command_of(understood, is_find=is_find),
+        sensor=sensor,
+        motion=motion,
         max_steps=jnp.int32(max_steps),
+        stop_radius=reach if is_find else jnp.float32(simulator.SUCCESS_RADIUS),
         metre_cost=jnp.float32(metre_cost),
+        shaping=jnp.float32(shaping),
     )
 
 
-def reset(
-    key: Array, params: EnvironmentParams, pool: Scenario | None = None
-) -> tuple[Array, EnvironmentState]:
-    """Put the robot at the start of a world, fresh or of a ``pool``: observation f32[52], state."""
+def reset(key: Array, params: EnvironmentParams) -> tuple[Array, EnvironmentState]:
+    """Put the robot at the start of a world: observation f32[OBSERVATION_SIZE], state."""
     world_key, sense_key = jax.random.split(key)
-    state = _begin(world_key, params, pool)
-    return _observe(sense_key, state, params), state
+    return _observe(sense_key, _begin(world_key, params), params)
 
 
 def step(
@@ -151,8 +187,8 @@ def step(
 ) -> tuple[Array, EnvironmentState, Array, Array, EnvironmentInfo]:
     """Carry out one action; the next episode has to be begun by ``reset``.
 
-    The reward is 1 where the agent stops within 1.5 m of the goal, and otherwise 0, less the cost
-    of the way.
+    The reward is 1 where the agent stops within the stop radius of the goal, and otherwise 0, less
+    the cost of the way, and with what ``shaping`` gives.
 
     Args:
         key: random key, consumed.
@@ -163,41 +199,32 @@ def step(
         params: the environment.
 
     Returns:
-        Observation f32[52], state, reward f32[], bool[] whether the episode is over, and info.
+        Observation f32[OBSERVATION_SIZE], state, reward f32[], bool[] whether the episode is over,
+        and info.
     """
     move_key, sense_key = jax.random.split(key)
     after, reward, info = _advance(move_key, state, action, params)
-    observation = _observe(sense_key, after, params)
+    observation, after = _observe(sense_key, after, params)
     return observation, after, reward, info.is_stopped | info.is_cut_off, info
 
 
 def step_and_reset(
-    key: Array,
-    state: EnvironmentState,
-    action: Array,
-    params: EnvironmentParams,
-    pool: Scenario | None = None,
+    key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams
 ) -> tuple[Array, EnvironmentState, Array, Array, EnvironmentInfo]:
     """Carry out one action and begin the next episode at once where one ends, as gymnax does.
 
-    As ``step``; observation and state are those of a new episode where one is over. ``pool`` is as
-    of ``reset``; without it a world is drawn in every step.
+    As ``step``; observation and state are those of a new episode where one is over. Without a pool
+    a world is drawn in every step.
     """
     move_key, world_key, sense_key = jax.random.split(key, 3)
     after, reward, info = _advance(move_key, state, action, params)
     is_over = info.is_stopped | info.is_cut_off
-    fresh = _begin(world_key, params, pool)
-    after = jax.tree.map(functools.partial(jnp.where, is_over), fresh, after)
-    return _observe(sense_key, after, params), after, reward, is_over, info
+    observation, after = _observe(sense_key, _anew(world_key, after, params, is_over), params)
+    return observation, after, reward, is_over, info
 
 
 def step_or_reset(
-    key: Array,
-    state: EnvironmentState,
-    action: Array,
-    params: EnvironmentParams,
-    pool: Scenario | None,
-    is_over: Array,
+    key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams, is_over: Array
 ) -> tuple[Array, EnvironmentState, Array, EnvironmentInfo]:
     """Carry out one action, or begin a new episode where the last one ``is_over``, bool[].
 
@@ -209,16 +236,28 @@ def step_or_reset(
     reward, info = jax.tree.map(
         lambda leaf: jnp.where(is_over, jnp.zeros_like(leaf), leaf), (reward, info)
     )
-    fresh = _begin(world_key, params, pool)
-    after = jax.tree.map(functools.partial(jnp.where, is_over), fresh, after)
-    return _observe(sense_key, after, params), after, reward, info
+    observation, after = _observe(sense_key, _anew(world_key, after, params, is_over), params)
+    return observation, after, reward, info
 
 
-def _begin(key: Array, params: EnvironmentParams, pool: Scenario | None) -> EnvironmentState:
+def _begin(key: Array, params: EnvironmentParams) -> EnvironmentState:
     """Put the robot at the start of a world: one of the pool, or a new one."""
-    scenario = draw_scenario(key, params.law) if pool is None else pick_world(key, pool)
-    world = simulator.reset(scenario)
-    return EnvironmentState(scenario=scenario, world=world, steps=jnp.int32(0))
+    scenario = next_world(key, params.worlds)
+    return EnvironmentState(
+        scenario=scenario,
+        world=simulator.reset(scenario),
+        steps=jnp.int32(0),
+        is_known=jnp.zeros(2, bool),
+        known_place=jnp.zeros((2, 2)),
+        is_looked_at=jnp.zeros((NUM_CELLS, NUM_CELLS), bool),
+    )
+
+
+def _anew(
+    key: Array, after: EnvironmentState, params: EnvironmentParams, is_over: Array
+) -> EnvironmentState:
+    """Begin a new episode in place of one that is over."""
+    return jax.tree.map(functools.partial(jnp.where, is_over), _begin(key, params), after)
 
 
 def _advance(
@@ -229,36 +268,83 @@ def _advance(
     is_stopped = action[2] > STOP_ABOVE
     way = action[:2] * params.motion.step_length
     order = plain_action(state.world.odometry[:2] + way, way, is_stopped)
-    world = carry_out(key, state.world, order, params.motion)
-    after = EnvironmentState(scenario=state.scenario, world=world, steps=state.steps + 1)
-    is_success = simulator.is_success(world, state.scenario, is_stopped)
+    moved = carry_out(key, state.world, order, params.motion)
+    world = halted(state.world, moved, state.scenario.terrain)
+    after = replace(state, world=world, steps=state.steps + 1)
+    before_metres = simulator.goal_distance(state.world, state.scenario)
+    metres = simulator.goal_distance(world, state.scenario)
+    is_success = is_stopped & (metres <= params.stop_radius)
     info = EnvironmentInfo(
         is_success=is_success,
         is_stopped=is_stopped,
         is_cut_off=~is_stopped & (after.steps >= params.max_steps),
         distance=world.distance,
-        goal_distance=simulator.goal_distance(world, state.scenario),
+        goal_distance=metres,
     )
     travelled = world.distance - state.world.distance
-    return after, is_success.astype(jnp.float32) - params.metre_cost * travelled, info
+    nearer = params.shaping * (before_metres - metres)
+    reward = is_success.astype(jnp.float32) - params.metre_cost * travelled + nearer
+    return after, reward, info
 
 
-def _observe(key: Array, state: EnvironmentState, params: EnvironmentParams) -> Array:
-    seen = sense(key, state.world, state.scenario, params.sensor)
+def _observe(
+    key: Array, state: EnvironmentState, params: EnvironmentParams
+) -> tuple[Array, EnvironmentState]:
+    """Look, and remember what has been seen and where it has been looked."""
+    seen = sense(key, state.world, state.scenario, params.sensor, num_detections=NUM_DETECTIONS)
     x, y, heading = seen.pose[0], seen.pose[1], seen.pose[2]
-    told = (jnp.arange(len(SENTENCES)) == params.law.relation).astype(jnp.float32)
-    is_there = seen.is_detection.astype(jnp.float32)
-    detections = jnp.stack(
+    ahead = jnp.where(seen.is_detection, seen.detection_range * jnp.cos(seen.detection_bearing), 0)
+    left = jnp.where(seen.is_detection, seen.detection_range * jnp.sin(seen.detection_bearing), 0)
+    command = params.command
+    is_role = seen.is_detection[
+        None
+    ] & jnp.stack(  # bool[2, D] of the goal's type, of the landmark's
         [
-            is_there,
-            is_there * seen.detection_range * jnp.cos(seen.detection_bearing),
-            is_there * seen.detection_range * jnp.sin(seen.detection_bearing),
-            (seen.detection_type == HYDRANT).astype(jnp.float32),
-            (seen.detection_type == CONE).astype(jnp.float32),
-        ],
-        axis=1,
+            (seen.detection_type == command.figure) | (command.figure == ANYTHING),
+            seen.detection_type == command.landmark,
+        ]
     )
-    own = jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)])
-    reach, area = seen.sensor.range_max[None], state.scenario.area
-    parts = [own, area, reach, told, detections.reshape(-1)]
-    return jnp.clip(jnp.concatenate(parts), -BOUND, BOUND)
+    state = _remember(state, seen.pose, is_role, ahead, left, params)
+    there = state.known_place - seen.pose[None, :2]
+    known_ahead, known_left = rotated(there[:, 0], there[:, 1], -heading)
+    parts = [
+        jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)]),
+        state.scenario.area,
+        seen.sensor.range_max[None],
+        command.embedding,
+        jnp.stack([seen.is_detection, ahead, left, *is_role], axis=1).reshape(-1),
+        (state.is_known[None] * jnp.stack([jnp.ones(2), known_ahead, known_left])).T.reshape(-1),
+        state.is_looked_at.reshape(-1),
+    ]
+    observation = jnp.concatenate([part.astype(jnp.float32) for part in parts])
+    return jnp.clip(observation, -BOUND, BOUND), state
+
+
+def _remember(
+    state: EnvironmentState,
+    pose: Array,
+    is_role: Array,
+    ahead: Array,
+    left: Array,
+    params: EnvironmentParams,
+) -> EnvironmentState:
+    """Keep the nearest detection of either role, f32[2, D] in the robot's frame, and the view."""
+    nearest = jnp.argmax(is_role, axis=1)  # detections come nearest first
+    dx, dy = rotated(ahead[nearest], left[nearest], pose[2])
+    is_seen = is_role.any(axis=1)
+    place = jnp.where(
+        is_seen[:, None], jnp.stack([pose[0] + dx, pose[1] + dy], 1), state.known_place
+    )
+    x_min, x_max, y_min, y_max = state.scenario.area
+    middle = (jnp.arange(NUM_CELLS) + 0.5) / NUM_CELLS
+    y, x = jnp.meshgrid(
+        y_min + middle * (y_max - y_min), x_min + middle * (x_max - x_min), indexing="ij"
+    )
+    eye = eye_of(pose[0], pose[1], pose[2], params.sensor)
+    in_view = state.scenario.terrain.view.sees(eye, x, y)
+    return replace(
+        state,
+        is_known=state.is_known | is_seen,
+        known_place=place,
+        is_looked_at=state.is_looked_at | in_view,
+    )

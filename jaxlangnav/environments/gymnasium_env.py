@@ -1,9 +1,7 @@
 """Our worlds for Gymnasium: one environment, and many in one compiled program (section 4.2).
 
-Importing this module registers ``jaxlangnav/Follow-v1``, and Gymnasium imports it if asked to:
-
-    name = "jaxlangnav.environments.gymnasium_env:jaxlangnav/Follow-v1"
-    env = gymnasium.make(name, world="2H1C", relation="behind")
+    env = gymnasium.make("jaxlangnav:jaxlangnav/Follow-v2", world="2H1C", relation="behind")
+    envs = gymnasium.make_vec("jaxlangnav:jaxlangnav/Follow-v2", num_envs=64, world="yard")
 
 It needs the extra ``gym``, and ``viz`` for ``render_mode="rgb_array"``. Observations and actions
 are those of ``functional``; a discrete action is a row of its ``DISCRETE_ACTIONS``.
@@ -19,16 +17,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from jaxlangnav.environments import functional
+from jaxlangnav.environments.command import text_of
 from jaxlangnav.environments.functional import DISCRETE_ACTIONS, EnvironmentState
-from jaxlangnav.experiments.tasks import SENTENCES
+from jaxlangnav.environments.pool import NUM_WORLDS, draw_pool
 from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.pytree import replace
 from jaxlangnav.viz.mapping import drive_picture
 from jaxlangnav.viz.style import require
-from jaxlangnav.world.state import Scenario
 
 Actions = Literal["continuous", "discrete"]
 RenderMode = Literal["rgb_array"]
-ID = "jaxlangnav/Follow-v1"
 METADATA: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 4}
 
 
@@ -68,15 +66,14 @@ def _seed(generator: np.random.Generator) -> np.integer:
 class _Worlds:
     """What both environments hold: parameters, the present state, and the way of every lane."""
 
-    def __init__(self, render_mode: str | None, law: dict[str, Any]) -> None:
+    def __init__(self, render_mode: str | None, options: dict[str, Any]) -> None:
         """Set up, and refuse at once what could not be drawn later."""
         if render_mode is not None:
             _choice("render_mode", render_mode, RenderMode, ", or None")
             require("matplotlib")
         self.is_drawn = render_mode is not None
-        self.params = functional.default_params(**law)
-        # ``default_params`` refuses a relation that is unknown.
-        self.text = SENTENCES[law.get("relation", functional.DEFAULT_RELATION)]
+        self.params = functional.default_params(**options)
+        self.text = text_of(**options)
         self.state: EnvironmentState | None = None
         self._ways: list[list[np.ndarray]] = []
 
@@ -121,20 +118,28 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
     metadata = METADATA
 
     def __init__(
-        self, *, actions: Actions = "continuous", render_mode: RenderMode | None = None, **law: Any
+        self,
+        *,
+        actions: Actions = "continuous",
+        render_mode: RenderMode | None = None,
+        **options: Any,
     ) -> None:
         """Set up the environment.
 
-        ``actions``: "continuous", f32[3] as of ``functional.step``, or "discrete", an index into
-        ``DISCRETE_ACTIONS``; ``render_mode``: "rgb_array" for pictures, which need the extra
-        ``viz``, or None; ``law``: world, relation, sensing_range, max_steps, metre_cost, as of
-        ``functional.default_params``. ``ValueError``: an unknown option, or a number outside its
-        limits.
+        Args:
+            actions: "continuous", f32[3] as of ``functional.step``, or "discrete", an index into
+                ``DISCRETE_ACTIONS``.
+            render_mode: "rgb_array" for pictures, which need the extra ``viz``, or None.
+            **options: world, relation, instruction, sensing_range, max_steps, metre_cost, shaping,
+                as of ``functional.default_params``.
+
+        Raises:
+            ValueError: an unknown option, or a number outside its limits.
         """
         self.observation_space = observation_space()
         self.action_space = action_space(actions)
         self.render_mode = render_mode
-        self._worlds = _Worlds(render_mode, law)
+        self._worlds = _Worlds(render_mode, options)
         self.instruction = self._worlds.text
 
     def reset(
@@ -175,10 +180,10 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self,
         num_envs: int,
         *,
-        num_worlds: int = functional.NUM_WORLDS,
+        num_worlds: int = NUM_WORLDS,
         actions: Actions = "continuous",
         render_mode: RenderMode | None = None,
-        **law: Any,
+        **options: Any,
     ) -> None:
         """Set up ``num_envs`` environments, options as of ``FollowEnv``; a picture for each.
 
@@ -195,21 +200,24 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.render_mode = render_mode
-        self._worlds = _Worlds(render_mode, law)
-        self._pool: Scenario | None = None
+        self._worlds = _Worlds(render_mode, options)
         self._is_over = np.zeros(num_envs, bool)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Draw the worlds and begin an episode in every lane: f32[num_envs, 52], and no info."""
+        """Draw the worlds and begin an episode in every lane: f32[num_envs, …], the command."""
         super().reset(seed=seed)
+        params = self._worlds.params
         if self._num_worlds:
-            given = jax.random.key(_seed(self.np_random)), self._worlds.params.law
-            self._pool = functional.draw_pool(*given, num_worlds=self._num_worlds)
+            key = jax.random.key(_seed(self.np_random))
+            worlds = draw_pool(key, params.worlds, num_worlds=self._num_worlds)
+            params = replace(params, worlds=worlds)
+        self._params = params
         keys = _keys(_seed(self.np_random), self.num_envs)
         self._is_over = np.zeros(self.num_envs, bool)
-        return self._worlds.see(*_reset_many(keys, self._worlds.params, self._pool)), {}
+        told = {"instruction": np.full(self.num_envs, self._worlds.text)}
+        return self._worlds.see(*_reset_many(keys, self._params)), told
 
     def step(
         self, actions: Any
@@ -222,7 +230,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         keys = _keys(_seed(self.np_random), self.num_envs)
         actions = to_functional(actions, self.single_action_space)
         observation, state, reward, info = _step_many(
-            keys, before, actions, worlds.params, self._pool, self._is_over
+            keys, before, actions, self._params, self._is_over
         )
         told = _told(info)
         ended, late = told["is_stopped"], told["is_cut_off"]
@@ -241,12 +249,5 @@ def _told(info: functional.EnvironmentInfo) -> dict[str, np.ndarray]:
 _reset = jax.jit(lambda seed, *rest: functional.reset(jax.random.key(seed), *rest))
 _step = jax.jit(lambda seed, *rest: functional.step(jax.random.key(seed), *rest))
 _keys = jax.jit(lambda seed, of: jax.random.split(jax.random.key(seed), of), static_argnums=1)
-_reset_many = jax.jit(jax.vmap(functional.reset, in_axes=(0, None, None)))
-_step_many = jax.jit(jax.vmap(functional.step_or_reset, in_axes=(0, 0, 0, None, None, 0)))
-
-if ID not in gymnasium.registry:
-    gymnasium.register(
-        ID,
-        entry_point=f"{__name__}:FollowEnv",
-        vector_entry_point=f"{__name__}:FollowVectorEnv",
-    )
+_reset_many = jax.jit(jax.vmap(functional.reset, in_axes=(0, None)))
+_step_many = jax.jit(jax.vmap(functional.step_or_reset, in_axes=(0, 0, 0, None, 0)))
