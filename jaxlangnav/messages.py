@@ -22,7 +22,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.inputs import observations
-from jaxlangnav.inputs.sanitize import quoted
+from jaxlangnav.inputs.sanitize import quote
 from jaxlangnav.pytree import field, pytree
 
 RELATIONS = ("front", "behind", "left", "right", "near", "far")
@@ -237,7 +237,7 @@ class Observation:
         given = default_sensor() if sensor is None else sensor
         if not isinstance(given, SensorParams):
             raise ValueError(
-                f"sensor is {quoted(given)}, but must be SensorParams, "
+                f"sensor is {quote(given)}, but must be SensorParams, "
                 "as of default_sensor(range_max)"
             )
         numbers = check_sensor(given)

@@ -29,7 +29,7 @@ import jax
 import numpy as np
 
 import jaxlangnav
-from jaxlangnav.grounding import Block, Described, Labelled, Symbols, read_tree
+from jaxlangnav.grounding import Block, Described, Labelled, SymbolDomain, read_tree
 from jaxlangnav.training import train_graph
 from jaxlangnav.training.examples import examples_of
 from jaxlangnav.training.fit import TrainingConfig, build_design, loss
@@ -102,7 +102,7 @@ class Kitchen:
         """Name the things, their regions and the actions."""
         things = [f"{i}: {thing.colour} {thing.kind}" for i, thing in enumerate(world)]
         regions = [f"{relation} {thing}" for relation in RELATIONS for thing in things]
-        return Symbols([*things, *regions, *ACTIONS])
+        return SymbolDomain([*things, *regions, *ACTIONS])
 
     def describe(self, phrase, path, world):
         """Describe each symbol, given bool[S] for each child."""

@@ -21,7 +21,7 @@ from jaxlangnav.inputs.sanitize import markdown_table
 from jaxlangnav.robots.driver import CYCLE
 from jaxlangnav.robots.physics.robot import MACHINES, ODOMETRY_NOISE, PhysicsRobot
 from jaxlangnav.robots.physics.tags import Gates
-from jaxlangnav.robots.robot import Progress
+from jaxlangnav.robots.robot import WaypointStatus
 from jaxlangnav.world.state import placed
 
 SPANS = (1, 2, 4, 8, 16)
@@ -74,8 +74,8 @@ def _drive(machine: str, seed: int) -> np.ndarray:
         angle, way = random.uniform(-np.pi, np.pi), random.uniform(_SHORTEST, _LONGEST)
         place = np.clip(place + way * np.array([np.cos(angle), np.sin(angle)]), -_EDGE, _EDGE)
         robot.go_to(place[None], speed=1.0, clearance=0.0)
-        progress = Progress.UNDER_WAY
-        while progress is Progress.UNDER_WAY:
+        progress = WaypointStatus.UNDER_WAY
+        while progress is WaypointStatus.UNDER_WAY:
             progress = robot.wait(CYCLE)
             log.append(np.append(robot.pose(), robot.true_pose))
     robot.close()

@@ -17,13 +17,13 @@ from jaxlangnav.inputs.object_types import (
     ANYTHING,
     ATTRIBUTES,
     MOST_LABELS,
-    attributes,
-    fits,
-    joined,
+    attribute_code,
+    attribute_words,
+    is_type,
     kind_of,
     label_of,
+    merge_types,
     name_of,
-    words_of,
 )
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import LanguageError
@@ -231,25 +231,25 @@ def test_labels_that_detectors_have_are_taken() -> None:
 
 
 def test_a_kind_is_a_label_and_attributes() -> None:
-    red, tall = attributes("red"), attributes("tall")
-    both = attributes("tall", "red")
-    assert words_of(both) == ("red", "tall")
-    ball = [kind_of(7, code) for code in (0, red, attributes("blue"), both)]
+    red, tall = attribute_code("red"), attribute_code("tall")
+    both = attribute_code("tall", "red")
+    assert attribute_words(both) == ("red", "tall")
+    ball = [kind_of(7, code) for code in (0, red, attribute_code("blue"), both)]
     asked = kind_of(7, red)
-    assert [bool(fits(one, asked)) for one in ball] == [True, True, False, True]
-    assert not fits(kind_of(8, red), asked)
-    assert joined(ball[2], kind_of(7, both)) == ball[3]
-    assert joined(ball[1], kind_of(7, tall)) == ball[3]
+    assert [bool(is_type(one, asked)) for one in ball] == [True, True, False, True]
+    assert not is_type(kind_of(8, red), asked)
+    assert merge_types(ball[2], kind_of(7, both)) == ball[3]
+    assert merge_types(ball[1], kind_of(7, tall)) == ball[3]
     for special in (NONE, ROBOT):
         assert label_of(special) == special
         assert int(label_of(np.int32(special))) == special
-        assert not fits(special, asked)
-        assert fits(special, special)
-    assert not fits(NONE, ROBOT)
+        assert not is_type(special, asked)
+        assert is_type(special, special)
+    assert not is_type(NONE, ROBOT)
     for words in itertools.product(*((None, *values) for values in ATTRIBUTES.values())):
         given = tuple(word for word in words if word)
-        code = attributes(*given)
-        assert words_of(code) == given
+        code = attribute_code(*given)
+        assert attribute_words(code) == given
         kind = kind_of(MOST_LABELS - 1, code)
         assert int(np.float32(kind)) == kind  # as tables of particles hold it
 
@@ -257,7 +257,7 @@ def test_a_kind_is_a_label_and_attributes() -> None:
 def test_attributes_that_the_detector_reports_are_part_of_what_is_meant(model) -> None:
     told = understood("go to the red ball behind the blue ball", model, attributes=("colour",))
     ball = LABELS.index("sports ball")
-    said = [kind_of(ball, attributes(word)) for word in ("blue", "red")]
+    said = [kind_of(ball, attribute_code(word)) for word in ("blue", "red")]
     assert told.instruction.readings.mention_type[0, :2].tolist() == said
     assert told.notes == ()
     assert [one["figure"] for one in told.annotations[:1]] == ["ball"]
@@ -287,7 +287,7 @@ def test_no_adjective_is_dropped_silently(text, groups, notes, model) -> None:
 
 def test_it_is_what_it_was_attributes_and_all(model) -> None:
     told = understood("go to the red box, then stop behind it", model, attributes=("colour",))
-    kind = kind_of(LABELS.index("box"), attributes("red"))
+    kind = kind_of(LABELS.index("box"), attribute_code("red"))
     readings = told.instruction.readings
     assert set(np.asarray(readings.mention_type[0]).tolist()) == {kind, NONE}
 
@@ -318,7 +318,7 @@ def look_at_balls(place, heading: float):
     found = [(HYDRANT, x - place[0], y - place[1]) for x, y, _ in BALLS]
     pose, sensor = np.array([*place, heading]), by_hand.sensor(12.0, noise=0.02)
     codes = np.zeros(8, np.int32)
-    codes[: len(BALLS)] = [attributes(colour) for _, _, colour in BALLS]
+    codes[: len(BALLS)] = [attribute_code(colour) for _, _, colour in BALLS]
     seen = by_hand.observation(pose, found, sensor, size=8)
     return replace(seen, detection_attribute=codes)
 
@@ -377,19 +377,19 @@ def test_what_is_said_of_it_comes_last(model) -> None:
 def test_a_colour_of_the_thing_counts_or_is_noted(model) -> None:
     text = "go to the red thing behind the cone"
     seen = read(text, model, Detector(model.type_names, ["colour"]))
-    red = kind_of(ANYTHING, attributes("red"))
+    red = kind_of(ANYTHING, attribute_code("red"))
     assert seen.mentions == (CONE, red)
     assert name_of(red, model.type_names) == "red thing"
     assert "'red'" in "".join(understand(text, model).notes)
 
 
 def test_everything_seen_fits_and_nothing_else() -> None:
-    red, blue = (kind_of(BENCH, attributes(one)) for one in ("red", "blue"))
+    red, blue = (kind_of(BENCH, attribute_code(one)) for one in ("red", "blue"))
     seen = np.array([HYDRANT, BENCH, red, blue, NONE, ROBOT])
-    assert fits(seen, ANYTHING).tolist() == [True] * 4 + [False] * 2
-    wanted = kind_of(ANYTHING, attributes("red"))
-    assert fits(seen, wanted).tolist() == [True, True, True, False, False, False]
-    assert not fits(ANYTHING, np.array([HYDRANT, NONE, ROBOT])).any()
+    assert is_type(seen, ANYTHING).tolist() == [True] * 4 + [False] * 2
+    wanted = kind_of(ANYTHING, attribute_code("red"))
+    assert is_type(seen, wanted).tolist() == [True, True, True, False, False, False]
+    assert not is_type(ANYTHING, np.array([HYDRANT, NONE, ROBOT])).any()
 
 
 def test_the_thing_is_found_whatever_it_is(robot) -> None:

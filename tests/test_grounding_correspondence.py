@@ -30,10 +30,10 @@ from jaxlangnav.grounding.symbols import (
     RELATION,
     AnnotationSpace,
     BehaviorSpace,
-    Symbols,
-    bottom_up,
-    count_graph,
+    SymbolDomain,
+    count_factors,
     object_symbol,
+    post_order,
     region_symbol,
     relation_symbol,
 )
@@ -57,7 +57,9 @@ class Yard:
     columns = MappingProxyType(COLUMNS)
 
     def symbols_in(self, world):
-        return Symbols([f"{what} {i}" for what in ("at", "left of") for i in range(len(world))])
+        return SymbolDomain(
+            [f"{what} {i}" for what in ("at", "left of") for i in range(len(world))]
+        )
 
     def describe(self, phrase, path, world):
         own = [[colour == one for one in COLOURS] for colour in world]
@@ -159,7 +161,7 @@ def test_bad_corpora_are_refused():
 def test_factors_of_own_symbols_are_counted():
     root = read_tree("VP[take]{PP[left of]{NP[the red one]}}")
     sizes = {"phrases": 3, "factors": 3 * 8, "variables": 3 + 2 * 3 * 8}
-    assert count_graph([root], SPACE.symbols_in(WORLDS[2])) == sizes
+    assert count_factors([root], SPACE.symbols_in(WORLDS[2])) == sizes
 
 
 SECOND = read_tree("VP[go left of]{NP[the second red one]}")
@@ -399,13 +401,13 @@ def leaf_of(label):
 @pytest.mark.parametrize(("text", "phrases"), [("go to the hydrant", 3), (SENTENCE, 6)])
 @pytest.mark.parametrize("objects", [0, 1, 9])
 def test_counts_follow_the_formula(text, phrases, objects):
-    counts = count_graph(parse(text).clauses, BehaviorSpace(objects))
+    counts = count_factors(parse(text).clauses, BehaviorSpace(objects))
     assert counts["factors"] == (phrases - 1) * 8 * objects + 5 + 14 * objects
     assert counts["variables"] == phrases + 2 * counts["factors"]
 
 
 def test_children_stand_before_parents():
-    nodes = bottom_up(parse(SENTENCE).clauses[0])
+    nodes = post_order(parse(SENTENCE).clauses[0])
     assert all(child < i for i, node in enumerate(nodes) for child in node.children)
     assert nodes[-1].path == (0,)
 

@@ -9,12 +9,12 @@ from hypothesis import given, strategies as st
 from jaxlangnav.inputs.sanitize import (
     LONGEST_NAME,
     Plain,
-    cut,
-    fault_of_name,
+    as_text,
     markdown,
     markdown_table,
-    printable,
-    shown,
+    name_fault,
+    sanitize,
+    shorten,
 )
 
 HOSTILE = [
@@ -39,23 +39,23 @@ PLAIN = ["", "go to the hydrant", "Äpfel, 12 m · “cone” → 90 %", "消火
 
 @pytest.mark.parametrize("text", HOSTILE + PLAIN)
 def test_what_is_plain_stays_as_it_is_and_nothing_else(text: str) -> None:
-    is_plain, written = text in PLAIN, printable(text)
+    is_plain, written = text in PLAIN, sanitize(text)
     assert (written == text) is is_plain
     assert ("\\" in written) is not is_plain
-    assert (fault_of_name(text) is None) is is_plain
+    assert (name_fault(text) is None) is is_plain
     written.encode("utf-8")
 
 
 @given(st.text(st.characters()))
 def test_no_text_whatever_leaves_a_control_character(text: str) -> None:
-    kinds = {unicodedata.category(one) for one in printable(text)}
+    kinds = {unicodedata.category(one) for one in sanitize(text)}
     assert not kinds & {"Cc", "Cf", "Cs", "Zl", "Zp"}
-    assert printable("a\nb\x1b", keep="\n") == "a\nb\\x1b"
+    assert sanitize("a\nb\x1b", keep="\n") == "a\nb\\x1b"
 
 
 def test_a_name_of_absurd_length_is_a_fault() -> None:
-    assert fault_of_name("x" * LONGEST_NAME) is None
-    assert str(fault_of_name("x" * 5000)).startswith("has 5000 characters")
+    assert name_fault("x" * LONGEST_NAME) is None
+    assert str(name_fault("x" * 5000)).startswith("has 5000 characters")
 
 
 @pytest.mark.parametrize(
@@ -64,21 +64,21 @@ def test_a_name_of_absurd_length_is_a_fault() -> None:
     ids=range(8),
 )
 def test_a_value_in_a_message_is_short(value: object) -> None:
-    assert 0 < len(shown(value)) <= 70
-    assert shown(value).isprintable()
+    assert 0 < len(as_text(value)) <= 70
+    assert as_text(value).isprintable()
 
 
 def test_deep_values_are_shown_without_recursion() -> None:
     deep: list = []
     for _ in range(100_000):
         deep = [deep]
-    assert shown(deep) == "a list of 1 entries"
+    assert as_text(deep) == "a list of 1 entries"
 
 
 def test_short_values_are_shown_in_full() -> None:
-    assert shown("hydrant") == "'hydrant'"
-    assert shown([1, 2]) == "[1, 2]"
-    assert cut("abcdef", 4) == "abc…"
+    assert as_text("hydrant") == "'hydrant'"
+    assert as_text([1, 2]) == "[1, 2]"
+    assert shorten("abcdef", 4) == "abc…"
 
 
 def test_what_rich_draws_is_made_printable_and_keeps_its_colours() -> None:

@@ -14,7 +14,7 @@ from jaxlangnav.robots import driver
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.recorded import record_drive
-from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress, observe
+from jaxlangnav.robots.robot import Detection, Ending, NavigationRun, WaypointStatus, observe
 from jaxlangnav.viz.html import _render_html, page_data
 from jaxlangnav.viz.panels import outcome
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -31,11 +31,11 @@ def put(objects=((HYDRANT, *GOAL), (CONE, 4.0, 0.5)), *, seed: int = 0) -> Kinem
     return KinematicRobot(scenario, seed=seed, sensor=sensor)
 
 
-def go(navigator, robot, text: str = TEXT, **options) -> Drive:
+def go(navigator, robot, text: str = TEXT, **options) -> NavigationRun:
     return drive(navigator, robot, text, key=jax.random.key(1), **options)
 
 
-def ends(ending: Ending, navigator, robot, **options) -> Drive:
+def ends(ending: Ending, navigator, robot, **options) -> NavigationRun:
     drive = go(navigator, robot, **options)
     assert drive.ending is ending, drive.why
     assert ending is not Ending.ARRIVED or goal_distance(robot) < 1.5
@@ -111,7 +111,7 @@ def test_who_is_walled_in_is_blocked(navigator) -> None:
     turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]
     robot.obstacles += [(1.2 * np.cos(one), 1.2 * np.sin(one), 0.2) for one in turns]
     drive = ends(Ending.BLOCKED, navigator, robot)
-    assert drive.steps[-1].progress is Progress.GAVE_UP
+    assert drive.steps[-1].progress is WaypointStatus.GAVE_UP
     assert robot.travelled < 1.0
 
 
@@ -190,7 +190,7 @@ def test_a_waypoint_that_cannot_be_stood_on_is_seen_from_all_sides_and_then_give
     info, target = SimpleNamespace(fault=0), np.array([0.8, 0.3])
     facing, beyond, end = [], [], None
     while end is None:
-        end = journey._judge(Progress.THERE, target, info)
+        end = journey._judge(WaypointStatus.THERE, target, info)
         facing += [journey.facing] if journey.facing is not None else []
         beyond += [journey.beyond] if journey.beyond is not None else []
         assert len(facing) + len(beyond) < 9

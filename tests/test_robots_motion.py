@@ -10,7 +10,7 @@ from jaxlangnav.robots.kinematic import KinematicRobot, Slip
 from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.path import find_path, gaps, inflate, is_clear, to_discs
 from jaxlangnav.robots.physics.robot import MACHINES
-from jaxlangnav.robots.robot import Progress, Robot, start_pose
+from jaxlangnav.robots.robot import Robot, WaypointStatus, wrap_heading
 from jaxlangnav.world.state import empty_scenario
 
 SURE = Slip(scale=0.0, noise=0.0, drift=0.0)
@@ -27,8 +27,8 @@ def put(discs=(), *, start=(0.0, 0.0, 0.0)) -> KinematicRobot:
 def go(robot: KinematicRobot, *waypoints, clearance=0.2, speed=1.0, seconds=90.0):
     """Drive to the end; return how that was, and the least gap between body and things."""
     robot.go_to(np.array(waypoints), speed=speed, clearance=clearance)
-    least, progress = np.inf, Progress.UNDER_WAY
-    while progress is Progress.UNDER_WAY and robot.seconds < seconds:
+    least, progress = np.inf, WaypointStatus.UNDER_WAY
+    while progress is WaypointStatus.UNDER_WAY and robot.seconds < seconds:
         progress = robot.wait(0.1)
         pose = robot.true_pose
         gap = gaps(pose[None, 0], pose[None, 1], robot.things())[0] - robot.mover.body.radius
@@ -39,7 +39,7 @@ def go(robot: KinematicRobot, *waypoints, clearance=0.2, speed=1.0, seconds=90.0
 def gets_there(robot: KinematicRobot, *waypoints, **options) -> float:
     """Drive to the end without a touch; return the least gap."""
     progress, least = go(robot, *waypoints, **options)
-    assert progress is Progress.THERE
+    assert progress is WaypointStatus.THERE
     assert least > 0.0
     return least
 
@@ -83,9 +83,9 @@ def test_who_is_walled_in_gives_up_and_touches_nothing() -> None:
     turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]
     robot = put([(1.5 * np.cos(one), 1.5 * np.sin(one), 0.2) for one in turns])
     progress, least = go(robot, (5.0, 0.0), seconds=40.0)
-    assert progress is Progress.GAVE_UP
+    assert progress is WaypointStatus.GAVE_UP
     assert least > 0.0
-    assert robot.wait(1.0) is Progress.GAVE_UP
+    assert robot.wait(1.0) is WaypointStatus.GAVE_UP
 
 
 def test_a_person_who_steps_in_the_way_is_not_run_over() -> None:
@@ -126,10 +126,10 @@ def test_stop_brakes_within_the_bodys_limits() -> None:
     robot.wait(3.0)
     x = robot.true_pose[0]
     robot.stop()
-    assert robot.wait(2.0) is Progress.STANDING
+    assert robot.wait(2.0) is WaypointStatus.STANDING
     body = robot.mover.body
     assert robot.true_pose[0] - x < body.speed**2 / (2 * body.acceleration) + 0.1
-    assert robot.wait(0.1) is Progress.STANDING
+    assert robot.wait(0.1) is WaypointStatus.STANDING
     assert robot.mover.moving == (0.0, 0.0)
 
 
@@ -188,16 +188,16 @@ def test_a_thing_that_is_all_but_touched_holds_nobody(name: str, gap: float) -> 
         pose, least = np.array([0.0, 0.0, heading]), np.inf
         for _ in range(round(60.0 / TICK)):
             speed, turn = mover.tick(pose, disc)
-            if mover.progress is not Progress.UNDER_WAY:
+            if mover.progress is not WaypointStatus.UNDER_WAY:
                 break
             pose = pose + TICK * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), turn])
             least = min(least, np.hypot(pose[0] - away, pose[1]) - 0.25 - machine.body.radius)
-        assert mover.progress is Progress.THERE, (heading, bearing)
+        assert mover.progress is WaypointStatus.THERE, (heading, bearing)
         assert least > min(gap, 0.0) - 0.1
 
 
 def test_a_robot_that_has_turned_round_often_starts_within_a_turn() -> None:
     """A navigator takes a heading beyond two turns for degrees."""
-    x, y, heading = start_pose(np.array([1.0, -2.0, 0.5 + 6.0 * np.pi]))
+    x, y, heading = wrap_heading(np.array([1.0, -2.0, 0.5 + 6.0 * np.pi]))
     assert (x, y) == (1.0, -2.0)
     assert heading == pytest.approx(0.5)

@@ -16,7 +16,7 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.steering import WheelCommand, wrap
 from jaxlangnav.robots.physics import tags
 from jaxlangnav.robots.physics.robot import MACHINES, ODOMETRY_NOISE, PhysicsRobot, Wear
-from jaxlangnav.robots.robot import Progress, Robot
+from jaxlangnav.robots.robot import Robot, WaypointStatus
 from jaxlangnav.robots.table3 import navigator_of
 from jaxlangnav.world.state import CONE, HYDRANT
 
@@ -69,7 +69,7 @@ def test_its_wheels_seem_as_far_apart_as_is_known(machine: str) -> None:
 def test_its_wheels_roll_as_far_as_they_are_said_to(machine: str) -> None:
     robot = put(machine, ())
     robot.go_to(np.array([[4.0, 0.0]]), speed=1.0, clearance=0.0)
-    assert robot.wait(15.0) is Progress.THERE
+    assert robot.wait(15.0) is WaypointStatus.THERE
     x, y, heading = robot.true_pose
     assert abs(x - robot.pose()[0]) < 0.01 * x + 0.01
     assert abs(y) < 0.05
@@ -82,7 +82,7 @@ def test_its_wheels_roll_as_far_as_they_are_said_to(machine: str) -> None:
 def test_odometry_drifts_and_never_tells_the_truth() -> None:
     robot = put("husky", (), wear=Wear(), seed=3)
     robot.go_to(np.array([[3.0, 2.0], [0.0, 2.0]]), speed=1.0, clearance=0.0)
-    assert robot.wait(25.0) is Progress.THERE
+    assert robot.wait(25.0) is WaypointStatus.THERE
     off = robot.pose() - robot.true_pose
     assert 0.005 < np.hypot(*off[:2]) < 0.5
     assert 0.0 < abs(wrap(off[2])) < 0.2
@@ -155,7 +155,7 @@ def test_things_and_people_are_seen_by_the_scanner_and_not_run_into() -> None:
     robot.go_to(np.array([[4.5, 0.0]]), speed=1.0, clearance=0.2)
     places = []
     robot.on_tick = lambda one: places.append(one.true_pose)
-    assert robot.wait(45.0) is Progress.THERE
+    assert robot.wait(45.0) is WaypointStatus.THERE
     way = np.array(places)[:, :2]
     person = robot.scene.data.mocap_pos[-1, :2]
     assert np.hypot(*(way - (2.0, 0.1)).T).min() > 0.28 + 0.31

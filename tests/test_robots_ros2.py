@@ -14,7 +14,7 @@ from test_robots_drive import TEXT, goal_distance, put
 
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.libraries import ros
-from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress
+from jaxlangnav.robots.robot import Detection, Ending, NavigationRun, WaypointStatus
 from jaxlangnav.robots.ros2 import conversions, node
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.bags import Loopback
@@ -268,18 +268,18 @@ def test_odometry_at_zero_after_a_silence_begins_anew_and_any_other_goes_on() ->
 
 def test_headway_is_told_from_odometry_alone() -> None:
     goal, headway = np.array([2.0, 0.0, 0.0]), Headway()
-    assert headway.progress(np.zeros(3), 0.0) is Progress.STANDING
+    assert headway.progress(np.zeros(3), 0.0) is WaypointStatus.STANDING
     headway.set(goal, 0.0)
-    assert headway.progress(np.array([0.5, 0.0, 0.0]), 2.0) is Progress.UNDER_WAY
+    assert headway.progress(np.array([0.5, 0.0, 0.0]), 2.0) is WaypointStatus.UNDER_WAY
     # The same goal once more does not begin its time anew.
     headway.set(goal + 0.01, 4.0)
-    assert headway.progress(np.array([0.5, 0.0, 0.0]), 5.5) is Progress.GAVE_UP
-    assert headway.progress(np.array([1.0, 0.0, 0.0]), 6.0) is Progress.UNDER_WAY
-    assert headway.progress(np.array([1.0, 0.0, 0.0]), 9.5) is Progress.THERE
+    assert headway.progress(np.array([0.5, 0.0, 0.0]), 5.5) is WaypointStatus.GAVE_UP
+    assert headway.progress(np.array([1.0, 0.0, 0.0]), 6.0) is WaypointStatus.UNDER_WAY
+    assert headway.progress(np.array([1.0, 0.0, 0.0]), 9.5) is WaypointStatus.THERE
     headway.set(goal, 9.5)
-    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.6) is Progress.THERE
+    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.6) is WaypointStatus.THERE
     headway.set(None, 9.6)
-    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.7) is Progress.STANDING
+    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.7) is WaypointStatus.STANDING
 
 
 class Loop(Loopback):
@@ -326,7 +326,7 @@ def session(navigator, bus: Loopback, **options) -> tuple[Session, list]:
     return Session(navigator, robot, told.append, key=jax.random.key(1), **options), told
 
 
-def driven(talk: Session, simulated=None, *, ending: Ending = Ending.ARRIVED) -> Drive:
+def driven(talk: Session, simulated=None, *, ending: Ending = Ending.ARRIVED) -> NavigationRun:
     """Carry out what was said; the drive ends so, and beside the goal."""
     ended = talk.go()
     assert ended.ending is ending, ended.why

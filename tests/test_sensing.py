@@ -20,7 +20,7 @@ from jaxlangnav.experiments.sweep_config import config_from_dict
 from jaxlangnav.grounding import AnnotationGrounder
 from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.inputs import observations
-from jaxlangnav.inputs.object_types import attributes
+from jaxlangnav.inputs.object_types import attribute_code
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, SensorParams, default_sensor
 from jaxlangnav.navigator.canonicalize import canonicalize
@@ -147,7 +147,7 @@ def test_how_a_thing_looks_is_a_fourth_entry() -> None:
     rows = [("cone", 3.0, 0.5, {"colour": "red", "height": "tall"}), ("tree", 1.0, 0.0)]
     look = Observation.of(HERE, [*rows, ("car", 1.0, 0.5, {}), ("car", 2.0, 0.5, None)], SENSOR)
     code = np.asarray(look.detection_attribute)
-    assert code.tolist() == [attributes("red", "tall")] + [0] * 7
+    assert code.tolist() == [attribute_code("red", "tall")] + [0] * 7
     assert code.dtype == np.int32
 
 
@@ -174,7 +174,7 @@ def test_warming_up_covers_looks_with_attributes() -> None:
 
     plain = Observation.of(HERE, [(1, 1.0, 0.0)], SENSOR)
     coloured = Observation.of(HERE, [(1, 1.0, 0.0, {"colour": "red"})], SENSOR)
-    by_hand = replace(plain, detection_attribute=[attributes("red")] + [0] * 7)
+    by_hand = replace(plain, detection_attribute=[attribute_code("red")] + [0] * 7)
     for look in (coloured, by_hand, replace(plain, detection_attribute=None)):
         assert form(look) == form(plain)
 

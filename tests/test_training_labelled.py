@@ -16,8 +16,8 @@ from jaxlangnav.grounding.symbols import (
     GOAL,
     MODE,
     BehaviorSymbol,
-    bottom_up,
     object_symbol,
+    post_order,
     region_symbol,
     relation_symbol,
 )
@@ -49,7 +49,7 @@ def test_labels_stand_at_their_phrases():
     (labelled,) = corpus(sentences=("go to the car behind the tree",))
     car, tree = TYPES.index("car"), TYPES.index("tree")
     (clause,) = labelled.annotated
-    expressed = dict(zip([n.path for n in bottom_up(clause.root)], clause.expressed, strict=True))
+    expressed = dict(zip([n.path for n in post_order(clause.root)], clause.expressed, strict=True))
     assert expressed[(0,)] == {relation_symbol(car, BEHIND, tree)}
     assert expressed[(0, 0, 0, 0)] == {object_symbol(car)}
     assert expressed[(0, 0, 0, 1)] == {region_symbol(BEHIND, tree)}

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxlangnav.inputs.object_types import attributes
+from jaxlangnav.inputs.object_types import attribute_code
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, default_motion, default_sensor
 from jaxlangnav.world.files import (
@@ -325,7 +325,7 @@ def test_things_of_any_noun_with_their_looks_are_read_and_written_back(tmp_path:
     assert world.type_names[-2:] == ("gazebo", "easel")
     assert world.attribute_groups == ("colour", "height")
     assert world.scenario.object_type[:3].tolist() == [8, 9, 8]
-    codes = [attributes("white", "tall"), 0, attributes("red")]
+    codes = [attribute_code("white", "tall"), 0, attribute_code("red")]
     assert world.scenario.object_attribute[:3].tolist() == codes
     save_world(world, path)
     again = load_world(path)

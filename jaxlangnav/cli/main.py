@@ -23,7 +23,7 @@ from typing import Any
 from jaxlangnav import __version__
 from jaxlangnav.cli import MODULES, SUMMARIES, output, settings
 from jaxlangnav.cli.output import UsageError, did_you_mean
-from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.sanitize import sanitize
 
 PROGRAM = "jaxlangnav"
 DEBUG = "JAXLANGNAV_DEBUG"
@@ -103,7 +103,7 @@ def _run(command: Any) -> int:
 
 
 def _complain(message: str, *, code: int) -> int:
-    print(f"{PROGRAM}: {printable(message)}", file=sys.stderr)
+    print(f"{PROGRAM}: {sanitize(message)}", file=sys.stderr)
     return code
 
 

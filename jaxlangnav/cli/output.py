@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxlangnav.experiments.table import Document as Document
-from jaxlangnav.inputs.sanitize import Plain, cut, is_plain, printable
+from jaxlangnav.inputs.sanitize import Plain, is_plain, sanitize, shorten
 
 _WIDEST = 240  # columns that a table may take
 _COMFORTABLE = 100
@@ -45,9 +45,7 @@ class Output:
             plain: dict[str, Any] = dict.fromkeys(("highlight", "markup", "emoji"), False)
             # A table that is too wide for the screen is better wrapped by it than cut by us.
             console = Console(file=sys.stdout, width=_WIDEST, soft_wrap=True, **plain)
-            console.print(
-                *(printable(one) if isinstance(one, str) else Plain(one) for one in parts)
-            )
+            console.print(*(sanitize(one) if isinstance(one, str) else Plain(one) for one in parts))
 
     def tell(self, lines: Sequence[str]) -> None:
         """Print a story in plain text; on a terminal long lines hang under their "[ 3 · 2.0 m]"."""
@@ -58,14 +56,14 @@ class Output:
         for line in lines:
             head = len(line.partition("] ")[0]) + 2 if line.startswith("[") else 0
             # A number and its unit stay together.
-            line = printable(line)
+            line = sanitize(line)
             kept = re.sub(r"(\d) (?=%|m\b)", "\\1\N{NO-BREAK SPACE}", line)
             hung = textwrap.fill(kept, width, subsequent_indent=" " * head)
             print(hung.replace("\N{NO-BREAK SPACE}", " ") if is_watched else line)
 
     def note(self, text: str) -> None:
         """Print a plain line on standard error: progress, warnings, repairs."""
-        print(printable(text), file=sys.stderr, flush=True)
+        print(sanitize(text), file=sys.stderr, flush=True)
 
 
 def write_document(document: Document) -> None:
@@ -105,9 +103,11 @@ def one_line(error: BaseException) -> str:
     """Say an error in one printable line, cut in its middle; its type's name if it says nothing."""
     message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
-        where = f"{cut(str(error.filename), _LONGEST // 2)}: " if error.filename is not None else ""
+        where = (
+            f"{shorten(str(error.filename), _LONGEST // 2)}: " if error.filename is not None else ""
+        )
         message = f"{where}{error.strerror}"
-    message = printable(message)
+    message = sanitize(message)
     if len(message) <= _LONGEST:
         return message
     # What was given stands first, why it is refused last: neither may push the other out.
@@ -142,7 +142,7 @@ def platform_fault(failure: Exception) -> str | None:
     if is_here:
         return None
     return (
-        f'{_PLATFORMS} is "{cut(named)}", but JAX can compute on no such device here: '
+        f'{_PLATFORMS} is "{shorten(named)}", but JAX can compute on no such device here: '
         "unset it, or set it to cpu"
     )
 

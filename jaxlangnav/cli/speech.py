@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.cli.output import Output, UsageError, did_you_mean
-from jaxlangnav.inputs.sanitize import cut, printable
+from jaxlangnav.inputs.sanitize import sanitize, shorten
 
 if TYPE_CHECKING:
     from jaxlangnav.episode import EpisodeState
@@ -28,15 +28,15 @@ def read_script(hear: Iterable[str], max_steps: int) -> dict[int, list[str]]:
         found = re.fullmatch(r"\s*([0-9]+)\s*:\s*(\S.*?)\s*", text, re.DOTALL)
         if found is None:
             raise UsageError(
-                f'--hear is "{cut(text)}", but must name a step and what is said: '
+                f'--hear is "{shorten(text)}", but must name a step and what is said: '
                 '--hear "5: go to the other hydrant"'
             )
         digits = found[1].lstrip("0") or "0"
         step = int(digits[:18])
         if step >= max_steps:
             raise UsageError(
-                f"--hear is for step {cut(digits)}, but the last one is {max_steps - 1}: name an "
-                "earlier step, or raise --max-steps"
+                f"--hear is for step {shorten(digits)}, but the last one is {max_steps - 1}: name "
+                "an earlier step, or raise --max-steps"
             )
         script.setdefault(step, []).append(found[2])
     return script
@@ -48,7 +48,7 @@ def check_speakers(*, ask: bool, talk: bool, person: str | None) -> None:
 
     if person is not None and person not in PERSONS:
         known = f"{', '.join(PERSONS)}{did_you_mean(person, PERSONS)}"
-        raise UsageError(f'--person is "{cut(person)}", but must be one of {known}')
+        raise UsageError(f'--person is "{shorten(person)}", but must be one of {known}')
     if person is not None and talk:
         raise UsageError("--person speaks for you: leave out --talk")
     for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):
@@ -70,7 +70,7 @@ def check_script(
             try:
                 check_words(grounder, first, text)
             except ValueError as refusal:
-                raise UsageError(f'--hear "{step}: {cut(text)}": {refusal}') from refusal
+                raise UsageError(f'--hear "{step}: {shorten(text)}": {refusal}') from refusal
 
 
 def ear_of(output: Output, *, person: str | None, ask: bool, talk: bool, **given: Any) -> "Earshot":
@@ -156,7 +156,7 @@ def describe_talk(recording: "Recording") -> dict[str, Any]:
             {
                 "step": one.step,
                 "speaker": one.speaker,
-                "text": printable(one.text),
+                "text": sanitize(one.text),
                 "kind": one.kind or None,
                 "ruled_out": [thing(other) for other in one.ruled_out],
                 "notes": list(one.notes),

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.object_types import fits
+from jaxlangnav.inputs.object_types import is_type
 from jaxlangnav.messages import AT, NONE, Behavior, UtteranceContext
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -166,9 +166,9 @@ def pinned(
     referent = jnp.sum(jnp.where(is_goal, particles.referent, 0), axis=0)
     is_other = jnp.concatenate(
         [
-            fits(particles.object_type, kind[None])
+            is_type(particles.object_type, kind[None])
             & (jnp.arange(num_objects)[:, None] != referent[None]),
-            fits(own_type, kind[None]) & ~is_goal,
+            is_type(own_type, kind[None]) & ~is_goal,
         ]
     )
     is_other = is_other & (is_pinned & (goal != NONE))[None]
@@ -190,7 +190,7 @@ def avoided(
     avoid, kind = (_of_reading(one, particles)[:, None] for one in (words.avoid, mention_type))
     slots = jnp.arange(num_objects)[None, :, None]
     is_it = (avoid == AVOID_IT) & (particles.referent[:, None] == slots)
-    is_alike = (avoid == AVOID_ALL) & fits(particles.object_type[None], kind)
+    is_alike = (avoid == AVOID_ALL) & is_type(particles.object_type[None], kind)
     is_kept = jnp.any(is_it | is_alike, axis=0) & particles.is_observed
     goal = jnp.sum(behavior.goal, axis=0)[:num_objects]
     share = jnp.where(is_kept, 1.0 - jnp.minimum(goal, 1.0), 0.0)

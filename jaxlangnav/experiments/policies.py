@@ -19,7 +19,7 @@ from jaxlangnav.experiments.judging import JUDGED
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.tasks import Numbers
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.messages import MotionParams, is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.navigator.deployment import with_numbers
@@ -55,9 +55,9 @@ def check_policies(names: Sequence[str]) -> tuple[str, ...]:
         raise ValueError(f"no policy given: {choose}")
     for name in names:
         if name not in POLICY_NAMES:
-            near = difflib.get_close_matches(cut(name).lower(), POLICY_NAMES, n=1)
+            near = difflib.get_close_matches(shorten(name).lower(), POLICY_NAMES, n=1)
             hint = f'; did you mean "{near[0]}"?' if near else ""
-            raise ValueError(f'unknown policy "{cut(name)}": {choose}{hint}')
+            raise ValueError(f'unknown policy "{shorten(name)}": {choose}{hint}')
     return tuple(dict.fromkeys(names))
 
 

@@ -35,7 +35,7 @@ from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
 from jaxlangnav.inputs.documents import parse_json, read_text
-from jaxlangnav.inputs.sanitize import fault_of_name
+from jaxlangnav.inputs.sanitize import name_fault
 from jaxlangnav.inputs.whole_files import write_once
 from jaxlangnav.navigator import NavigatorConfig
 
@@ -66,7 +66,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         document = parse_json(read_text(path, at_most=_LARGEST_MANIFEST))
         name, files = document["settings"]["name"], document["settings"]["files"]
-        is_sound = isinstance(name, str) and fault_of_name(name) is None and type(files) is int
+        is_sound = isinstance(name, str) and name_fault(name) is None and type(files) is int
     except (ValueError, KeyError, TypeError):
         is_sound = False
     if not is_sound:

@@ -43,7 +43,7 @@ from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
 from jaxlangnav.inputs.documents import naming, read_document
 from jaxlangnav.inputs.limits import LENGTH
-from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, unknown_key
 from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.messages import default_sensor
@@ -173,8 +173,8 @@ def _command(given: str | Command) -> Command:
         if given in (relation, text):
             return Command(text=text, relation=relation)
     raise ValueError(
-        f'command "{cut(given)}": say by which relation the worlds are drawn, '
-        f'{{ text = "{cut(given)}", relation = "behind" }} (null, behind or nearest)'
+        f'command "{shorten(given)}": say by which relation the worlds are drawn, '
+        f'{{ text = "{shorten(given)}", relation = "behind" }} (null, behind or nearest)'
     )
 
 
@@ -193,17 +193,17 @@ def _open_worlds(
         number, slots = int(found.scenario.is_object.sum()), found.scenario.is_object.size
         if slots > NUM_SLOTS:
             raise ValueError(
-                f"world {cut(entry)} has {number} objects, but a sweep's worlds have at most "
+                f"world {shorten(entry)} has {number} objects, but a sweep's worlds have at most "
                 f"{NUM_SLOTS}: remove some, or run it alone with jaxlangnav follow --world"
             )
         if len(walls_of(found.scenario)):
             raise ValueError(
-                f"world {cut(entry)} has walls, which a sweep's worlds have not: run it alone with "
-                "jaxlangnav follow --world"
+                f"world {shorten(entry)} has walls, which a sweep's worlds have not: run it alone "
+                "with jaxlangnav follow --world"
             )
         if not found.has_goal:
             raise ValueError(
-                f"world {cut(entry)} has no [goal], by which a sweep tells success: add it"
+                f"world {shorten(entry)} has no [goal], by which a sweep tells success: add it"
             )
         own[entry] = found
         if is_beside:

@@ -38,7 +38,7 @@ Axes = dict[str, Sequence[Any]]
 """What is varied, the slowest first: the values that a column takes, by its name."""
 
 
-class Lazy(Sequence[_T]):
+class LazySequence(Sequence[_T]):
     """As many things as one likes, each made from its number when it is asked for."""
 
     def __init__(self, size: int, make: Callable[[int], _T]) -> None:
@@ -83,8 +83,8 @@ class SweepPlan:
 
         params = _params_axes(config, "sensor", "motion", "map", "planner")
         return Grid(
-            settings=Lazy(_size(_setting_axes(config)), lambda at: _setting(config, at)),
-            arms=Lazy(firsts[-1], arm),
+            settings=LazySequence(_size(_setting_axes(config)), lambda at: _setting(config, at)),
+            arms=LazySequence(firsts[-1], arm),
             episodes=config.episodes,
             names=("world", "command", "relation", "range", "policy", "particles", *params),
         )

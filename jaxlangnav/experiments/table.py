@@ -108,7 +108,7 @@ class Table:
 
 def _html_text(value: object) -> str:
     """Write plain text inside HTML; line breaks stay."""
-    return html.escape(sanitize.printable(str(value), keep="\n"), quote=True)
+    return html.escape(sanitize.sanitize(str(value), keep="\n"), quote=True)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -36,5 +36,5 @@ from jaxlangnav.grounding.rewrites import (
     RewriteSource as RewriteSource,
     default_rewrite_params as default_rewrite_params,
 )
-from jaxlangnav.grounding.symbols import Symbols as Symbols
+from jaxlangnav.grounding.symbols import SymbolDomain as SymbolDomain
 from jaxlangnav.grounding.weights import load_shipped as load_shipped

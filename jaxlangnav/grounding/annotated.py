@@ -25,7 +25,7 @@ from jaxlangnav.grounding.readings import (
     pad_readings,
 )
 from jaxlangnav.grounding.search import add_up
-from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
+from jaxlangnav.grounding.symbols import AnnotationSymbol, object_symbol, relation_symbol
 from jaxlangnav.inputs.object_types import MOST_LABELS
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Measure
@@ -119,7 +119,7 @@ def _reading(form: FormReading, path: str) -> Reading:
 def _annotations(form: Form, type_names: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
     """List what is said with its probability over the readings, likeliest first."""
 
-    def said(reading: FormReading) -> Iterator[tuple[Annotation, int]]:
+    def said(reading: FormReading) -> Iterator[tuple[AnnotationSymbol, int]]:
         of = reading.type_of
         for one in reading.relations:
             yield relation_symbol(of(one.figure), one.relation, of(one.landmark)), one.rank

@@ -20,10 +20,10 @@ from jaxlangnav.grounding.symbols import (
     OBJECT,
     REGION,
     RELATION,
-    Annotation,
     AnnotationSpace,
+    AnnotationSymbol,
     Path,
-    bottom_up,
+    post_order,
     region_symbol,
 )
 from jaxlangnav.inputs.object_types import ANYTHING
@@ -32,7 +32,7 @@ from jaxlangnav.language.reference import is_thing
 from jaxlangnav.messages import NONE, ROBOT
 from jaxlangnav.relations.table import REGISTRY
 
-RankedAnnotations = tuple[tuple[Annotation, int], ...]
+RankedAnnotations = tuple[tuple[AnnotationSymbol, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
 _MAX_SYMBOLS = 12
 """Annotations of one clause beyond which further ones are not read (untrained weights)."""
@@ -47,7 +47,7 @@ class Belief:
     thing" is a relation whose figure is ``ANYTHING``."""
     rank: dict[Path, int]  # phrase → likeliest rank
 
-    def marginals(self) -> list[tuple[Annotation, int, float]]:
+    def marginals(self) -> list[tuple[AnnotationSymbol, int, float]]:
         """Add up the probability of each annotation, likeliest first, as ``clauses`` has them."""
         ranked = add_up(
             (entry, float(np.exp(log_probability)))
@@ -58,7 +58,7 @@ class Belief:
 
 
 def describe_annotation(
-    symbol: Annotation, rank: int, probability: float, type_names: Sequence[str]
+    symbol: AnnotationSymbol, rank: int, probability: float, type_names: Sequence[str]
 ) -> dict[str, object]:
     """Name an annotation for people and for ``ground --json``.
 
@@ -131,7 +131,7 @@ def _clause_sets(
 
     ``rank`` has for each phrase f64[5], log-probabilities of the ranks 0 to 4.
     """
-    phrases = {node.path: node.phrase for node in bottom_up(root, clause)}
+    phrases = {node.path: node.phrase for node in post_order(root, clause)}
     things = frozenset(_said_of_things(root, (clause,), is_of_thing=False))
     for hypothesis in beam:
         symbols, chances = [], []

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.program import LOG_NEVER, BehaviorProgram
-from jaxlangnav.inputs.object_types import fits, label_of
+from jaxlangnav.inputs.object_types import is_type, label_of
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 from jaxlangnav.numerics.batching import lookup
 
@@ -73,7 +73,7 @@ def _each(index: Array, objects: Array) -> Array:
 
 def _own(row: BehaviorProgram, scene: ObjectSets) -> Array:
     """Find the objects of the kinds that the words name, i32[E, P]."""
-    named = fits(scene.kind[None], row.own[:, None])  # [W, N, E, P]
+    named = is_type(scene.kind[None], row.own[:, None])  # [W, N, E, P]
     return to_mask(functools.reduce(jnp.logical_or, named)) & scene.everything
 
 

@@ -18,13 +18,13 @@ from jaxlangnav.inputs.object_types import (
     ANYTHING,
     ATTRIBUTES,
     MOST_LABELS,
-    attributes,
+    attribute_code,
+    attribute_words,
     group_of,
     kind_of,
     label_of,
-    words_of,
 )
-from jaxlangnav.inputs.sanitize import names_in
+from jaxlangnav.inputs.sanitize import check_names
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nouns import attributes_of, compared, load_nouns, singular
 from jaxlangnav.language.own_words import is_of_grammar
@@ -56,9 +56,9 @@ class Detector:
             ValueError: no label, too many, one that is no name, twice, empty or a word of the
                 grammar, or no such group; one line.
         """
-        self.labels = names_in(labels, "labels", at_most=MOST_LABELS)
+        self.labels = check_names(labels, "labels", at_most=MOST_LABELS)
         self.attribute_groups = frozenset(
-            names_in(attribute_groups, "attributes", at_most=MOST_LABELS)
+            check_names(attribute_groups, "attributes", at_most=MOST_LABELS)
         )
         self._names = [  # as sentences write them: "Stop_Sign" is "stop sign"
             " ".join(plainly(label).replace("_", " ").replace("-", " ").split())
@@ -247,7 +247,7 @@ class BoundSentence:
                     f"compared; say '{adjective}', or which one is the nearest"
                 )
             self.notes.setdefault(f"'{word.text}' is not used: it is no attribute that is compared")
-        self._latest[noun] = attributes(*used.values())
+        self._latest[noun] = attribute_code(*used.values())
         return self._latest[noun]
 
     def _name(self, noun: str, code: int, phrase: Phrase, *, is_goal: bool) -> str:
@@ -289,7 +289,7 @@ class BoundSentence:
             return noun
         if kinds in self.kinds:
             return self.names[self.kinds.index(kinds)]
-        name = " ".join([*words_of(code), noun]) if noun in self.names else noun
+        name = " ".join([*attribute_words(code), noun]) if noun in self.names else noun
         while name in self.names:  # of one noun said in two ways, bound to different labels
             name = f"other {name}"
         self.names.append(name)

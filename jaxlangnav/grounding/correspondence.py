@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.search import BEAM_WIDTH, Children, Hypothesis, search
-from jaxlangnav.grounding.symbols import Path, Symbols, bottom_up
+from jaxlangnav.grounding.symbols import Path, SymbolDomain, post_order
 from jaxlangnav.language.phrase import Phrase, Word
 
 KIND, RANK = "symbol", "rank"
@@ -47,7 +47,7 @@ class SymbolSpace(Protocol[World_contra]):
         """Kind of symbol → names of the F properties; ``RANK`` with them where there are ranks."""
         ...
 
-    def symbols_in(self, world: World_contra) -> Symbols:
+    def symbols_in(self, world: World_contra) -> SymbolDomain:
         """List the symbols of a world."""
         ...
 
@@ -101,7 +101,7 @@ class DescribedTree(Generic[AnyWorld]):
     ) -> None:
         """Describe the phrases of a clause."""
         self.root, self.path, self.symbols = root, (clause,), space.symbols_in(world)
-        nodes = bottom_up(root, clause)
+        nodes = post_order(root, clause)
         self.phrases = {node.path: node.phrase for node in nodes}
         self.described = {
             node.path: space.describe(node.phrase, node.path, world) for node in nodes

@@ -13,7 +13,7 @@ from typing import Any
 
 from jaxlangnav.grounding.readings import Relation
 from jaxlangnav.inputs.documents import naming, parse_json, read_shipped
-from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.messages import (
     ACTIONS,
     AT,
@@ -33,7 +33,7 @@ _TOLERANCE = 0.01
 
 def quote(value: Any) -> str:
     """Repeat a value in a refusal: on one line, and not too long."""
-    return cut(repr(value), 40)
+    return shorten(repr(value), 40)
 
 
 def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str = "$") -> None:

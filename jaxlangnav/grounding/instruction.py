@@ -17,7 +17,7 @@ from jaxlangnav.grounding.binding import BoundSentence, Detector, said_noun
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program
 from jaxlangnav.grounding.readings import to_readings
-from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, count_graph
+from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, count_factors
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, Measure, Parse, Phrase
@@ -198,8 +198,8 @@ class Understanding:
 
     def graph(self, num_objects: int) -> dict[str, dict[str, int]]:
         """Count both factor graphs, by model; that of behavior over so many objects."""
-        annotation = count_graph(self.parse.clauses, AnnotationSpace(len(self.names)))
-        behavior = count_graph(self.parse.clauses, BehaviorSpace(num_objects))
+        annotation = count_factors(self.parse.clauses, AnnotationSpace(len(self.names)))
+        behavior = count_factors(self.parse.clauses, BehaviorSpace(num_objects))
         return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
 
 

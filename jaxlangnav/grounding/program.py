@@ -25,7 +25,7 @@ from jaxlangnav.grounding.behavior_properties import (
 )
 from jaxlangnav.grounding.model import RESTRICTORS, CorrespondenceModel, senses_of
 from jaxlangnav.grounding.properties import ranks_meant
-from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Path, bottom_up
+from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Path, post_order
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import AT, NONE, ROBOT
 from jaxlangnav.pytree import pytree
@@ -193,7 +193,7 @@ def compile_clause(
     Raises:
         ValueError: the clause has more phrases, or nests deeper, than a program holds.
     """
-    nodes = bottom_up(root, clause)
+    nodes = post_order(root, clause)
     _check_sizes(nodes)
     fields = empty_program()
     fields["num_phrases"] = np.asarray(len(nodes), np.int32)

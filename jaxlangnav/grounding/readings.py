@@ -17,7 +17,7 @@ from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
 from jaxlangnav.grounding.search import add_up
 from jaxlangnav.grounding.symbols import OBJECT, REGION
 from jaxlangnav.inputs.object_types import is_anything
-from jaxlangnav.inputs.sanitize import shown
+from jaxlangnav.inputs.sanitize import as_text
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 from jaxlangnav.pytree import replace
 
@@ -37,7 +37,7 @@ class Capacity:
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise ValueError(
-                    f"{name} is {shown(value)}, but must be a whole number and at least {least}: "
+                    f"{name} is {as_text(value)}, but must be a whole number and at least {least}: "
                     "what one sentence may say"
                 )
 

@@ -30,7 +30,7 @@ VERB_LABELS = ("VP", "S")
 Symbol = TypeVar("Symbol", bound=Hashable)
 
 
-class Symbols(Generic[Symbol]):
+class SymbolDomain(Generic[Symbol]):
     """Symbols in the order of their correspondence variables, all different."""
 
     def __init__(self, symbols: Sequence[Symbol]) -> None:
@@ -58,7 +58,7 @@ class Symbols(Generic[Symbol]):
         return tuple(itertools.compress(self.symbols, expressed))
 
 
-class Annotation(NamedTuple):
+class AnnotationSymbol(NamedTuple):
     """One annotation symbol: an object type, a region or a relation."""
 
     kind: int  # OBJECT, REGION or RELATION
@@ -75,22 +75,22 @@ class BehaviorSymbol(NamedTuple):
     slot: int  # object slot, action or mode
 
 
-def object_symbol(figure: int) -> Annotation:
+def object_symbol(figure: int) -> AnnotationSymbol:
     """Build the symbol of an object type."""
-    return Annotation(OBJECT, figure, NONE, NONE)
+    return AnnotationSymbol(OBJECT, figure, NONE, NONE)
 
 
-def region_symbol(relation: int, landmark: int) -> Annotation:
+def region_symbol(relation: int, landmark: int) -> AnnotationSymbol:
     """Build the symbol of a region; ``landmark`` is a type index or ROBOT."""
-    return Annotation(REGION, NONE, relation, landmark)
+    return AnnotationSymbol(REGION, NONE, relation, landmark)
 
 
-def relation_symbol(figure: int, relation: int, landmark: int) -> Annotation:
+def relation_symbol(figure: int, relation: int, landmark: int) -> AnnotationSymbol:
     """Build the symbol of a figure in a region; ``landmark`` is a type index or ROBOT."""
-    return Annotation(RELATION, figure, relation, landmark)
+    return AnnotationSymbol(RELATION, figure, relation, landmark)
 
 
-class AnnotationSpace(Symbols[Annotation]):
+class AnnotationSpace(SymbolDomain[AnnotationSymbol]):
     """All annotation symbols over ``num_types`` object types, objects first, relations last."""
 
     def __init__(self, num_types: int) -> None:
@@ -113,7 +113,7 @@ class AnnotationSpace(Symbols[Annotation]):
         )
 
 
-class BehaviorSpace(Symbols[BehaviorSymbol]):
+class BehaviorSpace(SymbolDomain[BehaviorSymbol]):
     """All behavior symbols of a world of ``num_objects`` object slots.
 
     Objects and regions come first (those of noun and preposition phrases), then actions, modes,
@@ -172,7 +172,7 @@ class Node:
         return self.phrase.label in VERB_LABELS
 
 
-def bottom_up(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
+def post_order(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
     """Order the phrases of a clause so that children stand before their parents, the root last."""
     nodes: list[Node] = []
 
@@ -185,7 +185,7 @@ def bottom_up(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
     return tuple(nodes)
 
 
-def count_graph(clauses: Sequence[Phrase], symbols: Symbols) -> dict[str, int]:
+def count_factors(clauses: Sequence[Phrase], symbols: SymbolDomain) -> dict[str, int]:
     """Count the factor graph of a sentence whose clauses share no factor (section 3.1, Figure 3).
 
     Every phrase λ has one factor per symbol; a factor joins the phrase, the grounding γ, its

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
-from jaxlangnav.inputs.object_types import fits, kind_of, label_of, name_of
+from jaxlangnav.inputs.object_types import is_type, kind_of, label_of, name_of
 from jaxlangnav.language.geometry import SIDE_RANGE, Geometry, PlacedWorld
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.relations.between import lies_between
@@ -94,7 +94,7 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
         return world
     strength = Geometry(placed).strength
     kinds = np.asarray(readings.mention_type[0])
-    is_kind = [fits(world.object_type, kind) for kind in kinds]
+    is_kind = [is_type(world.object_type, kind) for kind in kinds]
     _put_between(world, placed, is_kind, edges)
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
         own = allowed = is_kind[figure][:-1]
@@ -118,7 +118,7 @@ def why_nothing_fits(
     """
     world, kinds = place_for(placed, type_names, readings), np.asarray(readings.mention_type[0])
     names = ["robot" if kind == ROBOT else name_of(kind, type_names) for kind in kinds]
-    is_kind = [fits(world.object_type, kind) for kind in kinds]
+    is_kind = [is_type(world.object_type, kind) for kind in kinds]
     missing = [
         f"there is no {name}"
         for kind, name, found in zip(kinds, names, is_kind, strict=True)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
-from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.inputs.whole_files import read_file
 
 DEEPEST = 32
@@ -55,7 +55,7 @@ def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in pairs:
         if name in found:
-            raise DocumentError(f"has a field {cut(name, 40)!r} twice: leave one out")
+            raise DocumentError(f"has a field {shorten(name, 40)!r} twice: leave one out")
         found[name] = value
     return found
 
@@ -127,7 +127,7 @@ def _parse(loads: Callable[[str], Any], text: str, kind: str) -> Any:
     except RecursionError:
         raise DocumentError(too_deep) from None
     except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        raise DocumentError(f"is no valid {kind}: {cut(str(error), _MESSAGE)}") from None
+        raise DocumentError(f"is no valid {kind}: {shorten(str(error), _MESSAGE)}") from None
     except ValueError:
         # Python's own limit on the digits of a whole number, or a date that is none.
         why = "a number of too many digits, or no such date"

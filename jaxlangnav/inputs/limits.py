@@ -9,7 +9,7 @@ import math
 import re
 from typing import Any
 
-from jaxlangnav.inputs.sanitize import cut, quoted, shown
+from jaxlangnav.inputs.sanitize import as_text, quote, shorten
 
 FARTHEST = 1e5
 """Metres that a place or a length may have: float32 is 8 mm coarse there."""
@@ -46,7 +46,7 @@ def number(value: Any, what: str) -> float:
             raise TypeError
         read = float(value.reshape(()) if hasattr(value, "reshape") else value)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{what} is {quoted(value)}, but must be a number") from None
+        raise ValueError(f"{what} is {quote(value)}, but must be a number") from None
     if not math.isfinite(read):
         raise ValueError(f"{what} is {read}, but must be finite")
     return read
@@ -109,19 +109,19 @@ class Quantity:
             try:
                 return float(value)
             except OverflowError:
-                line = f"{name} is {shown(value)}, but must be {self._limits()}"
+                line = f"{name} is {as_text(value)}, but must be {self._limits()}"
                 raise ValueError(line) from None
         match = _TEXT.match(value) if isinstance(value, str) else None
         units = ", ".join(_UNITS[self.kind])
         wanted, example = _NAMES[self.kind], f" ({units})" if units else ""
         if match is None:
-            raise ValueError(f"{name} is {shown(value)}, but must be {wanted}{example}")
+            raise ValueError(f"{name} is {as_text(value)}, but must be {wanted}{example}")
         number, unit = float(match[1]), match[2]
         if not unit or unit in _UNITS[self.kind]:
             return number * _UNITS[self.kind].get(unit, 1.0)
         meant = next((kind for kind, units in _UNITS.items() if unit in units), None)
-        what = f"is {_NAMES[meant]}" if meant else f'has the unknown unit "{cut(unit)}"'
-        raise ValueError(f'{name} = "{cut(match[0])}" {what}, but {wanted} is needed{example}')
+        what = f"is {_NAMES[meant]}" if meant else f'has the unknown unit "{shorten(unit)}"'
+        raise ValueError(f'{name} = "{shorten(match[0])}" {what}, but {wanted} is needed{example}')
 
     def _limits(self) -> str:
         unit = {"length": " m", "angle": " rad"}.get(self.kind, "")
@@ -135,4 +135,4 @@ SHARE = Quantity(kind="share", high=1.0)
 
 
 def _shown(value: Any) -> str:
-    return cut(value) if isinstance(value, str) else shown(value)
+    return shorten(value) if isinstance(value, str) else as_text(value)

@@ -2,8 +2,8 @@
 
 The low ``LABEL_BITS`` hold the index of the detector's label, the bits above them one value for
 each group of attributes: colour, material, size, height; 0 where it is not known. Both together
-take 24 bits, as float32 holds them exactly: tables of particles are such numbers. The map keeps
-the kind of what was seen, a sentence says the kind of what it means, and ``fits`` compares them. A
+take 24 bits, as float32 holds them exactly: tables of particles are such numbers. The map keeps the
+kind of what was seen, a sentence says the kind of what it means, and ``is_type`` compares them. A
 kind without attributes is the bare index of its label. ``ANYTHING`` is the label of what is called
 "the thing": nothing seen has it, and everything seen fits it.
 
@@ -52,7 +52,7 @@ def group_of(word: str) -> str | None:
     return next((group for group, values in ATTRIBUTES.items() if word in values), None)
 
 
-def attributes(*words: str) -> int:
+def attribute_code(*words: str) -> int:
     """Build the code of attributes, for ``Observation.detection_attribute``; 0 of none.
 
     Args:
@@ -74,8 +74,8 @@ def attributes(*words: str) -> int:
     return code
 
 
-def words_of(code: int) -> tuple[str, ...]:
-    """Name the attributes of a code, the inverse of ``attributes``."""
+def attribute_words(code: int) -> tuple[str, ...]:
+    """Name the attributes of a code, the inverse of ``attribute_code``."""
     values = (
         ((code & mask) >> first, ATTRIBUTES[group]) for group, (first, mask) in _PLACES.items()
     )
@@ -111,10 +111,10 @@ def noun_of(kind: int, names: Sequence[str]) -> str:
 
 def name_of(kind: int, names: Sequence[str]) -> str:
     """Name a kind for people, its attributes and its label among ``names``: "red ball"."""
-    return " ".join([*words_of(code_of(kind)), noun_of(kind, names)])
+    return " ".join([*attribute_words(code_of(kind)), noun_of(kind, names)])
 
 
-def fits(thing: Any, kind: Any) -> Any:
+def is_type(thing: Any, kind: Any) -> Any:
     """Tell whether a thing may be of a kind: the same label, and no attribute speaks against it.
 
     Limits: without attributes on one side it is equality of labels; what is not known of a thing
@@ -133,7 +133,7 @@ def _told(kind: Any) -> Any:
     return (((kind & _LOWER) + _LOWER) | kind) & _TOPS
 
 
-def joined(known: Any, seen: Any) -> Any:
+def merge_types(known: Any, seen: Any) -> Any:
     """Add what one more look shows to what is known of a thing: the last word counts.
 
     ``known``, i32[...], is its kind, ``seen`` that of a detection of it, of the same label.

@@ -22,8 +22,8 @@ from jaxlangnav.inputs.limits import (
     bounded,
     number,
 )
-from jaxlangnav.inputs.object_types import ATTRIBUTES, attributes, group_of
-from jaxlangnav.inputs.sanitize import quoted
+from jaxlangnav.inputs.object_types import ATTRIBUTES, attribute_code, group_of
+from jaxlangnav.inputs.sanitize import quote
 
 SLOTS = (8, 16, 32, 64)
 """Sizes to which detections are padded: each has a compiled program of its own."""
@@ -36,14 +36,14 @@ def _type_index(name: Any, types: Sequence[str], what: str) -> int:
         near = difflib.get_close_matches(name, types, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise ValueError(
-            f"{what} is of type {quoted(name)}, which is none of {', '.join(types)}: {hint}"
+            f"{what} is of type {quote(name)}, which is none of {', '.join(types)}: {hint}"
             "pass types=navigator.type_names where the navigator has types of its own"
         )
     try:
         index = number(name, f"{what}'s type")
     except ValueError:
         raise ValueError(
-            f"{what}'s type is {quoted(name)}, but must be a name (a text) or the index of one"
+            f"{what}'s type is {quote(name)}, but must be a name (a text) or the index of one"
         ) from None
     if index != int(index) or not 0 <= index < len(types):
         raise ValueError(
@@ -77,7 +77,7 @@ def _attribute_code(looks: Any, what: str) -> int:
         return 0
     if not isinstance(looks, Mapping):
         raise ValueError(
-            f"{what}'s attributes are {quoted(looks)}, but must be by their groups, as in "
+            f"{what}'s attributes are {quote(looks)}, but must be by their groups, as in "
             '{"colour": "red"}'
         )
     for group, word in looks.items():
@@ -85,8 +85,8 @@ def _attribute_code(looks: Any, what: str) -> int:
             known = f"attributes are compared by {', '.join(ATTRIBUTES)}"
             if group in ATTRIBUTES:
                 known = f"must be one of {', '.join(ATTRIBUTES[group])}"
-            raise ValueError(f"{what}'s {quoted(group)} is {quoted(word)}, but {known}")
-    return attributes(*looks.values())
+            raise ValueError(f"{what}'s {quote(group)} is {quote(word)}, but {known}")
+    return attribute_code(*looks.values())
 
 
 def padded(count: int) -> int:
@@ -118,7 +118,7 @@ def detected(
     rows = _listed(detections, SLOTS[-1] + 1)
     if rows is None:
         raise ValueError(
-            f"detections is {quoted(detections)}, but must be a list of (type, range, bearing)"
+            f"detections is {quote(detections)}, but must be a list of (type, range, bearing)"
         )
     slots = padded(len(rows))
     table = np.tile([-1.0, 0.0, 0.0, 0.0], (slots, 1))
@@ -128,7 +128,7 @@ def detected(
         is_row = is_array or (isinstance(row, Sequence) and not isinstance(row, str | bytes))
         if not is_row or len(row) not in (3, 4):
             raise ValueError(
-                f"{what} is {quoted(row, 60)}, but must be (type, range, bearing), or with how it "
+                f"{what} is {quote(row, 60)}, but must be (type, range, bearing), or with how it "
                 'looks (type, range, bearing, {"colour": "red"})'
             )
         kind, metres, bearing, looks = [*row, None][:4]
@@ -203,7 +203,7 @@ def _listed(values: Any, most: int) -> list[Any] | None:
 def _parts(values: Any, number_of: int, what: str, remedy: str) -> list[Any]:
     parts = _listed(values, number_of + 1)
     if parts is None or len(parts) != number_of:
-        raise ValueError(f"{what} is {quoted(values)}, but must be {remedy}")
+        raise ValueError(f"{what} is {quote(values)}, but must be {remedy}")
     return parts
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, inspect
 
-from jaxlangnav.inputs.sanitize import LONGEST_NAME, cut, fault_of_name, printable, shown
+from jaxlangnav.inputs.sanitize import LONGEST_NAME, as_text, name_fault, sanitize, shorten
 
 _T = TypeVar("_T")
 Name = Annotated[str, Meta(pattern=r"\S", max_length=LONGEST_NAME)]
@@ -50,7 +50,7 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True):
         for name in self.__struct_fields__:
             value = getattr(self, name)
             for text in value if isinstance(value, list) else [value]:
-                if isinstance(text, str) and (fault := fault_of_name(text, longest=len(text))):
+                if isinstance(text, str) and (fault := name_fault(text, longest=len(text))):
                     raise ValueError(f"{name} {fault}")
 
 
@@ -70,7 +70,7 @@ def convert(document: Any, schema: type[_T], *, where: str = "") -> _T:
         line = _explain(complaint, document, inspect.type_info(schema), where)
     except (LookupError, TypeError):  # what looks like a path is a key of odd characters
         line = complaint
-    raise ValueError(printable(cut(line, 500)))
+    raise ValueError(sanitize(shorten(line, 500)))
 
 
 def _explain(complaint: str, value: Any, kind: inspect.Type, where: str) -> str:
@@ -125,23 +125,24 @@ def _fault(value: Any, kind: inspect.Type) -> str:
     wanted = _WORDS.get(type(kind), "something else")
     is_quoted = isinstance(value, str) and isinstance(kind, inspect.FloatType | inspect.IntType)
     remedy = ": write it without quotes" if is_quoted else ""
-    return f"is {shown(value)}, but must be {wanted}{', ' if limits else ''}{limits}{remedy}"
+    return f"is {as_text(value)}, but must be {wanted}{', ' if limits else ''}{limits}{remedy}"
 
 
 def unknown_key(name: str, known: Iterable[str]) -> str:
     """Say that a key is unknown, which ones there are, and which may be meant."""
     names = sorted(known)
-    return f"{cut(name)} is unknown: known keys are {', '.join(names)}{closest_choice(name, names)}"
+    known = f"known keys are {', '.join(names)}{closest_choice(name, names)}"
+    return f"{shorten(name)} is unknown: {known}"
 
 
 def no_choice(name: str, value: Any, choices: Iterable[str], what: str = "one of") -> str:
     """Say that the value of a key is none of some words, and which of them may be meant."""
     words = list(choices)
     known = ", ".join(words) or "none so far"
-    return f"{name} is {shown(value)}, but must be {what}: {known}{closest_choice(value, words)}"
+    return f"{name} is {as_text(value)}, but must be {what}: {known}{closest_choice(value, words)}"
 
 
 def closest_choice(value: Any, choices: Iterable[str]) -> str:
     """Suggest the closest choice, as in ". Did you mean 'hydrant'?", or nothing."""
-    close = difflib.get_close_matches(cut(str(value)), list(choices), n=1)
+    close = difflib.get_close_matches(shorten(str(value)), list(choices), n=1)
     return f". Did you mean {close[0]!r}?" if close else ""

@@ -36,7 +36,7 @@ from msgspec import Meta
 
 from jaxlangnav.inputs.documents import DocumentError, parse_json, read_lines, shipped_file
 from jaxlangnav.inputs.limits import FARTHEST
-from jaxlangnav.inputs.sanitize import cut, printable, shown
+from jaxlangnav.inputs.sanitize import as_text, sanitize, shorten
 from jaxlangnav.inputs.schema import Name, Schema, convert
 from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
@@ -113,7 +113,7 @@ class Example:
 
 def _check(condition: bool, message: str) -> None:
     if not condition:
-        raise CorpusError(cut(printable(message), _LONGEST_LINE))
+        raise CorpusError(shorten(sanitize(message), _LONGEST_LINE))
 
 
 def _check_symbols(
@@ -150,7 +150,7 @@ def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
 def _read_world(record: _World, found: Parse) -> WorldLabels:
     types = load_lexicon().type_names
     for kind, _, _ in record.objects:
-        _check(kind in types, f"object type {shown(kind)} is none of {', '.join(types)}")
+        _check(kind in types, f"object type {as_text(kind)} is none of {', '.join(types)}")
     previous, count = record.previous, len(record.objects)
     _check(
         previous is None or previous < count,
@@ -191,7 +191,7 @@ def read_example(line: str) -> Example:
     """
     try:
         document = parse_json(line)
-        _check(isinstance(document, dict), f"the line is {shown(document)}, but must be a table")
+        _check(isinstance(document, dict), f"the line is {as_text(document)}, but must be a table")
         record = convert(document, _Line)
         found = parse_labelled(record.text)
     except DocumentError as error:
@@ -233,7 +233,7 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
             split = templates.setdefault(example.template, example.split)
             _check(split == example.split, f"template '{example.template}' is in both splits")
         except CorpusError as error:
-            raise CorpusError(f"{cut(path.name)} line {number}: {error}") from None
+            raise CorpusError(f"{shorten(path.name)} line {number}: {error}") from None
         examples.append(example)
     _check(bool(examples), f"{path.name} holds no instruction")
     return tuple(examples)
@@ -252,13 +252,13 @@ def main(arguments: list[str]) -> int:
         try:
             examples = read_corpus(path)
         except CorpusError as error:
-            print(printable(str(error)), file=sys.stderr)
+            print(sanitize(str(error)), file=sys.stderr)
             status = 2
             continue
         phrases = sum(len(c.rank) for example in examples for c in example.clauses)
         found = Counter(kind for example in examples for kind in example.parse.kinds)
         kinds = {kind: found[kind] for kind in (COMMAND, STATEMENT)}
-        print(printable(f"{path}: {len(examples)} instructions, {phrases} phrases, {kinds}"))
+        print(sanitize(f"{path}: {len(examples)} instructions, {phrases} phrases, {kinds}"))
     return status
 
 

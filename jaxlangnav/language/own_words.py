@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
-from jaxlangnav.inputs.sanitize import cut, fault_of_name, printable, shown
+from jaxlangnav.inputs.sanitize import as_text, name_fault, sanitize, shorten
 from jaxlangnav.language.halting import halts_alone
 from jaxlangnav.language.lexicon import WORDS, plural
 from jaxlangnav.language.tokens import is_word, plainly
@@ -33,7 +33,7 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
     """
     unknown = set(own) - {"types", "class"}
     if unknown:
-        listed = cut(", ".join(sorted(map(shown, unknown))))
+        listed = shorten(", ".join(sorted(map(as_text, unknown))))
         raise ValueError(f"only [types] and [class.X] may be added to, not {listed}")
     types, classes = own.get("types", {}), own.get("class", {})
     tables = [types, classes, *(classes.values() if isinstance(classes, dict) else [])]
@@ -45,7 +45,7 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
         raise ValueError(f"has {number} expressions: at most {MOST_EXPRESSIONS} may be added")
     known = _Known(document)
     for kind, words in types.items():
-        where = f"[types] {cut(printable(kind))}"
+        where = f"[types] {shorten(sanitize(kind))}"
         name = _expression(kind, where)
         for expression in [name, *_expressions(words, where)]:
             known.check_name(expression, name, where)
@@ -54,9 +54,9 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
                 listed.append(expression)
     for name, table in classes.items():
         if name not in document["class"]:
-            raise ValueError(f"[class.{cut(name)}]: no such class")
+            raise ValueError(f"[class.{shorten(name)}]: no such class")
         for senses, words in table.items():
-            where = f"[class.{name}] {cut(printable(senses))}"
+            where = f"[class.{name}] {shorten(sanitize(senses))}"
             for expression in _expressions(words, where):
                 known.check_sense(expression, name, senses, where)
                 document["class"][name].setdefault(senses, []).append(expression)
@@ -72,18 +72,18 @@ def _expression(text: str, where: str) -> str:
     """Read one expression, written as the parser will see it."""
     if not text.split():
         raise ValueError(f"{where} must be a list of words, none of them empty")
-    if fault := fault_of_name(text, longest=MOST_WORDS * LONGEST_WORD):
-        raise ValueError(f"{where}: {shown(text)} {fault}")
+    if fault := name_fault(text, longest=MOST_WORDS * LONGEST_WORD):
+        raise ValueError(f"{where}: {as_text(text)} {fault}")
     words = plainly(text).split()
     if len(words) > MOST_WORDS:
-        raise ValueError(f"{where}: {shown(text)} has more than {MOST_WORDS} words")
+        raise ValueError(f"{where}: {as_text(text)} has more than {MOST_WORDS} words")
     for word in words:
         bare = word.removeprefix("*")
         if len(bare) > LONGEST_WORD:
-            raise ValueError(f"{where}: {shown(word)} has more than {LONGEST_WORD} letters")
+            raise ValueError(f"{where}: {as_text(word)} has more than {LONGEST_WORD} letters")
         if not is_word(bare):
             fault = "could not be read as a word: use letters, with hyphens between them"
-            raise ValueError(f"{where}: {shown(word)} {fault}")
+            raise ValueError(f"{where}: {as_text(word)} {fault}")
     return " ".join(words)
 
 

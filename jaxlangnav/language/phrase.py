@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.sanitize import sanitize
 
 COMMAND = "command"
 STATEMENT = "statement"
@@ -21,7 +21,7 @@ class LanguageError(ValueError):
 
     def __init__(self, message: str, *, position: int | None = None) -> None:
         """Keep the message, made printable, and the position of the word that stands in the way."""
-        super().__init__(printable(message))
+        super().__init__(sanitize(message))
         self.position = position
 
     @classmethod

@@ -28,7 +28,7 @@ from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.limits import bounded
 from jaxlangnav.inputs.object_types import is_anything, name_of
 from jaxlangnav.inputs.observations import SLOTS, area_numbers, pose_numbers
-from jaxlangnav.inputs.sanitize import cut, quoted
+from jaxlangnav.inputs.sanitize import quote, shorten
 from jaxlangnav.language.halting import act_of
 from jaxlangnav.messages import Action, Observation, SensorParams, Status, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
@@ -106,7 +106,7 @@ class Navigator:
         for name, size in {"num_objects": num_objects, "num_mentions": num_mentions}.items():
             if size > MOST_BITS:
                 most = f"at most {MOST_BITS} are told apart in a conversation"
-                raise ValueError(f"{name} is {quoted(size)}, but {most}")
+                raise ValueError(f"{name} is {quote(size)}, but {most}")
 
     @property
     def type_names(self) -> tuple[str, ...]:
@@ -144,9 +144,9 @@ class Navigator:
         grounded = self.grounder.ground(text, Context(is_under_way=False))
         if int(grounded.instruction.num_clauses) == 0:
             why = "informs but asks for nothing to be done: add a command"
-            raise ValueError(f"{cut(text)!r} {why}")
+            raise ValueError(f"{shorten(text)!r} {why}")
         for note in grounded.notes:
-            _log.warning("%s: %s", cut(text), note)
+            _log.warning("%s: %s", shorten(text), note)
         return self._start(grounded, pose, area, terrain, sensor_model)
 
     def wait(
@@ -263,7 +263,7 @@ class Navigator:
         """
         state, heard = self.take(state, text)
         for note in heard.notes:
-            _log.warning("%s: %s", cut(text), note)
+            _log.warning("%s: %s", shorten(text), note)
         return state
 
     def take(self, state: NavigatorState, text: str) -> tuple[NavigatorState, UtteranceOutcome]:

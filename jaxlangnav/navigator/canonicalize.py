@@ -10,7 +10,7 @@ from jax.core import Tracer
 
 from jaxlangnav.inputs.limits import is_complex
 from jaxlangnav.inputs.observations import SLOTS, padded
-from jaxlangnav.inputs.sanitize import cut, quoted
+from jaxlangnav.inputs.sanitize import quote, shorten
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.navigator.records import NavigatorState
 from jaxlangnav.pytree import replace
@@ -34,7 +34,7 @@ def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -
     """
     if not isinstance(state, NavigatorState):
         raise ValueError(
-            f"state is {quoted(state)}, but must be what navigator.start, wait, step or hear gave"
+            f"state is {quote(state)}, but must be what navigator.start, wait, step or hear gave"
         )
     names = [repr(one).encode() for one in (tuple(type_names), policy)]
     own = np.array([zlib.crc32(one) for one in names], np.uint32)
@@ -44,7 +44,7 @@ def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -
         return state
     is_other = (np.asarray(state.signature) != own).reshape(-1, 2).any(axis=0)
     if is_other.any():
-        labels = cut(", ".join(type_names))
+        labels = shorten(", ".join(type_names))
         what = f"other labels than {labels}" if is_other[0] else f"another policy than {policy}"
         raise ValueError(
             f"state is of a navigator with {what}: go on with the navigator that began it, or "
@@ -68,7 +68,7 @@ def canonicalize(observation: Observation) -> Observation:
         what = "observation's sensor" if is_one else "observation"
         given = observation.sensor if is_one else observation
         raise ValueError(
-            f"{what} is {quoted(given)}, but must be made by navigator.observation(pose, "
+            f"{what} is {quote(given)}, but must be made by navigator.observation(pose, "
             "detections, sensor)"
         )
     leaves = (*vars(observation).values(), *vars(observation.sensor).values())
@@ -112,7 +112,7 @@ def _array(leaf: Any, name: str, dtype: Any = None) -> np.ndarray:
                 raise TypeError
             return np.asarray(leaf, dtype)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"observation's {name} is {quoted(leaf)}, but must be numbers") from None
+        raise ValueError(f"observation's {name} is {quote(leaf)}, but must be numbers") from None
 
 
 def _odd(name: str, shape: tuple[int, ...], wanted: str) -> ValueError:

@@ -19,7 +19,7 @@ from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Spoken
 from jaxlangnav.inputs.object_types import is_anything, label_of, noun_of
-from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.language.halting import Act, alarm_in, opening_of
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
@@ -118,8 +118,8 @@ class Listener:
             return self._answered(state, text, said)
         if int(state.instruction.num_clauses) == 0 or at == NONE:
             raise ValueError(
-                f"{cut(text)!r}: nothing is being approached yet: say what is meant, as in 'go to "
-                "the hydrant by the cone'"
+                f"{shorten(text)!r}: nothing is being approached yet: say what is meant, as in 'go "
+                "to the hydrant by the cone'"
             )
         if said.wording == Wording.CLOSER:
             return _come_closer(state), heard
@@ -138,8 +138,8 @@ class Listener:
         chosen = chosen_by(said.wording, found, believed_pose(state))
         if chosen is None:
             raise ValueError(
-                f"{cut(text)!r}: it may be one of {len(found)}: say which, as in 'the left one' or "
-                "'the second'"
+                f"{shorten(text)!r}: it may be one of {len(found)}: say which, as in 'the left "
+                "one' or 'the second'"
             )
         others = tuple(slot for slot in slots if slot != chosen.slot)
         after = _choose(state, jnp.int32(chosen.slot))
@@ -169,13 +169,13 @@ class Listener:
             wanted, most = left + int(grounded.instruction.num_clauses), state.talk.viewer.shape[0]
             if wanted > most:
                 raise ValueError(
-                    f"{cut(text)!r} makes {wanted} commands; at most {most} are held: say it again "
-                    "when one of them is carried out"
+                    f"{shorten(text)!r} makes {wanted} commands; at most {most} are held: say it "
+                    "again when one of them is carried out"
                 )
             if spoken.steps:
                 raise ValueError(
-                    f"{cut(text)!r}: where the robot will stand when its task is done is not known "
-                    "yet: say it when it is there"
+                    f"{shorten(text)!r}: where the robot will stand when its task is done is not "
+                    "known yet: say it when it is there"
                 )
         area = state.belief.coverage.area
         check_measures(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
@@ -236,7 +236,7 @@ class Listener:
             if not slots:
                 name = noun_of(kind, names_of(self.grounder))
                 raise ValueError(
-                    f"{cut(text)!r}: no {name} has been approached yet, so there is no other: "
+                    f"{shorten(text)!r}: no {name} has been approached yet, so there is no other: "
                     f"say which, as in 'the {name} by the cone'"
                 )
             return slots[0]

@@ -34,7 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.inputs.object_types import fits, is_anything
+from jaxlangnav.inputs.object_types import is_anything, is_type
 from jaxlangnav.messages import Readings
 from jaxlangnav.semantic_map.params import MapParams
 
@@ -99,7 +99,7 @@ def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:
     best = int(np.argmax(np.asarray(readings.log_probability)))
     spoken = dict.fromkeys(int(kind) for kind in np.asarray(readings.mention_type)[best])
     seen, kinds = np.unique(object_type), [kind for kind in spoken if kind >= 0]
-    missing = [kind for kind in kinds if not np.any(fits(seen, kind))]
+    missing = [kind for kind in kinds if not np.any(is_type(seen, kind))]
     # What is called by its own name is not "the thing" too.
     num_named = sum(not is_anything(kind) for kind in kinds if kind not in missing)
     num_seen = np.any(np.reshape(object_type, (len(object_type), -1)) >= 0, axis=1).sum()

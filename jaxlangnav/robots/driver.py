@@ -19,14 +19,14 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.robot import (
     Detection,
-    Drive,
     Ending,
+    NavigationRun,
     OnStep,
-    Progress,
     Robot,
     Step,
+    WaypointStatus,
     observe,
-    start_pose,
+    wrap_heading,
 )
 
 SAME_THING = 0.8
@@ -88,7 +88,7 @@ def drive(
     max_seconds: float = 300.0,
     listen: Callable[[], str | None] | None = None,
     on_step: OnStep | None = None,
-) -> Drive:
+) -> NavigationRun:
     """Let a robot follow a sentence until the drive ends; then it stands.
 
     Args:
@@ -106,7 +106,7 @@ def drive(
         ValueError: the sentence is not understood, or asks for nothing.
     """
     if state is None:
-        state = navigator.start(text, pose=start_pose(robot.pose()), area=robot.area)
+        state = navigator.start(text, pose=wrap_heading(robot.pose()), area=robot.area)
     else:
         state = navigator.hear(state, text)
     journey, end = _Journey(navigator, robot, key, on_step), None
@@ -122,7 +122,7 @@ def drive(
     finally:
         robot.stop()
     robot.wait(CYCLE)
-    return Drive(ending=end[0], why=end[1], steps=tuple(journey.steps), state=state)
+    return NavigationRun(ending=end[0], why=end[1], steps=tuple(journey.steps), state=state)
 
 
 _End = tuple[Ending, str]
@@ -157,13 +157,13 @@ class _Journey:
         self.faulty = self.faulty + 1 if int(info.fault) else 0
         if bool(action.is_stop) and status == Status.ARRIVED:
             self.robot.stop()
-            self._note(pose, found, status, info, None, Progress.STANDING, after)
+            self._note(pose, found, status, info, None, WaypointStatus.STANDING, after)
             end = self._arrive(after, pose, found, info)
             # What has been seen is kept, but unless it ends the task goes on.
             return after if end is not None else replace(after, status=state.status), end
         self.unconfirmed = 0
         if bool(action.is_stop) or status == Status.IDLE:
-            self._note(pose, found, status, info, None, Progress.STANDING, after)
+            self._note(pose, found, status, info, None, WaypointStatus.STANDING, after)
             return after, self._name_the_end(status, after)
         offset = np.asarray(action.waypoint, float) - np.asarray(info.robot, float)
         if int(info.fault) or status == Status.HALTED or np.hypot(*offset) < 1e-3:
@@ -183,7 +183,7 @@ class _Journey:
         """Stand without a picture, for a while."""
         self.robot.stop()
         status = Status(int(state.status))
-        self._note(self.robot.pose(), None, status, None, None, Progress.STANDING, state)
+        self._note(self.robot.pose(), None, status, None, None, WaypointStatus.STANDING, state)
         self._wait(_WAIT)
         self.blind_for += _WAIT
         if self.blind_for < _BLIND:
@@ -219,18 +219,18 @@ class _Journey:
             return Ending.WHICH_ONE, f"{number} things may be meant, and nothing more tells"
         return Ending.IDLE, "nothing is left to do"
 
-    def _go_on(self, seconds: float, metres: float = math.inf) -> Progress:
+    def _go_on(self, seconds: float, metres: float = math.inf) -> WaypointStatus:
         """Go for so long or so far, or until the robot is there or cannot go on."""
         start, begin = self.robot.pose()[:2], self.seconds
         progress = self._wait(_WAIT)
-        while progress is Progress.UNDER_WAY and self.seconds - begin < seconds:
+        while progress is WaypointStatus.UNDER_WAY and self.seconds - begin < seconds:
             if np.hypot(*(self.robot.pose()[:2] - start)) >= metres:
                 break
             progress = self._wait(_WAIT)
         return progress
 
     def _judge(
-        self, progress: Progress, target: np.ndarray | None, info: NavigatorInfo
+        self, progress: WaypointStatus, target: np.ndarray | None, info: NavigatorInfo
     ) -> _End | None:
         """Judge whether it is of any use to go on."""
         if self.faulty >= _FAULTY:
@@ -239,14 +239,14 @@ class _Journey:
         if self.facing is not None or self.beyond is not None:
             most = _BEYOND_SECONDS if self.facing is None else _TURN_SECONDS
             is_over = self.seconds - self.turning_since > most
-            if is_over or progress is not Progress.UNDER_WAY:
+            if is_over or progress is not WaypointStatus.UNDER_WAY:
                 self.facing = self.beyond = None
             return None
         place = self.robot.pose()[:2]
         if np.hypot(*(place - self.last_place)) > _MOVED:
             self.last_place, self.gave_up, self.idle = place, 0, 0
-        self.gave_up += progress is Progress.GAVE_UP
-        self.idle += progress is Progress.THERE
+        self.gave_up += progress is WaypointStatus.GAVE_UP
+        self.idle += progress is WaypointStatus.THERE
         if self.gave_up >= _GIVE_UPS:
             where = "" if target is None else f" to ({target[0]:.1f}, {target[1]:.1f})"
             return Ending.BLOCKED, f"the motion planner finds no way{where}"
@@ -272,7 +272,7 @@ class _Journey:
             self.facing = wrap(float(self.robot.pose()[2]) + _TURNED * self.turns)
         return None
 
-    def _wait(self, seconds: float) -> Progress:
+    def _wait(self, seconds: float) -> WaypointStatus:
         self.seconds += seconds
         return self.robot.wait(seconds)
 
@@ -283,7 +283,7 @@ class _Journey:
         status: Status,
         info: NavigatorInfo | None,
         target: np.ndarray | None,
-        progress: Progress,
+        progress: WaypointStatus,
         state: NavigatorState,
     ) -> None:
         """Keep a decision, and tell it."""

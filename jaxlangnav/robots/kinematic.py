@@ -21,7 +21,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.path import to_discs
 from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
-from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.robots.robot import Detection, WaypointStatus
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -116,7 +116,7 @@ class SimulatedRobot(abc.ABC):
             self.on_look(self)
         return found
 
-    def wait(self, seconds: float) -> Progress:
+    def wait(self, seconds: float) -> WaypointStatus:
         """Let time pass, see ``Robot.wait``."""
         for _ in range(max(1, round(seconds / TICK))):
             while self._events and self._events[0][0] <= self.seconds:

@@ -20,7 +20,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot, SimulatedRobot
 from jaxlangnav.robots.physics.robot import PhysicsRobot
-from jaxlangnav.robots.robot import Drive, Ending, Step, observe
+from jaxlangnav.robots.robot import Ending, NavigationRun, Step, observe
 from jaxlangnav.robots.views import Views
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
@@ -76,7 +76,7 @@ class DriveRecorder:
         self._frames.append(frame)
         self._pictures.append(self._taken)
 
-    def recording(self, ended: Drive) -> Recording:
+    def recording(self, ended: NavigationRun) -> Recording:
         """Put the recording of a drive together; a ValueError where no decision was kept."""
         if not self._frames:
             raise ValueError("nothing was recorded: give drive on_step=recorder.on_step")
@@ -95,7 +95,7 @@ class DriveRecorder:
         pictures = tuple(self._pictures) if self._views is not None else ()
         return dataclasses.replace(told, pictures=pictures, ended=why)
 
-    def _result(self, ended: Drive) -> EpisodeResult:
+    def _result(self, ended: NavigationRun) -> EpisodeResult:
         """Judge the drive by where the robot truly is."""
         place = self._robot.true_pose[:2]
         away = float(np.hypot(*(place - np.asarray(self._scenario.goal))))
@@ -128,7 +128,7 @@ def record_drive(
     *,
     navigator: Navigator,
     key: Array,
-) -> tuple[Drive, Recording]:
+) -> tuple[NavigationRun, Recording]:
     """Let a robot, at its start, follow a sentence, and record it; see ``drive``.
 
     Returns:

@@ -19,7 +19,7 @@ from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.world.sensor import NUM_DETECTIONS
 
 
-class Progress(enum.Enum):
+class WaypointStatus(enum.Enum):
     """How far a robot has come with its waypoints."""
 
     STANDING = "standing"
@@ -83,7 +83,7 @@ class Robot(Protocol):
                 reached, or any, if None.
         """
 
-    def wait(self, seconds: float) -> Progress:
+    def wait(self, seconds: float) -> WaypointStatus:
         """Let seconds pass, and tell how far it has come with the waypoints by then."""
         ...
 
@@ -123,11 +123,11 @@ class Step:
     fault: Fault
     target: tuple[float, float] | None
     """Where it was sent, in the frame of ``pose``, metres; None: it was told to stand."""
-    progress: Progress
+    progress: WaypointStatus
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Drive:
+class NavigationRun:
     """A drive that has ended."""
 
     ending: Ending
@@ -141,7 +141,7 @@ OnStep = Callable[[Step, NavigatorState, NavigatorInfo | None], None]
 """Is told each decision; the info is None where there was no picture to decide by."""
 
 
-def start_pose(pose: np.ndarray) -> tuple[float, float, float]:
+def wrap_heading(pose: np.ndarray) -> tuple[float, float, float]:
     """Tell x, y, metres, and heading in [−π, π] of a pose f64[3] that may have turned often."""
     x, y, heading = pose.tolist()
     return x, y, math.remainder(heading, math.tau)

@@ -25,7 +25,7 @@ from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.physics.robot import ODOMETRY_NOISE, PhysicsRobot
 from jaxlangnav.robots.physics.tags import Gates
 from jaxlangnav.robots.recorded import DriveRecorder
-from jaxlangnav.robots.robot import Drive, Ending, Progress, Step
+from jaxlangnav.robots.robot import Ending, NavigationRun, Step, WaypointStatus
 from jaxlangnav.viz.html import write_html
 from jaxlangnav.world.scenario import draw_scenario, scenario_law
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -153,7 +153,7 @@ def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
         goal = np.asarray(robot.scenario.goal, float)
         robot.go_to(goal[None], speed=1.0, clearance=0.3)
         progress = robot.wait(0.1)
-        while progress is Progress.UNDER_WAY and robot.seconds < MAX_SECONDS:
+        while progress is WaypointStatus.UNDER_WAY and robot.seconds < MAX_SECONDS:
             if np.hypot(*(robot.pose()[:2] - goal)) <= HALT:
                 break
             progress = robot.wait(0.1)
@@ -181,7 +181,7 @@ def _judged(robot: PhysicsRobot, ending: Ending) -> dict[str, Any]:
     }
 
 
-def _told(ended: Drive, truth: list[list[float]]) -> list[dict[str, Any]]:
+def _told(ended: NavigationRun, truth: list[list[float]]) -> list[dict[str, Any]]:
     """Tell a drive step by step, so that a failure can be looked into."""
     return [
         {

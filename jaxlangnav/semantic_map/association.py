@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.inputs.object_types import joined, label_of
+from jaxlangnav.inputs.object_types import label_of, merge_types
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import append_axes, prepend_axes
@@ -158,7 +158,7 @@ def _ground(
         if_held, others_if_new = doubted
         existence = jnp.where(is_new & is_there, others_if_new, existence)
         existence = jnp.where(entry, if_held, existence)
-    entered = jnp.where(is_new, kind, joined(so_far.object_type, kind))
+    entered = jnp.where(is_new, kind, merge_types(so_far.object_type, kind))
     return Association(
         object_type=jnp.where(entry, entered, so_far.object_type),
         is_hit=so_far.is_hit | entry,

@@ -16,7 +16,7 @@ from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.grounding import GraphGrounder, GroundingModel
 from jaxlangnav.inputs.documents import parse_json, parse_toml
 from jaxlangnav.inputs.limits import RANGES
-from jaxlangnav.inputs.sanitize import cut, printable
+from jaxlangnav.inputs.sanitize import sanitize, shorten
 from jaxlangnav.inputs.schema import PlainText, no_choice
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator.candidates import Candidate
@@ -124,11 +124,9 @@ class LiveEpisode:
         self._unheard: queue.Queue[str | None] = queue.Queue(_MOST_UNHEARD)
         self._question: list[dict[str, str]] = []
         self._is_resting, self._heard_at = False, -1
-        self._change = threading.Condition()
-        self._version = 0
+        self._change, self._version = threading.Condition(), 0
         self._closed = threading.Event()
-        self.is_over = False
-        self.fault = ""
+        self.is_over, self.fault = False, ""
 
     def _find_world(self, folder: Path) -> str:
         """Name the world that is picked; one that was sent is kept in a file."""
@@ -189,7 +187,7 @@ class LiveEpisode:
                 self._tell()
         except Exception as error:  # a fault of ours is shown on the page, the server goes on
             line = " ".join(str(error).split()) or type(error).__name__
-            self.fault = printable(cut(line, 300))
+            self.fault = sanitize(shorten(line, 300))
         finally:
             self.is_over, self._question = True, []
             self._tell()
@@ -276,18 +274,15 @@ class LiveEpisode:
 
     def describe(self) -> dict[str, Any]:
         """Gather what the page shows now, in JSON's own types; a robot that asks is under way."""
-        is_over, is_resting = self.is_over, self._is_resting
+        is_over, is_resting, question = self.is_over, self._is_resting, self._question
         recording = self.recording()
-        question = self._question
         is_under_way = not is_over and (bool(question) or not is_resting)
         heard = [
-            {"text": printable(one.text), "kind": one.kind, "refusal": printable(one.refusal)}
+            {"text": sanitize(one.text), "kind": one.kind, "refusal": sanitize(one.refusal)}
             for one in list(self._ear.said)
         ]
         return {
-            "episode": None
-            if recording is None
-            else page_data(recording, is_under_way=is_under_way),
+            "episode": recording and page_data(recording, is_under_way=is_under_way),
             "heard": heard,
             "question": question,
             "is_resting": is_resting,

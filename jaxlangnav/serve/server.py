@@ -26,7 +26,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from jaxlangnav.grounding import GroundingModel
-from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.inputs.schema import convert
 from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.serve.live import LiveEpisode, Message, Request, places, read_world, warm_up
@@ -203,7 +203,7 @@ async def _listen(socket: WebSocket, episode: LiveEpisode) -> None:
                 else:
                     episode.say(message.say)
             except ValueError as error:
-                await socket.send_text(page_json({"refusal": printable(str(error))}))
+                await socket.send_text(page_json({"refusal": sanitize(str(error))}))
 
 
 @contextlib.contextmanager
@@ -215,7 +215,7 @@ def _refusals() -> Iterator[Callable[[], Response]]:
     except RecursionError:
         line.append("the document is nested too deeply: make it flat")
     except ValueError as error:
-        line.append(printable(" ".join(str(error).split())))
+        line.append(sanitize(" ".join(str(error).split())))
 
 
 async def _body(request: HttpRequest, most: int) -> bytes:

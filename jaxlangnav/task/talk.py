@@ -24,7 +24,7 @@ from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.inputs.program_cache import cached_jit
-from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.messages import NONE, Status
@@ -173,7 +173,7 @@ class Earshot:
         try:
             after, heard = Listener(self.grounder).take(before, text)
         except ValueError as refusal:
-            why = str(refusal).removeprefix(f"{cut(text)!r}: ")
+            why = str(refusal).removeprefix(f"{shorten(text)!r}: ")
             line = " ".join(why.split()).rstrip(".")
             said = Remark(step=step, text=text, speaker=speaker, refusal=line)
         else:

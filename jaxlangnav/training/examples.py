@@ -18,11 +18,11 @@ from jaxlangnav.grounding.model import Vocabulary
 from jaxlangnav.grounding.properties import Annotations, Behaviors
 from jaxlangnav.grounding.symbols import (
     KINDS,
-    Annotation,
+    AnnotationSymbol,
     BehaviorSymbol,
     Path,
-    bottom_up,
     object_symbol,
+    post_order,
     region_symbol,
     relation_symbol,
 )
@@ -42,7 +42,7 @@ class LabelledInstruction:
     rank: Mapping[Path, int]  # phrases that say "nearest" have 1, "second" 2; others 0
 
 
-def read_annotation(text: str, type_names: tuple[str, ...]) -> Annotation:
+def read_annotation(text: str, type_names: tuple[str, ...]) -> AnnotationSymbol:
     """Read an annotation symbol such as ``relation(hydrant,behind,cone)``."""
 
     def index(name: str) -> int:
@@ -81,7 +81,7 @@ def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> Label
         annotated.append(
             Labelled(root=root, world=None, expressed=expressed, ranks=labels.rank, clause=clause)
         )
-        paths = [node.path for node in bottom_up(root, clause)]
+        paths = [node.path for node in post_order(root, clause)]
         rank |= dict(zip(paths, labels.rank, strict=True))
     for labelled in example.worlds:
         world, count, trees = place(labelled.world, type_names), len(labelled.world.objects), []
@@ -141,7 +141,7 @@ def examples_of(
 def _tree_examples(
     space: SymbolSpace[AnyWorld], one: Labelled[AnyWorld], instruction: int
 ) -> Iterator[PhraseExample]:
-    nodes, symbols = bottom_up(one.root, one.clause), space.symbols_in(one.world)
+    nodes, symbols = post_order(one.root, one.clause), space.symbols_in(one.world)
     ranks = one.ranks or [0] * len(nodes)
     for labels in (one.expressed, ranks):
         if len(labels) != len(nodes):

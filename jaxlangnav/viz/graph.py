@@ -14,7 +14,7 @@ import numpy as np
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph, PhraseBelief
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.properties import Annotations
-from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace
+from jaxlangnav.grounding.symbols import AnnotationSpace, AnnotationSymbol
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE, ROBOT
@@ -36,7 +36,7 @@ def _phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
     return [belief for tree in trees for belief in tree.beliefs()]
 
 
-def _symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
+def _symbol_name(symbol: AnnotationSymbol, type_names: tuple[str, ...]) -> str:
     """Name an annotation symbol: "hydrant behind cone", "behind cone", "hydrant"."""
     things = {NONE: "", ROBOT: "robot", **dict(enumerate(type_names))}
     parts = [things[symbol.figure]]

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxlangnav.episode.recording import Recording
 from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE
@@ -56,7 +56,7 @@ def fill_page(title: str, data: Any, *, controls: str = "", connect: str = "") -
     # Inside a script element only "</" and "<!--" could end the data early. In one pass, as the
     # sentence itself may hold the name of a place to be filled.
     parts = {
-        "__TITLE__": html.escape(printable(title)),
+        "__TITLE__": html.escape(sanitize(title)),
         "__DATA__": page_json(data).replace("<", "\\u003c"),
         "__CONTROLS__": controls,
         "__CONNECT__": f"; connect-src {connect}" if connect else "",
@@ -85,7 +85,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
     all_claims = list(dict.fromkeys(claim for listed in told for claim, _ in listed))
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
     return {
-        "text": printable(scene.text),
+        "text": sanitize(scene.text),
         "summary": " ".join(
             first if is_under_way else [*first, f"The {panels.verdict(recording)}."]
         ),
@@ -147,7 +147,7 @@ def _by_step(recording: Recording, claims: list[str], *, is_under_way: bool) -> 
         shares.append(_short(*(now.get(claim, 0.0) for claim in claims)))
     closing = narrative.closing(recording.last_scene, recording.at(-1), recording.result)
     if recording.ended:
-        said = printable(recording.ended).replace("_", " ")
+        said = sanitize(recording.ended).replace("_", " ")
         drove = f"It drove {float(recording.result.distance):.1f} m."
         closing = [f"{said[:1].upper()}{said[1:]}.", drove]
     if is_under_way:

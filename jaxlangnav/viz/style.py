@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxlangnav.inputs.object_types import is_anything
-from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.inputs.whole_files import replacing
 
 if TYPE_CHECKING:
@@ -186,7 +186,7 @@ def title(figure: "Figure", text: str, subtitle: str = "") -> None:
     Long headlines are set smaller, and cut where even that does not fit. The figure's layout must
     leave half an inch at the top.
     """
-    text = printable(text)
+    text = sanitize(text)
     width, height = figure.get_figwidth(), figure.get_figheight()
     left = 0.12 / width
     text, size = _fitted(text, width - 0.3, 12.0, 8.0, _BOLD_WIDTH)

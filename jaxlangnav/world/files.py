@@ -53,7 +53,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.inputs.documents import parse_toml, read_document, read_shipped
-from jaxlangnav.inputs.sanitize import cut, shown
+from jaxlangnav.inputs.sanitize import as_text, shorten
 from jaxlangnav.inputs.schema import closest_choice
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.world.reading import (
@@ -110,9 +110,9 @@ def open_world(text: str) -> Template | WorldFile:
     if text.strip()[:1].isdigit():
         return parse_template(text)
     shipped = ", ".join(shipped_worlds())
-    hint = closest_choice(cut(text), (*shipped_worlds(), *TEMPLATE_NAMES))
+    hint = closest_choice(shorten(text), (*shipped_worlds(), *TEMPLATE_NAMES))
     raise ValueError(
-        f"unknown world {shown(text)}: give a template ({', '.join(TEMPLATE_NAMES)}), a shipped "
+        f"unknown world {as_text(text)}: give a template ({', '.join(TEMPLATE_NAMES)}), a shipped "
         f"world ({shipped}), or a .toml or .json file{hint}"
     )
 

@@ -12,9 +12,9 @@ from jax import Array
 from msgspec import Meta, field, structs, to_builtins
 
 from jaxlangnav.inputs.limits import FARTHEST, RANGES, SHORTEST, SMALLEST
-from jaxlangnav.inputs.object_types import ATTRIBUTES, attributes, group_of, words_of
+from jaxlangnav.inputs.object_types import ATTRIBUTES, attribute_code, attribute_words, group_of
 from jaxlangnav.inputs.observations import SLOTS
-from jaxlangnav.inputs.sanitize import LONGEST_NAME, cut, printable, shown
+from jaxlangnav.inputs.sanitize import LONGEST_NAME, as_text, sanitize, shorten
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, no_choice
 from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
@@ -123,7 +123,7 @@ class _Sensor(Schema):
             self.noise = min(0.1, self.range_max)
         if self.noise > self.range_max:
             most = f"at most {self.range_max:g}, the range"
-            raise ValueError(f"noise is {shown(self.noise)}, but must be {most}")
+            raise ValueError(f"noise is {as_text(self.noise)}, but must be {most}")
 
 
 class _Motion(Schema):
@@ -199,7 +199,7 @@ def world_from_dict(table: Any, *, file: str) -> WorldFile:
     Raises:
         WorldFileError: anything is missing, unknown or outside its limits.
     """
-    file = cut(printable(file), LONGEST_NAME)
+    file = shorten(sanitize(file), LONGEST_NAME)
     try:
         return _to_world(convert(table, _World), Path(file).stem)
     except ValueError as error:
@@ -228,7 +228,7 @@ def _to_world(world: _World, stem: str) -> WorldFile:
         for place in one.ends:
             world.area.check(f"walls[{index}].ends", *place)
     goal, goal_index = _goal(world, start, names)
-    codes = [attributes(*one.looks.values()) for one in world.objects]
+    codes = [attribute_code(*one.looks.values()) for one in world.objects]
     codes += [0] * (num_slots - number)
     return WorldFile(
         name=world.name or stem,
@@ -266,7 +266,9 @@ def _type_index(text: str, type_names: list[str], where: str) -> int:
             hint = f"which looks mistyped. Did you mean {slip!r}?"
             raise ValueError(f"{where}.type is {name!r}, {hint}")
         if not all(map(is_word, name.split())):
-            raise ValueError(f"{where}.type is {shown(name)}, but must be a noun, in plain letters")
+            raise ValueError(
+                f"{where}.type is {as_text(name)}, but must be a noun, in plain letters"
+            )
         type_names.append(name)
     return type_names.index(name)
 
@@ -318,7 +320,7 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
                 name=names[slot] or None,
                 x=_decimal(scenario.object_x[slot]),
                 y=_decimal(scenario.object_y[slot]),
-                **{str(group_of(word)): word for word in words_of(int(codes[slot]))},
+                **{str(group_of(word)): word for word in attribute_words(int(codes[slot]))},
             )
             for slot in np.flatnonzero(np.asarray(scenario.is_object))
         ],

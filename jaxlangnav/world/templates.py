@@ -10,7 +10,7 @@ import math
 import re
 from typing import NamedTuple
 
-from jaxlangnav.inputs.sanitize import cut, shown
+from jaxlangnav.inputs.sanitize import as_text, shorten
 from jaxlangnav.inputs.schema import closest_choice
 
 RELATION_NAMES = ("null", "behind", "nearest")
@@ -66,11 +66,11 @@ def parse_template(name: str) -> Template:
     match = re.fullmatch(r"(\d{1,9})H(\d{1,9})C", compact)
     if match is None:
         # "1C2H" means 2H1C
-        turned = re.sub(r"(\d+C)(\d+H)", r"\2\1", cut(compact))
+        turned = re.sub(r"(\d+C)(\d+H)", r"\2\1", shorten(compact))
         close = difflib.get_close_matches(turned, TEMPLATE_NAMES, n=1, cutoff=0.4)
         hint = f" Did you mean {close[0]}?" if close else ""
         raise ValueError(
-            f"unknown world template {shown(name)}: expected <hydrants>H<cones>C, one of "
+            f"unknown world template {as_text(name)}: expected <hydrants>H<cones>C, one of "
             f"{', '.join(TEMPLATE_NAMES)} or the like.{hint}"
         )
     hydrants, cones = int(match[1]), int(match[2])
@@ -79,7 +79,7 @@ def parse_template(name: str) -> Template:
         ("cones", cones, 0, MAX_CONES),
     ):
         if not least <= number <= most:
-            where = f"world template {shown(name)} has {number} {what}"
+            where = f"world template {as_text(name)} has {number} {what}"
             raise ValueError(f"{where}: choose {least} to {most}")
     return Template(name=f"{hydrants}H{cones}C", num_hydrants=hydrants, num_cones=cones)
 
@@ -88,7 +88,7 @@ def check_relation(relation: str) -> int:
     """Look up the index of one of ``RELATION_NAMES``, or raise a ValueError of one line."""
     if relation not in RELATION_NAMES:
         known = f"{', '.join(RELATION_NAMES)}{closest_choice(relation, RELATION_NAMES)}"
-        raise ValueError(f"unknown relation {shown(relation)}: choose one of {known}")
+        raise ValueError(f"unknown relation {as_text(relation)}: choose one of {known}")
     return RELATION_NAMES.index(relation)
 
 

@@ -17,7 +17,7 @@ from jaxlangnav.robots.motion.steering import (
     turn_by,
     wrap,
 )
-from jaxlangnav.robots.robot import Progress
+from jaxlangnav.robots.robot import WaypointStatus
 
 TICK = 0.1
 """Seconds between two commands to the wheels."""
@@ -40,7 +40,7 @@ class Mover:
     def __init__(self, body: BodyLimits) -> None:
         """Build one that stands still."""
         self.body, self.steering = body, Window()
-        self.moving, self.progress = STILL, Progress.STANDING
+        self.moving, self.progress = STILL, WaypointStatus.STANDING
         self._waypoints = np.zeros((0, 2))
         self._speed, self._clearance = 1.0, 0.0
         self._facing: float | None = None
@@ -61,16 +61,18 @@ class Mover:
         points = np.asarray(waypoints, float).reshape(-1, 2)
         if not len(points) or not np.isfinite(points).all():
             raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")
-        is_same = self.progress is Progress.UNDER_WAY and points.shape == self._waypoints.shape
+        is_same = (
+            self.progress is WaypointStatus.UNDER_WAY and points.shape == self._waypoints.shape
+        )
         is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < CLOSE_BY)
         if not is_same or facing != self._facing:
             self._forget()
         self._waypoints, self._speed, self._clearance = points, speed, clearance
-        self._facing, self.progress = facing, Progress.UNDER_WAY
+        self._facing, self.progress = facing, WaypointStatus.UNDER_WAY
 
     def stop(self) -> None:
         """Forget the waypoints; the next commands brake."""
-        self.progress = Progress.STANDING
+        self.progress = WaypointStatus.STANDING
 
     def tick(self, pose: np.ndarray, discs: np.ndarray = NO_DISCS) -> WheelCommand:
         """Choose the next command to the wheels, within what the body can do in a tick.
@@ -80,7 +82,7 @@ class Mover:
             discs: f64[K, 3], things in the same frame, metres.
         """
         wanted = STILL
-        if self.progress is Progress.UNDER_WAY:
+        if self.progress is WaypointStatus.UNDER_WAY:
             wanted = self._follow(pose, discs)
         body, moving = self.body, self.moving
         if wanted.speed == 0.0 and abs(moving.speed) > _CREEP:
@@ -103,14 +105,14 @@ class Mover:
         self._plan(pose, discs)
         if self._way is None:
             if self._failed >= _TRIES:
-                self.progress = Progress.GAVE_UP
+                self.progress = WaypointStatus.GAVE_UP
             return STILL
         if len(self._way) == 1 and np.hypot(*(self._way[0] - pose[:2])) < CLOSE_BY:
             self._way = self._way[1:]
         if not len(self._way):
             return self._arrive(pose)
         if self._is_stuck(pose):
-            self.progress = Progress.GAVE_UP
+            self.progress = WaypointStatus.GAVE_UP
             return STILL
         wished = min(self.body.speed * self._speed, self.body.top_speed)
         return self.steering.steer(
@@ -153,7 +155,7 @@ class Mover:
         off = 0.0 if facing is None else wrap(facing - pose[2])
         if abs(off) > _FACING:
             return turn_by(off, self.body)
-        self.progress = Progress.THERE
+        self.progress = WaypointStatus.THERE
         return STILL
 
     def _is_stuck(self, pose: np.ndarray) -> bool:

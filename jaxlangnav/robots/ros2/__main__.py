@@ -12,7 +12,7 @@ import jax
 import tyro
 
 from jaxlangnav.inputs.limits import refuse_below
-from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.libraries import ros
@@ -155,7 +155,7 @@ def main() -> int:
     except KeyboardInterrupt:
         return 0
     except ValueError as error:
-        print(printable(str(error)), file=sys.stderr)
+        print(sanitize(str(error)), file=sys.stderr)
         return 2
     return 0
 

@@ -15,7 +15,7 @@ from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.kinematic import SimulatedRobot
 from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.motion.mover import TICK
-from jaxlangnav.robots.robot import Drive
+from jaxlangnav.robots.robot import NavigationRun
 from jaxlangnav.robots.ros2.conversions import (
     Scribe,
     compose,
@@ -157,7 +157,7 @@ class RecordedLoopback(Loopback):
 
 def write_bag(
     path: Path, simulated: SimulatedRobot, text: str, *, navigator: Navigator, key: Array
-) -> Drive:
+) -> NavigationRun:
     """Let a robot, at its start, follow a sentence; write what is said either way into a bag.
 
     Raises:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.robots.libraries import ros, ros_message
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.ros2.conversions import (
@@ -206,7 +206,7 @@ class RosBus:
         kind, now = text[:_ALIKE], self.now()
         if now - self._warned.get(kind, -math.inf) >= _QUIET:
             self._warned[kind] = now
-            self._node.get_logger().warning(printable(text))
+            self._node.get_logger().warning(sanitize(text))
 
     def why_silent(self, topic: str) -> str:
         """Tell why nothing may be coming on "odom" or "detections", in one line."""

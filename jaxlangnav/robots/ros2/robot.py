@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.robots.motion.steering import wrap
-from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.robots.robot import Detection, WaypointStatus
 from jaxlangnav.robots.ros2.conversions import compose, inverse
 from jaxlangnav.robots.ros2.inbox import Inbox
 
@@ -36,19 +36,19 @@ class Headway:
         if former is None or goal is None or np.hypot(*(goal - former)[:2]) > _REACHED:
             self._since = now
 
-    def progress(self, pose: np.ndarray, now: float) -> Progress:
+    def progress(self, pose: np.ndarray, now: float) -> WaypointStatus:
         """Tell how far a robot has come that is at f64[3], map frame, at seconds."""
         turned = abs(wrap(float(pose[2] - self._last[2]))) if np.isfinite(self._last[2]) else np.inf
         if np.hypot(*(pose - self._last)[:2]) > _MOVED or turned > _TURNED:
             self._last, self._since = pose.copy(), now
         if self._goal is None:
-            return Progress.STANDING
+            return WaypointStatus.STANDING
         away = float(np.hypot(*(self._goal - pose)[:2]))
         if away <= _REACHED and abs(wrap(float(self._goal[2] - pose[2]))) <= _FACED:
-            return Progress.THERE
+            return WaypointStatus.THERE
         if now - self._since < _STILL:
-            return Progress.UNDER_WAY
-        return Progress.THERE if away <= _NEAR else Progress.GAVE_UP
+            return WaypointStatus.UNDER_WAY
+        return WaypointStatus.THERE if away <= _NEAR else WaypointStatus.GAVE_UP
 
 
 PATIENCE = 1.0
@@ -154,7 +154,7 @@ class RosRobot:
         self._headway.set(goal, self._bus.now())
         self._send(goal, speed, clearance)
 
-    def wait(self, seconds: float) -> Progress:
+    def wait(self, seconds: float) -> WaypointStatus:
         """Take messages in for a time, see ``Robot.wait``."""
         self._bus.spin(seconds)
         return self._headway.progress(self.pose(), self._bus.now())

@@ -17,7 +17,7 @@ from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.driver import drive
-from jaxlangnav.robots.robot import Drive, Robot, Step, start_pose
+from jaxlangnav.robots.robot import NavigationRun, Robot, Step, wrap_heading
 
 DOUBLED = 1.0
 """Seconds within which the same words have been carried twice, not said twice."""
@@ -64,7 +64,7 @@ class Session:
         self._last = text, now
         self._waiting.append(text)
 
-    def go(self) -> Drive | None:
+    def go(self) -> NavigationRun | None:
         """Drive to an ending; None where nothing has been said, or nothing that is a task."""
         taken_up, self._words = self._words, []
         for text in taken_up[:-1]:
@@ -99,7 +99,7 @@ class Session:
         robot = self._robot
         try:
             if self._state is None:
-                return self._navigator.start(text, pose=start_pose(robot.pose()), area=robot.area)
+                return self._navigator.start(text, pose=wrap_heading(robot.pose()), area=robot.area)
             return self._navigator.hear(self._state, text)
         except ValueError as error:
             self._tell({"status": "refused", "text": text, "why": " ".join(str(error).split())})

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.inputs.object_types import fits, is_anything, label_of
+from jaxlangnav.inputs.object_types import is_anything, is_type, label_of
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import append_axes, lookup, prepend_axes, skip_unless_any
 from jaxlangnav.semantic_map.counts import log_expected
@@ -97,7 +97,7 @@ def list_candidates(
     # With the robot as the landmark, or with none, the figure stands against the viewer.
     is_viewer = jnp.stack([jnp.zeros_like(query.is_by_object), ~query.is_by_object])
     is_open = ~is_viewer & ~earlier.is_grounded
-    is_kind = fits(seen.object_type[None], query.kind[:, None])
+    is_kind = is_type(seen.object_type[None], query.kind[:, None])
     slots = append_axes(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
     may_be = is_kind & is_open[:, None] & ((query.excluded[:, None] >> slots) & 1 == 0)
     log_bystander, log_alike = _log_bystanders(seen, query, is_kind, grounding, scene, params)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.inputs.object_types import fits, is_anything
+from jaxlangnav.inputs.object_types import is_anything, is_type
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import insert_axes, prepend_axes, skip_unless_any
 from jaxlangnav.relations import degree, is_on_side, robot_frame
@@ -128,7 +128,7 @@ def _log_order(
 
 def _is_rival(seen: Observed, query: Query) -> Array:
     """Tell what figures are compared with: of their type, and likelier there than not."""
-    is_kind = fits(seen.object_type, query.kind[FIGURE][None])
+    is_kind = is_type(seen.object_type, query.kind[FIGURE][None])
     return is_kind if seen.existence is None else is_kind & (seen.existence > 0.5)
 
 
