@@ -35,7 +35,7 @@ from jaxlangnav.experiments.shards import (
     Shard,
     ShardError,
     check_shard,
-    partition_lock,
+    shard_lock,
     write_shard,
 )
 from jaxlangnav.experiments.sweep_config import SweepConfig
@@ -193,7 +193,7 @@ def run_sweep(
     note: Note = on_note or (lambda _line: None)
     with CompileClock() as clock:
         sentences = ground_sentences([one.text for one in config.commands])
-        with partition_lock(folder, parse_shard(shard), on_note=note) as is_held:
+        with shard_lock(folder, parse_shard(shard), on_note=note) as is_held:
             sweep = _claim_folder(folder, plan, mine, sentences.models, is_resumed=resume)
             if is_held:
                 # What killed writers have left, of files that nobody else writes.
