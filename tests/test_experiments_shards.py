@@ -26,7 +26,7 @@ from jaxlangnav.episode import lanes
 from jaxlangnav.experiments import archive, shards
 from jaxlangnav.experiments.archive import CompileClock
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.shards import PartOf, Shard, ShardError, shard_lock
+from jaxlangnav.experiments.shards import PartOf, Shard, ShardError, lock
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
@@ -124,8 +124,8 @@ def test_rows_must_be_as_many_as_said(tmp_path: Path) -> None:
 HOLDER = """
 import sys
 from pathlib import Path
-from jaxlangnav.experiments.shards import shard_lock
-with shard_lock(Path(sys.argv[1]), (int(sys.argv[2]), int(sys.argv[3])), on_note=print):
+from jaxlangnav.experiments.shards import lock
+with lock(Path(sys.argv[1]), (int(sys.argv[2]), int(sys.argv[3])), on_note=print):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -159,17 +159,17 @@ def test_a_second_holder_is_told_who_the_first_is(tmp_path: Path) -> None:
         name = f"process {process.pid} on {socket.gethostname()} since 20"
         with (
             pytest.raises(ValueError, match=name) as caught,
-            shard_lock(folder, (1, 1), on_note=ignore),
+            lock(folder, (1, 1), on_note=ignore),
         ):
             pass
         assert "is at work on part 1/1" in str(caught.value)
         assert "\n" not in str(caught.value)
         # What it holds stays held.
-        with pytest.raises(ValueError, match=name), shard_lock(folder, (1, 1), on_note=ignore):
+        with pytest.raises(ValueError, match=name), lock(folder, (1, 1), on_note=ignore):
             pass
         process.communicate("")
     assert list(folder.iterdir()) == []
-    with shard_lock(folder, (1, 1), on_note=ignore) as is_held:
+    with lock(folder, (1, 1), on_note=ignore) as is_held:
         assert is_held
     assert list(folder.iterdir()) == []
 
@@ -183,7 +183,7 @@ def test_a_dead_holder_s_lock_is_taken_over(tmp_path: Path) -> None:
         for part in ((2, 3), (1, 1)):
             left.write_text(json.dumps({"host": "a", "pid": 7, "since": "then"}))
             told: list[str] = []
-            with shard_lock(tmp_path, part, on_note=told.append) as is_held:
+            with lock(tmp_path, part, on_note=told.append) as is_held:
                 assert is_held
                 (lock,) = tmp_path.iterdir()
                 assert json.loads(lock.read_text())["pid"] == os.getpid()
@@ -198,9 +198,9 @@ def test_a_dead_holder_s_lock_is_taken_over(tmp_path: Path) -> None:
 def test_parts_that_share_files_exclude_each_other(first, second, tmp_path):
     one, other = (set(range(place - 1, 60, number)) for place, number in (first, second))
     refused = pytest.raises(ValueError, match=f"part {first[0]}/{first[1]}")
-    with shard_lock(tmp_path, first, on_note=ignore):
+    with lock(tmp_path, first, on_note=ignore):
         expected = refused if one & other else contextlib.nullcontext()
-        with expected, shard_lock(tmp_path, second, on_note=ignore) as is_held:
+        with expected, lock(tmp_path, second, on_note=ignore) as is_held:
             assert is_held
         assert len(list(tmp_path.iterdir())) == 1
 
@@ -211,7 +211,7 @@ def test_without_locks_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(fcntl, "flock", flock)
     told: list[str] = []
-    with shard_lock(tmp_path, (1, 1), on_note=told.append) as is_held:
+    with lock(tmp_path, (1, 1), on_note=told.append) as is_held:
         assert not is_held
     assert "cannot be locked (No locks available)" in told[0]
     assert list(tmp_path.iterdir()) == []

@@ -22,7 +22,7 @@ from jaxlangnav.episode import begin
 from jaxlangnav.experiments import monte_carlo, sizes, summary, sweep
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import RowSpec
-from jaxlangnav.experiments.shards import shard_lock
+from jaxlangnav.experiments.shards import lock
 from jaxlangnav.experiments.sweep_config import SweepConfig, config_from_dict, read_config
 from jaxlangnav.experiments.sweep_plan import make_plan, parse_shard
 from jaxlangnav.experiments.tasks import draw_tasks, ground_sentences
@@ -368,7 +368,7 @@ def test_files_that_somebody_is_at_work_on_are_left_to_them(undisturbed, tmp_pat
     config, _ = undisturbed
     for shard in ("1/1", "2/3"):
         with (
-            shard_lock(tmp_path, (1, 1), on_note=print),
+            lock(tmp_path, (1, 1), on_note=print),
             pytest.raises(ValueError, match=f"process {os.getpid()} on .* part 1/1"),
         ):
             sweep.run_sweep(config, tmp_path, resume=True, shard=shard)

@@ -127,7 +127,7 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
 @contextlib.contextmanager
-def shard_lock(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
+def lock(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
     """Hold a part i/n of a folder, made if need be: no second process works on the same files.
 
     ``on_note`` is told whose lock was taken over, and where there are no locks. Yields whether the

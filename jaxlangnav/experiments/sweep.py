@@ -30,14 +30,7 @@ from jaxlangnav.experiments.monte_carlo import (
     run_ahead,
     run_round,
 )
-from jaxlangnav.experiments.shards import (
-    Note,
-    Shard,
-    ShardError,
-    check_shard,
-    shard_lock,
-    write_shard,
-)
+from jaxlangnav.experiments.shards import Note, Shard, ShardError, check_shard, lock, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
@@ -193,7 +186,7 @@ def run_sweep(
     note: Note = on_note or (lambda _line: None)
     with CompileClock() as clock:
         sentences = ground_sentences([one.text for one in config.commands])
-        with shard_lock(folder, parse_shard(shard), on_note=note) as is_held:
+        with lock(folder, parse_shard(shard), on_note=note) as is_held:
             sweep = _claim_folder(folder, plan, mine, sentences.models, is_resumed=resume)
             if is_held:
                 # What killed writers have left, of files that nobody else writes.
