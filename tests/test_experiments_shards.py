@@ -185,8 +185,8 @@ def test_a_dead_holder_s_lock_is_taken_over(tmp_path: Path) -> None:
             told: list[str] = []
             with lock(tmp_path, part, on_note=told.append) as is_held:
                 assert is_held
-                (lock,) = tmp_path.iterdir()
-                assert json.loads(lock.read_text())["pid"] == os.getpid()
+                (path,) = tmp_path.iterdir()
+                assert json.loads(path.read_text())["pid"] == os.getpid()
             assert told == [
                 f"note: {tmp_path}: took over from process 7 on a since then, which is gone"
             ]
