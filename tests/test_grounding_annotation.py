@@ -7,7 +7,7 @@ import pytest
 
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.annotation import describe_annotation, infer_annotations
-from jaxlangnav.grounding.asked import asked
+from jaxlangnav.grounding.asked import summarize_commands
 from jaxlangnav.grounding.readings import CapacityError, read, to_readings, unpad_readings
 from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse
@@ -200,7 +200,7 @@ def ask():
         understood = understand(text, model)
         kinds = understood.instruction.readings.mention_type[0].tolist()
         names = (*understood.type_names, "nothing")
-        found = asked(understood.instruction)
+        found = summarize_commands(understood.instruction)
         return found, [names[kinds[one.mention] if one.mention >= 0 else NONE] for one in found]
 
     return of

@@ -13,8 +13,8 @@ from oracles.dcg import all_sets, log_probability, root_distribution
 
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.grounding.correspondence import (
-    KIND,
-    RANK,
+    RANKS,
+    SYMBOLS,
     Block,
     CorrespondenceGraph,
     Described,
@@ -48,7 +48,7 @@ from jaxlangnav.viz.graph import beliefs_figure
 COLOURS = ("red", "blue", "green")
 
 
-COLUMNS = {"thing": ("bias", *COLOURS, "meant"), "side": ("bias", "meant"), RANK: ("bias", "is")}
+COLUMNS = {"thing": ("bias", *COLOURS, "meant"), "side": ("bias", "meant"), RANKS: ("bias", "is")}
 
 
 class Yard:
@@ -198,7 +198,7 @@ def test_symbols_of_several_kinds_are_searched_as_enumerated(yard):
 def test_ranks_are_a_choice_by_the_words_alone(yard):
     (noun,) = SECOND.children
     chance = yard.weigh(SECOND, WORLDS[0]).log_ranks()[(0, 0)]
-    coefficients = yard.model.coefficients(noun)[RANK]
+    coefficients = yard.model.coefficients(noun)[RANKS]
     scores = np.exp([0.0, coefficients[0], coefficients.sum()])
     np.testing.assert_allclose(np.exp(chance), scores / scores.sum(), rtol=1e-6)
     beliefs = {one.path: one.rank for one in yard.weigh(SECOND, WORLDS[0]).beliefs()}
@@ -210,11 +210,11 @@ def test_examples_of_several_kinds():
     one = Labelled(root=SECOND, world=("red", "blue"), expressed=both, ranks=[2, 0])
     noun, verb = examples_of(SPACE, [one])
     assert noun.rows["thing"].labels.tolist() == [True, False]
-    assert noun.rows[RANK].labels.tolist() == [False, True]
-    assert set(noun.rows) == {"thing", RANK}
+    assert noun.rows[RANKS].labels.tolist() == [False, True]
+    assert set(noun.rows) == {"thing", RANKS}
     assert verb.rows["side"].labels.tolist() == [True, False]
     assert verb.rows["side"].properties.tolist() == [[1, 1], [1, 0]]
-    assert not verb.rows[RANK].labels.any()
+    assert not verb.rows[RANKS].labels.any()
     with pytest.raises(ValueError, match=r"tree 0: 1 labels, but .* has 2 phrases"):
         examples_of(SPACE, [dataclasses.replace(one, ranks=[2])])
 
@@ -234,7 +234,7 @@ def test_the_engine_s_symbols_are_two_more_spaces():
     made = annotation_examples(instructions, TYPES)
     for mine, own in zip(examples_of(graph.space, trees), made, strict=True):
         assert mine.phrase == own.phrase
-        for kind in (KIND, RANK):
+        for kind in (SYMBOLS, RANKS):
             for one, other in zip(mine.rows[kind], own.rows[kind], strict=True):
                 np.testing.assert_array_equal(one, other)
 

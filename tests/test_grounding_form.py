@@ -15,7 +15,7 @@ from jsonschema import Draft202012Validator
 from jaxlangnav.grounding import AnnotationGrounder, Context
 from jaxlangnav.grounding.form import annotation_schema, read_form, validate
 from jaxlangnav.grounding.instruction import NUM_CLAUSES
-from jaxlangnav.grounding.readings import NUM_MENTIONS, NUM_READINGS, NUM_RELATIONS_SAID
+from jaxlangnav.grounding.readings import NUM_EDGES, NUM_MENTIONS, NUM_READINGS
 from jaxlangnav.messages import ACTIONS, BETWEEN, LEFT, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
 from jaxlangnav.relations.table import NUM_RANKS
 
@@ -125,7 +125,7 @@ def test_the_schema_names_what_the_engine_knows() -> None:
     assert command["mode"]["enum"] == list(MODES)
     sizes = {name: reading[name]["maxItems"] for name in ("things", "relations", "commands")}
     assert sizes == {
-        "things": NUM_MENTIONS, "relations": NUM_RELATIONS_SAID, "commands": NUM_CLAUSES,
+        "things": NUM_MENTIONS, "relations": NUM_EDGES, "commands": NUM_CLAUSES,
     }  # fmt: skip
     assert annotation_schema()["properties"]["readings"]["maxItems"] == NUM_READINGS
 

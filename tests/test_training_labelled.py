@@ -9,7 +9,7 @@ from grounding_fixture import TYPES, corpus
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.properties import Annotations, Behaviors, ranks_meant
+from jaxlangnav.grounding.properties import Annotations, Behaviors, find_ranks
 from jaxlangnav.grounding.symbols import (
     ACTION,
     CONSTRAINT,
@@ -68,9 +68,9 @@ def test_ranks_pass_up():
     clause = labelled.parse.clauses[0]
     place = clause.children[0].children[0].children[1]
     assert place.label == "SBAR"
-    assert ranks_meant(place, (0, 0, 0, 1), labelled.rank, TYPES)[NEAR] == 1
+    assert find_ranks(place, (0, 0, 0, 1), labelled.rank, TYPES)[NEAR] == 1
     assert (
-        ranks_meant(clause.children[0].children[0].children[0], (0, 0, 0, 0), {}, TYPES).sum() == 0
+        find_ranks(clause.children[0].children[0].children[0], (0, 0, 0, 0), {}, TYPES).sum() == 0
     )
 
 
@@ -79,9 +79,9 @@ def test_ranks_of_a_landmark_stay_below():
     place = labelled.parse.clauses[0].children[0].children[0].children[1]
     path = (0, 0, 0, 1)
     assert place.words[0].text == "near"
-    assert ranks_meant(place, path, labelled.rank, TYPES).sum() == 0
+    assert find_ranks(place, path, labelled.rank, TYPES).sum() == 0
     ordinal = place.children[0].children[1]
-    assert ranks_meant(ordinal, (*path, 0, 1), labelled.rank, TYPES)[NEAR] == 2
+    assert find_ranks(ordinal, (*path, 0, 1), labelled.rank, TYPES)[NEAR] == 2
 
 
 def test_each_factor_is_an_example():

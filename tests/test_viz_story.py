@@ -9,7 +9,7 @@ import readings as by_hand
 from recording_fixture import make_recording, make_scene
 
 from jaxlangnav.episode.recording import Frame, Moment, Recording
-from jaxlangnav.grounding.asked import Asked
+from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import narrative, sentences, summary
@@ -99,10 +99,10 @@ def test_what_is_asked_for_is_told_with_its_constraints():
     scene = dataclasses.replace(
         make_scene(),
         asks=(
-            Asked("navigate", "normal", AT, 0, 0.99, ((NEAR, 1, 0.9),)),
-            Asked("find", "carefully", AT, 1, 0.7, ()),
-            Asked("navigate", "quickly", BEHIND, 1, 1.0, ()),
-            Asked("navigate", "normal", AT, NONE, 1.0, ()),
+            CommandSummary("navigate", "normal", AT, 0, 0.99, ((NEAR, 1, 0.9),)),
+            CommandSummary("find", "carefully", AT, 1, 0.7, ()),
+            CommandSummary("navigate", "quickly", BEHIND, 1, 1.0, ()),
+            CommandSummary("navigate", "normal", AT, NONE, 1.0, ()),
         ),
     )
     assert sentences.describe_asked(scene) == [

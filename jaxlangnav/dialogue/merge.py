@@ -19,7 +19,7 @@ from jaxlangnav.dialogue.history import (
 )
 from jaxlangnav.dialogue.memory import Words
 from jaxlangnav.grounding.instruction import Instruction, Spoken
-from jaxlangnav.grounding.readings import in_order, things_last
+from jaxlangnav.grounding.readings import topological_order, untyped_last
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 
 
@@ -142,11 +142,11 @@ def _fitted(reading: History, num_mentions: int, num_relations: int) -> History:
         dropped += 1
     place = [kept.index(m) if m in touched else NONE for m in range(len(reading.mentions))]
     mentions = [reading.mentions[m] for m in kept]
-    edges = in_order([one.moved(place) for one in reading.edges])
+    edges = topological_order([one.moved(place) for one in reading.edges])
     return dataclasses.replace(
         reading,
         mentions=mentions,
-        edges=things_last(edges, [one.kind for one in mentions]),
+        edges=untyped_last(edges, [one.kind for one in mentions]),
         goals=moved(reading.goals, place),
         new_goals=moved(reading.new_goals, place),
         num_dropped=reading.num_dropped + dropped,

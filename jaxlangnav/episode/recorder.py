@@ -16,7 +16,7 @@ import numpy as np
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
 from jaxlangnav.episode.recording import Frame, Recording, StaticScene, stack_frames
-from jaxlangnav.grounding.asked import asked
+from jaxlangnav.grounding.asked import summarize_commands
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.inputs.object_types import label_of
@@ -59,7 +59,7 @@ def scene_of(
         planner=planner,
         num_clauses=int(instruction.num_clauses),
         known_distance=float(known_distance(scenario)),
-        asks=tuple(asked(instruction)),
+        asks=tuple(summarize_commands(instruction)),
     )
 
 

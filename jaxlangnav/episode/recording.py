@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.grounding.asked import Asked
+from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.inputs.object_types import name_of
 from jaxlangnav.messages import NONE, Readings, SensorParams
 from jaxlangnav.navigator.candidates import Candidate
@@ -108,7 +108,7 @@ class StaticScene:
     planner: PlannerParams
     num_clauses: int
     known_distance: float  # metres, straight from the start to the goal
-    asks: tuple[Asked, ...] = ()  # what each command asks for
+    asks: tuple[CommandSummary, ...] = ()  # what each command asks for
     stop_radius: float = SUCCESS_RADIUS  # metres from the goal, within which it may stop
     is_judged: bool = True  # something there fits the sentence, so that success can be told
     unjudged: str = "nothing there fits the sentence"  # why not, where it cannot be told

@@ -16,13 +16,13 @@ from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
 from jaxlangnav.grounding.instruction import Instruction, Spoken, pack_instruction
 from jaxlangnav.grounding.readings import (
+    NUM_EDGES,
     NUM_MENTIONS,
-    NUM_RELATIONS_SAID,
     CapacityError,
     Reading,
     Relation,
-    in_order,
     pad_readings,
+    topological_order,
 )
 from jaxlangnav.grounding.search import add_up
 from jaxlangnav.grounding.symbols import AnnotationSymbol, object_symbol, relation_symbol
@@ -93,7 +93,7 @@ def returning() -> Instruction:
 
 def _reading(form: FormReading, path: str) -> Reading:
     """Turn one reading into mentions and relations, landmarks before the figures beside them."""
-    said = in_order(form.relations)
+    said = topological_order(form.relations)
     touched = [end for one in said for end in (one.landmark, one.figure)]
     alone = [thing for thing in range(len(form.types)) if thing not in touched]
     things = list(dict.fromkeys((*touched, *range(len(form.types)))))
@@ -108,10 +108,10 @@ def _reading(form: FormReading, path: str) -> Reading:
             f"{path} speaks of {len(things)} things, with the robot; at most {NUM_MENTIONS} are "
             "held: say less at once"
         )
-    if len(relations) > NUM_RELATIONS_SAID:
+    if len(relations) > NUM_EDGES:
         raise CapacityError(
             f"{path} has {len(said)} relations and {len(alone)} things in none; at most "
-            f"{NUM_RELATIONS_SAID} of both are held: say less at once"
+            f"{NUM_EDGES} of both are held: say less at once"
         )
     return Reading(tuple(form.type_of(thing) for thing in things), tuple(relations))
 

@@ -1,8 +1,8 @@
-"""What a sentence asks for, in a world that is just as it says (section 3.3).
+"""Likeliest meaning of each command, in the world that the sentence describes (section 3.3).
 
-The behavior model infers what is asked for among objects. Before any has been seen there are those
-that the sentence speaks of, placed as it places them. What the model infers among these is what the
-robot has understood of its commands: action, manner, goal, and what to keep away from.
+The behavior model infers behaviors among objects. Before any has been observed, the world consists
+of the mentioned objects, related as stated. What the model infers in it is shown to people as what
+the robot has understood of its commands: action, mode, goal and constraints.
 """
 
 import dataclasses
@@ -29,25 +29,25 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.relations.table import NUM_RANKS
 
-_LEAST_PREVIOUS_GOAL = 0.05
-"""A goal less probable than this is none: the command after it has no previous goal."""
-_LEAST_KEPT = 0.5
-"""What is to be kept away from with less probability than this is not told."""
+_MIN_GOAL = 0.05
+"""Probability below which a command has no goal, and the next one no previous goal."""
+_MIN_CONSTRAINT = 0.5
+"""Probability below which a constraint is not listed."""
 _SLOTS = 9
-"""Those of a world of eight objects and the robot, so that one compiled program serves all."""
+"""Slots of a world, eight objects and the robot, so that one compiled program serves all."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Asked:
-    """What one command asks for; mentions are those of the likeliest reading, NONE for nothing."""
+class CommandSummary:
+    """Likeliest meaning of one command; mentions are of the likeliest reading, NONE for none."""
 
     action: str  # of messages.ACTIONS
     mode: str  # of messages.MODES
-    region: int  # index into messages.REGIONS: where at the mention it ends
+    region: int  # goal region of the mention, index into messages.REGIONS
     mention: int
     probability: float  # of action, mode and goal together
     avoid: tuple[tuple[int, int, float], ...]  # region, mention, probability
-    against: tuple[int, ...] = ()  # mentions that the goal is placed against, and theirs
+    against: tuple[int, ...] = ()  # landmarks of the goal, and their landmarks
 
 
 @cached_jit()
@@ -55,41 +55,41 @@ def _infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
     return infer_behavior(program, world, num_phrases=program.num_phrases)
 
 
-def asked(instruction: Instruction) -> list[Asked]:
-    """Tell what each command asks for, in order, in a world as the likeliest reading says."""
+def summarize_commands(instruction: Instruction) -> list[CommandSummary]:
+    """Infer each command's likeliest meaning in the world of the likeliest reading, in order."""
     readings = jax.tree.map(np.asarray, instruction.readings)
     best = int(np.argmax(readings.log_probability))
-    slots, world = _as_said(readings, best)
-    found = []
+    slots, world = _world_of(readings, best)
+    summaries = []
     for behavior in infer_commands(instruction, world):
         goal, constraint = behavior.goal, behavior.constraint
         region, slot = np.unravel_index(int(goal.argmax()), goal.shape)
         action, mode = int(behavior.action.argmax()), int(behavior.mode.argmax())
-        share = float(goal[region, slot])
-        mention = slots[slot] if share >= _LEAST_PREVIOUS_GOAL else NONE
-        one = Asked(
+        prob = float(goal[region, slot])
+        mention = slots[slot] if prob >= _MIN_GOAL else NONE
+        summary = CommandSummary(
             action=ACTIONS[action],
             mode=MODES[mode],
             region=int(region),
             mention=mention,
-            probability=share * float(behavior.action[action]) * float(behavior.mode[mode]),
+            probability=prob * float(behavior.action[action]) * float(behavior.mode[mode]),
             avoid=tuple(
-                (int(where), slots[kept], float(constraint[where, kept]))
-                for where, kept in np.argwhere(constraint >= _LEAST_KEPT)
+                (int(r), slots[s], float(constraint[r, s]))
+                for r, s in np.argwhere(constraint >= _MIN_CONSTRAINT)
             ),
-            against=_tied(readings, best, mention),
+            against=_connected(readings, best, mention),
         )
-        found.append(one)
-    return found
+        summaries.append(summary)
+    return summaries
 
 
 def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
-    """Infer what each command asks for in a world of which everything is known.
+    """Infer the behavior of each command in a fully known world.
 
-    One behavior a command, NumPy leaves of n + 1 slots, the robot's last; "the other one" is other
-    than the likeliest goal of the command before it.
+    One behavior per command, NumPy leaves of n + 1 slots, the robot's last; "the other one"
+    excludes the likeliest goal of the previous command.
     """
-    size, found = len(world.object_type), []
+    size, behaviors = len(world.object_type), []
     # Padded like any other world, so that one compiled program serves them all.
     num_slots = max(_SLOTS, size)
     slots = np.append(np.arange(size - 1), num_slots - 1)
@@ -98,29 +98,29 @@ def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
         program = jax.tree.map(lambda leaf, index=clause: leaf[index], programs)
         behavior = jax.device_get(_infer_once(program, to_device(world, num_slots)))
         goal, constraint = behavior.goal[:, slots], behavior.constraint[:, slots]
-        found.append(dataclasses.replace(behavior, goal=goal, constraint=constraint))
+        behaviors.append(dataclasses.replace(behavior, goal=goal, constraint=constraint))
         best = goal.max(axis=0)
-        is_previous = (np.arange(size) == best.argmax()) & (best.max() >= _LEAST_PREVIOUS_GOAL)
+        is_previous = (np.arange(size) == best.argmax()) & (best.max() >= _MIN_GOAL)
         world = dataclasses.replace(world, is_previous=is_previous)
-    return found
+    return behaviors
 
 
 def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Describe what each command asks for, as ``ground --json`` prints it.
+    """List each command's likeliest meaning as JSON objects, as ``ground --json`` prints them.
 
     Args:
         instruction: the grounded sentence.
         names: object types by index.
 
     Returns:
-        A command each, in order: ``action``, ``mode``, ``goal`` (``region``, ``object``; None where
-        it is another one than before), ``probability``, and ``avoid``, a list of ``region``,
+        One object per command: ``action``, ``mode``, ``goal`` (``region``, ``object``; None if it is
+        no mention: "the other cone"), ``probability``, and ``avoid``, a list of ``region``,
         ``object``, ``probability``.
     """
     readings = jax.tree.map(np.asarray, instruction.readings)
     kinds = readings.mention_type[int(np.argmax(readings.log_probability))]
 
-    def place(region: int, mention: int) -> dict[str, str]:
+    def target(region: int, mention: int) -> dict[str, str]:
         kind = ROBOT if mention == ROBOT else int(kinds[mention])
         return {
             "region": REGIONS[region],
@@ -129,23 +129,23 @@ def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[s
 
     return [
         {
-            "action": one.action,
-            "mode": one.mode,
-            "goal": None if one.mention == NONE else place(one.region, one.mention),
-            "probability": one.probability,
+            "action": command.action,
+            "mode": command.mode,
+            "goal": None if command.mention == NONE else target(command.region, command.mention),
+            "probability": command.probability,
             "avoid": [
-                {**place(region, mention), "probability": share}
-                for region, mention, share in one.avoid
+                {**target(region, mention), "probability": prob}
+                for region, mention, prob in command.avoid
             ],
         }
-        for one in asked(instruction)
+        for command in summarize_commands(instruction)
     ]
 
 
-def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
-    """Build the world of a reading: the mention of each slot, and the things; the robot is last."""
+def _world_of(readings: Readings, best: int) -> tuple[list[int], World]:
+    """Build the world that a reading describes, and list each slot's mention; the robot is last."""
     kinds = readings.mention_type[best]
-    things, robots = (np.flatnonzero(of).tolist() for of in (kinds >= 0, kinds == ROBOT))
+    things, robots = (np.flatnonzero(mask).tolist() for mask in (kinds >= 0, kinds == ROBOT))
     slot_of = {mention: slot for slot, mention in enumerate(things)}
     slot_of |= dict.fromkeys(robots, len(things))
     edges = [
@@ -158,12 +158,12 @@ def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
     return [*things, robots[0] if robots else ROBOT], world
 
 
-def _tied(readings: Readings, best: int, mention: int) -> tuple[int, ...]:
-    """List the mentions that relations tie to one, through others too; the robot ties nothing."""
-    told = readings.edges(best)
-    edges = told[told[:, 1] != NONE][:, [0, 2]].tolist()
+def _connected(readings: Readings, best: int, mention: int) -> tuple[int, ...]:
+    """List the mentions that relations connect to one, transitively, but not through the robot."""
+    all_edges = readings.edges(best)
+    edges = all_edges[all_edges[:, 1] != NONE][:, [0, 2]].tolist()
     edges = [edge for edge in edges if ROBOT not in readings.mention_type[best][edge]]
-    tied = {mention}
+    reached = {mention}
     for _ in edges:
-        tied |= {end for edge in edges if tied & set(edge) for end in edge}
-    return tuple(sorted(tied - {mention}))
+        reached |= {end for edge in edges if reached & set(edge) for end in edge}
+    return tuple(sorted(reached - {mention}))

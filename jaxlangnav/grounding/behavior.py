@@ -1,6 +1,6 @@
-"""Behavior inference in the particles (section 3.3): the DCG on the device, a beam four wide.
+"""Behavior inference in every particle (section 3.3): DCG beam search on the device, width 4.
 
-Words are gone (``program``); what is left per particle is look-ups by type, adds and k-best. Sets
+Words are contracted beforehand (``program``), which leaves table look-ups, sums and k-best. Sets
 of objects are bit masks, so joining children, and finding what lies in regions, is a few integer
 operations. The four best sets of independent factors have a closed form: none, the smallest margin
 flipped, the second smallest, and the cheaper of the third smallest and the two smallest together.
@@ -34,11 +34,11 @@ from jaxlangnav.grounding.behavior_odds import (
     to_mask,
 )
 from jaxlangnav.grounding.program import (
+    CLAUSE_FIELDS,
     MAX_DEPTH,
     NUM_CHILDREN,
     NUM_PHRASES,
     NUM_REGION_SLOTS,
-    OF_THE_CLAUSE,
     BehaviorProgram,
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
@@ -47,40 +47,40 @@ from jaxlangnav.numerics.batching import materialize, select_row
 from jaxlangnav.pytree import replace
 
 _BEAM = 4
-_DEAD = 1e6
+_COST_EMPTY = 1e6
 """Cost of a hypothesis that does not exist."""
 _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
-"""Pairs of two sorted lists of four among which the four best sums are."""
+"""Index pairs into two sorted lists of four that include the four smallest sums."""
 _OBJECTS, _REGIONS, _CONSTRAINTS, _LIES = 0, 1, 1 + NUM_REGION_SLOTS, 2 + NUM_REGION_SLOTS
 """Rows of ``_Stack.sets``."""
 
 
 class _Stack(NamedTuple):
-    """Hypotheses of phrases whose parent is still to come; the last one first."""
+    """Beam hypotheses of phrases whose parent has not been processed yet; the latest first."""
 
-    sets: Array  # i32[D, 5, 4, E, P] objects, regions by slot, constraints, and what lies there
+    sets: Array  # i32[D, 5, 4, E, P] objects, regions by slot, constraints, objects in the regions
     cost: Array  # f32[D, 4, E, P] −log-probability, ascending
 
 
 class _Expressed(NamedTuple):
-    """What a phrase may express, given each of the four best combinations of its children."""
+    """Log-odds of a phrase's symbols, given each of the four best combinations of its children."""
 
     odds: Array  # f32[4, 3 N, E, P] log-odds: objects (of a verb: constraints), regions by slot
     cost: Array  # f32[4, E, P] of the combinations
 
 
 def _child(row: BehaviorProgram, stack: _Stack, k: Array | int) -> Combinations:
-    """Read the hypotheses of a phrase's k-th child from the top as if it were the only one."""
+    """Read a phrase's k-th child from the stack as a combination by itself."""
     exists = row.num_children > k
     sets = jnp.where(exists, stack.sets[k], 0)
     objects, regions = sets[_OBJECTS], sets[_REGIONS : _REGIONS + NUM_REGION_SLOTS]
     slots = jnp.append(row.region_from[k], row.constraint_region[k][None], axis=0)
-    held = [jnp.where(slots == i, one[:, None], 0) for i, one in enumerate(regions)]
-    by_slot = functools.reduce(jnp.bitwise_or, held)
+    in_slot = [jnp.where(slots == i, sets_i[:, None], 0) for i, sets_i in enumerate(regions)]
+    by_slot = functools.reduce(jnp.bitwise_or, in_slot)
     touched = functools.reduce(jnp.bitwise_or, [objects, *regions])
     kept = jnp.where(row.constraint_from[k] == NONE, 0, sets[_CONSTRAINTS])
     outside = jnp.where(row.is_restrictor[k] & exists, ~sets[_LIES], 0)
-    first = jnp.where(iota(_BEAM, 3) == 0, 0.0, _DEAD).astype(jnp.float32)
+    first = jnp.where(iota(_BEAM, 3) == 0, 0.0, _COST_EMPTY).astype(jnp.float32)
     return Combinations(
         sets=jnp.concatenate([jnp.stack([objects, touched, kept, outside], axis=1), by_slot], 1),
         cost=jnp.where(exists, stack.cost[k], first),
@@ -88,13 +88,13 @@ def _child(row: BehaviorProgram, stack: _Stack, k: Array | int) -> Combinations:
 
 
 def _combine(left: Combinations, right: Combinations) -> Combinations:
-    """Keep the four best combinations of two sorted lists of hypotheses, exactly."""
+    """Find the four best combinations of two sorted lists of hypotheses, exactly."""
     left_cost, right_cost = jnp.unstack(left.cost), jnp.unstack(right.cost)
     cost = jnp.stack([left_cost[i] + right_cost[j] for i, j in _PAIRS])
-    values, places = smallest(cost, _BEAM)
-    place = jnp.stack(places)
-    i = jnp.where(place < 4, 0, jnp.where(place < 6, 1, place - 4))
-    j = jnp.where(place < 4, place, jnp.where(place == 5, 1, 0))
+    values, indices = smallest(cost, _BEAM)
+    pair = jnp.stack(indices)
+    i = jnp.where(pair < 4, 0, jnp.where(pair < 6, 1, pair - 4))
+    j = jnp.where(pair < 4, pair, jnp.where(pair == 5, 1, 0))
     return Combinations(
         sets=pick_of_four(left.sets, i[:, None]) | pick_of_four(right.sets, j[:, None]),
         cost=jnp.stack(values),
@@ -113,14 +113,14 @@ def _four_best_sets(odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
     (m1, m2, m3), (f1, f2, f3) = smallest(margin, 3)
     is_pair = (m1 + m2 < m3).astype(jnp.int32)
     costs = jnp.concatenate([base, base + m1, base + m2, base + jnp.minimum(m3, m1 + m2)])
-    values, places = smallest(costs, _BEAM)
-    place = jnp.stack(places)
-    kind, combination = place >> 2, place & 3
-    pair = (kind == 3) & (pick_of_four(is_pair, combination) == 1)
+    values, indices = smallest(costs, _BEAM)
+    index = jnp.stack(indices)
+    rank, combination = index >> 2, index & 3
+    pair = (rank == 3) & (pick_of_four(is_pair, combination) == 1)
     flips = (
-        jnp.where((kind == 1) | pair, pick_of_four(f1, combination), NONE),
-        jnp.where((kind == 2) | pair, pick_of_four(f2, combination), NONE),
-        jnp.where((kind == 3) & ~pair, pick_of_four(f3, combination), NONE),
+        jnp.where((rank == 1) | pair, pick_of_four(f1, combination), NONE),
+        jnp.where((rank == 2) | pair, pick_of_four(f2, combination), NONE),
+        jnp.where((rank == 3) & ~pair, pick_of_four(f3, combination), NONE),
     )
     masks = to_mask(odds.reshape(_BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 1 + L, E, P]
     first = size * jnp.arange(masks.shape[1], dtype=jnp.int32)[:, None, None]
@@ -133,13 +133,13 @@ def _four_best_sets(odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
 
 
 def _push_phrase(stack: _Stack, top: _Stack, num_children: Array) -> _Stack:
-    """Put a phrase's hypotheses (depth 1) where its children's were."""
+    """Replace the children's hypotheses on the stack by the phrase's (depth 1)."""
 
     def shifted(old: Array, new: Array) -> Array:
         rows = old  # of a padded row
         for count in range(NUM_CHILDREN + 1):
-            left = [old[count:], *[old[-1:]] * count]
-            rows = jnp.where(num_children == count, jnp.concatenate([new, *left])[:MAX_DEPTH], rows)
+            rest = [old[count:], *[old[-1:]] * count]
+            rows = jnp.where(num_children == count, jnp.concatenate([new, *rest])[:MAX_DEPTH], rows)
         return rows
 
     return jax.tree.map(shifted, stack, top)
@@ -152,14 +152,14 @@ ROOT = -1
 
 
 def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_Stack, _Expressed]:
-    """Infer one phrase from its children."""
+    """Infer the beam of one phrase from those of its children, and push it on the stack."""
     size = scene.lies.shape[1]
-    # As many times as some lane has children; the loop also keeps the compiler from computing
-    # the same values anew inside every later fusion.
+    # The trip count is the maximum over lanes; the loop also keeps the compiler from recomputing
+    # the same values inside every later fusion.
     joined = jax.lax.fori_loop(
         1,
         jnp.max(row.num_children),
-        lambda k, left: _combine(left, _child(row, stack, k)),
+        lambda k, joined: _combine(joined, _child(row, stack, k)),
         _child(row, stack, 0),
     )
     # A phrase expresses objects or constraints, never both: they share the first N symbols.
@@ -173,11 +173,11 @@ def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_S
     odds = jnp.concatenate([first[:, None], regions], axis=1)
     odds = materialize(odds.reshape(_BEAM, -1, *odds.shape[-2:]))
     sets, cost = materialize(_four_best_sets(odds, joined.cost, size))
-    both, places = sets[:, 0], sets[:, 1:]
+    both, slots = sets[:, 0], sets[:, 1:]
     objects, constraints = jnp.where(row.is_verb, 0, both), jnp.where(row.is_verb, both, 0)
-    lies = lying_in(row, scene, places)
-    found = jnp.stack([objects, *jnp.unstack(places, axis=1), constraints, lies])
-    top = materialize(_Stack(found[None], cost[None]))
+    lies = lying_in(row, scene, slots)
+    rows = jnp.stack([objects, *jnp.unstack(slots, axis=1), constraints, lies])
+    top = materialize(_Stack(rows[None], cost[None]))
     return _push_phrase(stack, top, row.num_children), _Expressed(odds, joined.cost)
 
 
@@ -185,15 +185,15 @@ def _by_relation(values: Array, relation: Array) -> Array:
     """Spread slots f32[L, N, E, P] over the seven regions, f32[7, N, E, P]."""
     regions = iota(NUM_REGIONS, 3)[:, None]
     spread = [
-        jnp.where(own == regions, one[None], 0.0) for own, one in zip(relation, values, strict=True)
+        jnp.where(r == regions, value[None], 0.0) for r, value in zip(relation, values, strict=True)
     ]
     return functools.reduce(jnp.add, spread)
 
 
 def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior:
-    """Read the behavior off the root, averaged over the combinations of its children.
+    """Compute the behavior marginals at the root, averaged over its children's combinations.
 
-    A behavior has one goal: the probability that any goal is expressed is shared in proportion
+    A behavior has one goal: the probability that any goal is expressed is divided in proportion
     to the probability of each.
     """
 
@@ -209,8 +209,8 @@ def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior
     total = jnp.sum(functools.reduce(jnp.add, jnp.unstack(goal, axis=1)), axis=1)
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-root.cost, axis=0)
-    share = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
-    by_slot = materialize((mean(goal, share[:, None, None]), mean(constraint, weight[:, None])))
+    scale = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
+    by_slot = materialize((mean(goal, scale[:, None, None]), mean(constraint, weight[:, None])))
     return Behavior(
         action=jnp.broadcast_to(program.action, (program.action.shape[0], *lanes)),
         mode=jnp.broadcast_to(program.mode, (program.mode.shape[0], *lanes)),
@@ -220,7 +220,7 @@ def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior
 
 
 def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
-    """Infer behaviors with leaves [..., E, 1] of the program and [..., E, P] of the worlds."""
+    """Infer behaviors, given leaves [..., E, 1] of the program and [..., E, P] of the worlds."""
     scene = build_object_sets(program, worlds)
     size, *lanes = scene.lies.shape[1:]
     stack = _Stack(
@@ -234,7 +234,7 @@ def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: A
     rows = {
         field.name: getattr(program, field.name)
         for field in dataclasses.fields(program)
-        if field.name not in OF_THE_CLAUSE
+        if field.name not in CLAUSE_FIELDS
     }
 
     def infer(index: Array, carry: tuple[_Stack, _Expressed]) -> tuple[_Stack, _Expressed]:
@@ -243,7 +243,7 @@ def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: A
         row = replace(program, **select_row(rows, phrase))
         return _advance(row, scene, carry[0])
 
-    # The phrases bottom-up.
+    # Phrases are processed bottom-up.
     _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))
     return _conclude(program, root, size)
 
@@ -290,14 +290,14 @@ def infer_behaviors(
 ) -> Behavior:
     """Infer the distribution over behaviors in every particle (section 3.3), leaves [..., P].
 
-    Limits: a program of no phrases has no goal; a world without the object has goals that sum to
-    nearly nothing. Empty object slots and padded phrases change nothing.
+    Limits: a program without phrases has no goal; without the object, goals sum to nearly zero.
+    Empty object slots and padded phrases change nothing.
 
     Args:
         program: one clause.
         worlds: the particles' objects, leaves [..., P]; at most ``MAX_SLOTS`` with the robot's.
-        num_phrases: how many phrases to infer, at least those of the program. It is a trip
-            count, so padding costs nothing; a batch of episodes takes the largest.
+        num_phrases: number of phrases to infer, at least the program's. It is a trip count, so
+            padding costs nothing; a batch of episodes takes the maximum.
 
     Raises:
         ValueError: there are more object slots than the bit masks hold.

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.model import PropertyColumns, Senses, of_each, stack_columns
+from jaxlangnav.grounding.model import PropertyColumns, Senses, by_name, stack_columns
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, REGIONS, ROBOT
@@ -83,8 +83,8 @@ def _region_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
         "named, relation named": words.named * met["own"],
         "lone relation to the robot": words.named * words.is_lone * met["robot"],
         "robot": met["robot"],
-        **of_each("is", REGIONS, _EACH * met["base"]),
-        **of_each("inside, is", REGIONS, _EACH * inside),
+        **by_name("is", REGIONS, _EACH * met["base"]),
+        **by_name("inside, is", REGIONS, _EACH * inside),
     }
 
 
@@ -99,8 +99,8 @@ def _goal_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
         "inside, relation named": words.named * met["inside"],
         "same, relation named": words.named * met["same"],
         "relation to the robot named": words.named * met["robot"],
-        **of_each("is", REGIONS, _EACH * met["base"]),
-        **of_each("same, is", REGIONS, _EACH * met["same"]),
+        **by_name("is", REGIONS, _EACH * met["base"]),
+        **by_name("same, is", REGIONS, _EACH * met["same"]),
     }
 
 
@@ -117,7 +117,7 @@ def _constraint_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
         "touched, not kept": met["new"],
         "near, inside": _NEAR * met["inside"],
         "at, inside": _AT * met["inside"],
-        **of_each("is", REGIONS, _EACH * met["base"]),
+        **by_name("is", REGIONS, _EACH * met["base"]),
     }
 
 
@@ -160,7 +160,7 @@ def choice_columns(named: frozenset[int], names: Sequence[str]) -> PropertyColum
     """Describe the symbols of actions or modes, of which the words name some, bool[n] each."""
     own, is_named = np.isin(np.arange(len(names)), sorted(named)), bool(named)
     given = {"bias": True, "named": own, "another named": ~own & is_named, "none named": not named}
-    return given | of_each("is", names, np.eye(len(names)))
+    return given | by_name("is", names, np.eye(len(names)))
 
 
 def choice_tables(senses: Senses) -> dict[str, np.ndarray]:

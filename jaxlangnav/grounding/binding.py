@@ -1,9 +1,9 @@
-"""From a sentence's nouns to what the detector tells apart (section 3.1).
+"""Bind the nouns of a sentence to labels and attributes of the detector (section 3.1).
 
-A sentence brings its own types. Each is a noun with its attributes ("red ball"), and is bound to
-one or more labels of the detector: by name, by a synonym, or by its head noun. The trained graph
-never sees the labels: it speaks of the sentence's types by their place in a list, those of the
-lexicon first, and what it says is put into kinds (``object_types``) afterwards.
+Every sentence defines its own types. Each is a noun with its attributes ("red ball"), and is bound
+to one or more labels of the detector: by name, by a synonym, or by its head noun. The trained graph
+never sees the labels: it refers to the sentence's types by index into a list, the lexicon's types
+first, and its results are mapped to codes of label and attributes (``object_types``) afterwards.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from jaxlangnav.grounding.program import NUM_OWN
+from jaxlangnav.grounding.program import MAX_NAMED_TYPES
 from jaxlangnav.inputs.object_types import (
     ANYTHING,
     ATTRIBUTES,
@@ -34,23 +34,23 @@ from jaxlangnav.language.tokens import plainly
 from jaxlangnav.messages import NONE, ROBOT
 
 _TYPE = "type:"
-_MOST_TOLD = 12
-"""Labels that a refusal lists."""
+_MAX_LISTED = 12
+"""Labels that an error message lists."""
 
 
 class UnknownObjectError(ValueError):
-    """A noun that nothing the detector tells apart can be."""
+    """A noun that matches no label of the detector."""
 
 
 class Detector:
-    """What a detector tells apart; a detection names its type by the index into the labels.
+    """Labels and attribute groups of a detector; a detection's type is an index into the labels.
 
-    Nouns that it has no label for get indices beyond its labels, and keep them, so that they can
-    be named, and stay what they are in the next sentence.
+    Nouns without a label get indices after those of the labels, and keep them in later
+    sentences.
     """
 
     def __init__(self, labels: Iterable[str], attribute_groups: Iterable[str] = ()) -> None:
-        """Check the labels, in the order of its indices, and the ``ATTRIBUTES`` that it reports.
+        """Validate the labels, in index order, and the groups of ``ATTRIBUTES`` that it reports.
 
         Raises:
             ValueError: no label, too many, one that is no name, twice, empty or a word of the
@@ -64,7 +64,7 @@ class Detector:
             " ".join(plainly(label).replace("_", " ").replace("-", " ").split())
             for label in self.labels
         ]
-        self._beyond: list[str] = []
+        self._extra: list[str] = []
         fault = self._fault()
         if fault:
             raise ValueError(
@@ -79,157 +79,157 @@ class Detector:
             )
 
     def _fault(self) -> str:
-        """Say what is wrong with the labels; empty: nothing."""
+        """Describe what is wrong with the labels; empty if nothing is."""
         names = self._names
         if not 0 < len(names) < MOST_LABELS:
             return f"{len(names)} names"
         if "" in names:
             return f"an empty name at place {names.index('') + 1}"
-        twice = next((name for name, number in Counter(names).items() if number > 1), None)
-        if twice is not None:
-            return f"{twice!r} twice"
-        taken = next((name for name in names if is_of_grammar(name)), None)
-        return f"{taken!r}, which has a meaning of its own in every sentence" if taken else ""
+        duplicate = next((name for name, count in Counter(names).items() if count > 1), None)
+        if duplicate is not None:
+            return f"{duplicate!r} twice"
+        reserved = next((name for name in names if is_of_grammar(name)), None)
+        return f"{reserved!r}, which has a meaning of its own in every sentence" if reserved else ""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The labels, and after them nouns that there was no label for."""
-        return (*self.labels, *self._beyond)
+        """The labels, then the nouns without a label."""
+        return (*self.labels, *self._extra)
 
     @property
     def plain_labels(self) -> frozenset[str]:
-        """The labels and their synonyms as sentences say them."""
+        """The labels and their synonyms in plain words."""
         return frozenset().union(*(load_nouns().alike(name) for name in self._names))
 
     def find(self, noun: str) -> tuple[tuple[int, ...], bool]:
-        """Find the labels that a thing of a noun may have, a name in the singular, small letters.
+        """Find the labels that match a noun, which is lower-case and singular.
 
         Returns:
-            Indices of the labels, none where it has none; and whether they mean the noun itself,
-            not only what it is a kind of.
+            Indices of the labels, possibly none; and whether they match the noun itself, not only
+            a hypernym of it.
         """
-        if found := self._called(noun):
-            return found, True
+        if exact := self._matching(noun):
+            return exact, True
         foreign = load_lexicon().entries["foreign"]
-        kinds = tuple(
+        by_head = tuple(
             i
             for i, name in enumerate(self._names)
             if singular(name).split()[-1] == noun and tuple(name.split()) not in foreign
         )
-        if kinds:
-            return kinds, True  # "the sign": any of the detector's signs
+        if by_head:
+            return by_head, True  # "the sign": any of the detector's signs
         if tuple(noun.split()) in foreign:  # a mail box is no box, and a tree house no house
             return (), False
         broader = load_nouns().broader.get(noun)
-        return (broader and self._called(broader)) or self._called(noun.split()[-1]), False
+        return (broader and self._matching(broader)) or self._matching(noun.split()[-1]), False
 
-    def _called(self, noun: str) -> tuple[int, ...]:
-        """List the labels of a name, or else of its synonyms, written as one word or several."""
-        written = [{one.replace(" ", ""), singular(one).replace(" ", "")} for one in self._names]
-        for names in _ways_to_say(noun):
+    def _matching(self, noun: str) -> tuple[int, ...]:
+        """List the labels equal to a noun, or else to a synonym, ignoring spaces."""
+        spellings = [{n.replace(" ", ""), singular(n).replace(" ", "")} for n in self._names]
+        for names in _synonym_sets(noun):
             joined = {name.replace(" ", "") for name in names}
-            if found := tuple(i for i, own in enumerate(written) if own & joined):
-                return found
+            if labels := tuple(i for i, forms in enumerate(spellings) if forms & joined):
+                return labels
         return ()
 
-    def beyond(self, noun: str) -> int:
-        """Give a noun without a label an index of its own."""
-        if noun not in self._beyond:
+    def index_without_label(self, noun: str) -> int:
+        """Assign a noun without a label an index after the labels."""
+        if noun not in self._extra:
             if len(self.names) + 1 >= MOST_LABELS:
                 raise ValueError(f"more than {MOST_LABELS} nouns and labels: start a new navigator")
-            self._beyond.append(noun)
-        return len(self.labels) + self._beyond.index(noun)
+            self._extra.append(noun)
+        return len(self.labels) + self._extra.index(noun)
 
 
-def _ways_to_say(noun: str) -> Iterator[frozenset[str]]:
-    """Yield names of the same thing: the noun, then its synonyms, then the lexicon's."""
+def _synonym_sets(noun: str) -> Iterator[frozenset[str]]:
+    """Yield sets of equivalent names: the noun, then its synonyms, then the lexicon's."""
     yield frozenset({noun})
     yield load_nouns().alike(noun)
-    if noun in _names_of_types():
-        yield _names_of_types()[noun]
+    if noun in _lexicon_names():
+        yield _lexicon_names()[noun]
 
 
 @cache
-def _names_of_types() -> dict[str, frozenset[str]]:
+def _lexicon_names() -> dict[str, frozenset[str]]:
     names: dict[str, set[str]] = {}
     for words, entry in load_lexicon().entries[TYPE_CLASS].items():
         for sense in (sense for word in entry for sense in word.senses):
             names.setdefault(sense.removeprefix(_TYPE), set()).add(" ".join(words))
-    return {kind: frozenset(found) for kind, found in names.items()}
+    return {sense: frozenset(texts) for sense, texts in names.items()}
 
 
 class BoundSentence:
-    """A sentence whose types are bound to what the detector tells apart, one noun after the other.
+    """A sentence whose nouns are bound to labels and attributes of a detector, in order.
 
-    ``tree`` is the sentence, in which every noun has the sense ``type:NAME`` of one of ``names``,
-    the sentence's types, those of the lexicon first. ``kinds`` are those that each may be, and
-    ``notes`` say in a line each what of the words is not used.
+    ``tree`` is the parse, in which every noun has the sense ``type:NAME`` of one of ``names``, the
+    sentence's types, those of the lexicon first. ``kinds`` are the codes of label and attributes
+    that each type may have, and ``notes`` list words that are not used, a line each.
     """
 
     def __init__(self, tree: Parse, type_names: Sequence[str], detector: Detector) -> None:
-        """Bind a sentence, as the parser makes it; ``type_names`` are those of the models.
+        """Bind the nouns of a parse; ``type_names`` are the types of the models.
 
         Raises:
             UnknownObjectError: the goal of a command has no label, or a noun far too many.
-            LanguageError: things are compared by how they look.
+            LanguageError: an attribute is used as a comparative.
         """
         self.detector = detector
         self.names = list(type_names)
         self.kinds: list[tuple[int, ...]] = [() for _ in type_names]
         self.notes: dict[str, None] = {}
-        self._thing = ANYTHING  # the kind of what is called by no type
+        self._untyped = ANYTHING  # code of an untyped object
         self._latest: dict[str, int] = {}  # noun → code of its last mention's attributes
         clauses = [
             self._bind(clause, head_of(clause) if clause.label == "VP" else None)
             for clause in tree.clauses
         ]
         self.tree = dataclasses.replace(tree, clauses=tuple(clauses))
-        # Of what is not spoken of hardly anything is said, and nothing of what the detector lacks.
+        # Types not mentioned by the sentence: their labels, or the unused last code.
         self.kinds = [
-            named or detector.find(name)[0][:NUM_OWN] or (MOST_LABELS - 1,)
-            for name, named in zip(self.names, self.kinds, strict=True)
+            bound or detector.find(name)[0][:MAX_NAMED_TYPES] or (MOST_LABELS - 1,)
+            for name, bound in zip(self.names, self.kinds, strict=True)
         ]
 
     def rewrite(self, own: np.ndarray) -> np.ndarray:
-        """Put kinds in place of the sentence's types in a program's ``own``, i32[H, 4]."""
-        rewritten = np.full_like(own, NONE)
-        for row, named in zip(rewritten, own, strict=True):
-            kinds = [kind for one in named[named != NONE] for kind in self.kinds_of(int(one))]
-            row[: len(kinds)] = kinds[:NUM_OWN]
-        return rewritten
+        """Replace type indices by codes of label and attributes in a program, i32[H, 4]."""
+        codes = np.full_like(own, NONE)
+        for row, types in zip(codes, own, strict=True):
+            kinds = [kind for t in types[types != NONE] for kind in self.kinds_of(int(t))]
+            row[: len(kinds)] = kinds[:MAX_NAMED_TYPES]
+        return codes
 
     def kinds_of(self, mention: int) -> tuple[int, ...]:
-        """List the kinds that a type may be; the robot and any thing are of their own."""
-        own = {ROBOT: ROBOT, ANYTHING: self._thing}
-        return (own[mention],) if mention in own else self.kinds[mention]
+        """List the codes that a type may have; the robot and untyped objects have one each."""
+        special = {ROBOT: ROBOT, ANYTHING: self._untyped}
+        return (special[mention],) if mention in special else self.kinds[mention]
 
     def labels_of(self, name: str) -> tuple[int, ...]:
-        """List the labels that one of the sentence's types may have, whatever it looks like."""
+        """List the labels that one of the sentence's types may have, ignoring attributes."""
         if name not in self.names:
             return ()
         return tuple(dict.fromkeys(label_of(k) for k in self.kinds[self.names.index(name)]))
 
     def _bind(self, phrase: Phrase, goal: Phrase | None) -> Phrase:
         children = tuple(self._bind(child, goal) for child in phrase.children)
-        phrase_now = dataclasses.replace(phrase, children=children)
+        rebuilt = dataclasses.replace(phrase, children=children)
         head = next((w for w in phrase.words if w.type_sense), None)
         if is_thing(phrase):
-            self._thing = kind_of(ANYTHING, self._code(phrase, phrase.words[-1], ""))
+            self._untyped = kind_of(ANYTHING, self._code(phrase, phrase.words[-1], ""))
         if phrase.label != "NP" or head is None:
-            return phrase_now
+            return rebuilt
         noun = (head.type_sense or "").removeprefix(_TYPE)
         name = self._name(noun, self._code(phrase, head, noun), phrase, is_goal=phrase is goal)
         senses = tuple(_TYPE + name if s == _TYPE + noun else s for s in head.senses)
         words = (dataclasses.replace(w, senses=senses) if w is head else w for w in phrase.words)
-        return dataclasses.replace(phrase_now, words=tuple(words))
+        return dataclasses.replace(rebuilt, words=tuple(words))
 
     def _code(self, phrase: Phrase, head: Word, noun: str) -> int:
-        """Read the attributes that are compared, and note those that are not."""
-        told, idle = attributes_of(phrase)
-        if SAME in head.senses and not told:
+        """Encode the attributes that the detector reports, and note those that are not used."""
+        attributes, unused = attributes_of(phrase)
+        if SAME in head.senses and not attributes:
             return self._latest.get(noun, 0)
         used: dict[str | None, str] = {}
-        for word, value in told:
+        for word, value in attributes:
             group = group_of(value)
             if group not in self.detector.attribute_groups:
                 self.notes.setdefault(f"'{word.text}' is not used: my detector reports no {group}")
@@ -239,9 +239,9 @@ class BoundSentence:
                 )
             else:
                 used[group] = value
-        for word in idle:
+        for word in unused:
             adjective = compared(word.text)
-            if adjective is not None:  # how much things look like something is not known
+            if adjective is not None:  # detections have no degrees
                 raise LanguageError(
                     f"'{word.text}' (word {word.position}): how {adjective} things are is not "
                     f"compared; say '{adjective}', or which one is the nearest"
@@ -251,38 +251,38 @@ class BoundSentence:
         return self._latest[noun]
 
     def _name(self, noun: str, code: int, phrase: Phrase, *, is_goal: bool) -> str:
-        """Name the type of the sentence that a noun with its attributes is."""
-        said = said_noun(phrase) or noun
-        labels, is_itself = self.detector.find(said)
+        """Find or add the sentence's type for a noun with its attributes."""
+        text = noun_text(phrase) or noun
+        labels, is_itself = self.detector.find(text)
         if not is_itself:
             by_type = self.detector.find(noun)
             labels, is_itself = by_type if by_type[0] else (labels, is_itself)
-        if len(labels) > NUM_OWN:
-            some = ", ".join(self.detector.labels[i] for i in labels[:_MOST_TOLD])
+        if len(labels) > MAX_NAMED_TYPES:
+            listed = ", ".join(self.detector.labels[i] for i in labels[:_MAX_LISTED])
             raise UnknownObjectError(
-                f"'{said[:30]}' may be any of {len(labels)} labels of my detector ({some}, ...): "
+                f"'{text[:30]}' may be any of {len(labels)} labels of my detector ({listed}, ...): "
                 "name one of them"
             )
         if not labels and is_goal:
             position = next(w.position for w in phrase.words if w.type_sense)
-            known = self.detector.labels[:_MOST_TOLD]
-            more = ", ..." if len(self.detector.labels) > len(known) else ""
+            listed_labels = self.detector.labels[:_MAX_LISTED]
+            more = ", ..." if len(self.detector.labels) > len(listed_labels) else ""
             raise UnknownObjectError(
-                f"'{said[:30]}' (word {position}): my detector has no label for it; "
-                f"it knows {', '.join(known)}{more}"
+                f"'{text[:30]}' (word {position}): my detector has no label for it; "
+                f"it knows {', '.join(listed_labels)}{more}"
             )
         if not labels:
-            labels = (self.detector.beyond(noun),)
-            self.notes.setdefault(f"my detector has no label for '{said[:30]}': it is never seen")
+            labels = (self.detector.index_without_label(noun),)
+            self.notes.setdefault(f"my detector has no label for '{text[:30]}': it is never seen")
         elif not is_itself:
-            taken = " or ".join(self.detector.labels[i] for i in labels)
+            matched = " or ".join(self.detector.labels[i] for i in labels)
             self.notes.setdefault(
-                f"my detector has no label for '{said[:30]}': any {taken} may be meant"
+                f"my detector has no label for '{text[:30]}': any {matched} may be meant"
             )
         return self._enter(noun, code, labels)
 
     def _enter(self, noun: str, code: int, labels: tuple[int, ...]) -> str:
-        """Find the type with these kinds, or add it; the lexicon's types keep their places."""
+        """Find the type with these codes, or add it; the lexicon's types keep their indices."""
         kinds = tuple(kind_of(label, code) for label in labels)
         if noun in self.names and self.kinds[self.names.index(noun)] in ((), kinds):
             self.kinds[self.names.index(noun)] = kinds
@@ -290,14 +290,14 @@ class BoundSentence:
         if kinds in self.kinds:
             return self.names[self.kinds.index(kinds)]
         name = " ".join([*attribute_words(code), noun]) if noun in self.names else noun
-        while name in self.names:  # of one noun said in two ways, bound to different labels
+        while name in self.names:  # of one noun in two wordings, bound to different labels
             name = f"other {name}"
         self.names.append(name)
         self.kinds.append(kinds)
         return name
 
 
-def said_noun(phrase: Phrase) -> str:
-    """Write the noun of a phrase as it was said, in the singular: "traffic cone"."""
+def noun_text(phrase: Phrase) -> str:
+    """Join a phrase's noun as worded in the sentence, in the singular: "traffic cone"."""
     nouns = [word.text for word in phrase.words if word.tag in ("NN", "NNS") and word.text != "one"]
     return singular(" ".join(nouns)) if nouns else ""

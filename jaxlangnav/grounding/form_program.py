@@ -26,8 +26,8 @@ from jaxlangnav.grounding.form import Form, FormReading
 from jaxlangnav.grounding.program import (
     LOG_NEVER,
     MAX_DEPTH,
+    MAX_NAMED_TYPES,
     NUM_CHILDREN,
-    NUM_OWN,
     NUM_PHRASES,
     NUM_REGION_SLOTS,
     NUM_TABLES,
@@ -216,7 +216,7 @@ def _thing(thing: ThingDescription, peak: float, before: tuple[str, ...] = ANY) 
     first, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
     given = {"own": -CERTAIN, "other": LOG_NEVER, "own_lies": CERTAIN + (CERTAIN if rest else peak)}
     objects = _under(OBJECT_CONDITIONS, **given, **dict.fromkeys(before, LOG_NEVER))
-    own = np.array([thing.kind] + [NONE] * (NUM_OWN - 1), np.int32)
+    own = np.array([thing.kind] + [NONE] * (MAX_NAMED_TYPES - 1), np.int32)
     phrase = _Phrase({"own": own, "objects": objects}, tuple(first))
     while rest:  # more places than a phrase has children: a phrase of the same objects above it
         some, rest = rest[: NUM_CHILDREN - 1], rest[NUM_CHILDREN - 1 :]

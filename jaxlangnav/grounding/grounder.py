@@ -1,7 +1,7 @@
-"""Grounders: from what a person says to what the navigator needs (sections 3.1 and 3.3).
+"""The ``Grounder`` protocol, from text to instruction, and its implementations (sections 3.1, 3.3).
 
-Any source of annotations comes in here: the trained graph, a form (``annotated``), one of your own,
-or one made of others: one after the other, or one whose readings a person picks from.
+A source of annotations is a grounder: the trained graph, a form (``annotated``), one of your own,
+or a combination of others: a fallback, or one whose alternatives a person chooses from.
 """
 
 import dataclasses
@@ -23,56 +23,56 @@ from jaxlangnav.pytree import replace
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Context:
-    """What a grounder is told besides the text."""
+    """Dialogue context of a text to ground."""
 
     is_under_way: bool  # the robot has had an instruction before, and may be following it
-    about: int = NONE  # object type that earlier utterances have been about, for "it" and "one"
-    is_at: bool = False  # the robot is at one of those, or on its way to it
+    about: int = NONE  # object type that is the antecedent of "it" and "one"
+    is_at: bool = False  # the robot is at such an object, or on its way to it
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Grounded:
-    """What was understood: for the engine, and for people."""
+    """Result of grounding a text: the instruction, and its description for people."""
 
     instruction: Instruction
     annotations: tuple[Mapping[str, Any], ...]
-    """What is said of the world, likeliest first: figure, relation, landmark, superlative and
+    """Annotations of the world, likeliest first: figure, relation, landmark, superlative and
     probability, as ``jaxlangnav ground --json`` prints them."""
     notes: tuple[str, ...] = ()
-    """What else people should know, a line each."""
+    """Further remarks for people, a line each."""
     spoken: Spoken | None = None
-    """What it speaks of, for what was said before and comes after; None: as its readings show."""
+    """Object types referred to, for the dialogue state; None: derived from the readings."""
     alternatives: "tuple[Alternative, ...]" = ()
-    """Whole ways to understand it, likeliest first, where the grounder tells them apart."""
+    """Alternative interpretations, likeliest first, if the grounder distinguishes them."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Alternative:
-    """One way to understand what was said."""
+    """One interpretation of a text, with its probability."""
 
-    says: str  # for people, one line
+    says: str  # paraphrase for people, one line
     probability: float
     grounded: Grounded
 
 
 class Grounder(Protocol):
-    """What understands instructions."""
+    """Protocol of a grounder, which turns text into an instruction."""
 
     @property
     def type_names(self) -> tuple[str, ...]:
-        """Object types that it speaks of; a detection names its type by the index into them."""
+        """Object types of the grounder; the type of a detection is an index into them."""
         ...
 
     def ground(self, text: str, context: Context) -> Grounded:
-        """Understand an instruction.
+        """Ground an instruction.
 
         Args:
-            text: what was said, in whatever form the grounder takes.
-            context: what else it may want to know.
+            text: the instruction, in a form that the grounder accepts.
+            context: state of the dialogue.
 
         Returns:
-            What was understood; an instruction without a command informs only, or says what to
-            keep away from.
+            The grounded text; without a command, it only informs, or says what to keep away
+            from.
 
         Raises:
             ValueError: the text is refused; one line that says why and what to do about it.
@@ -81,30 +81,30 @@ class Grounder(Protocol):
 
 
 def names_of(grounder: Grounder) -> tuple[str, ...]:
-    """List the types of a grounder, and after them nouns that it has met and had no type for."""
+    """List the types of a grounder, then nouns of earlier sentences that have no type."""
     return getattr(grounder, "names", grounder.type_names)
 
 
 class OtherTypes:
-    """What speaks of the types of another grounder."""
+    """Base class of grounders that wrap another grounder and share its object types."""
 
     def __init__(self, grounder: Grounder) -> None:
-        """Take the grounder that tells the types."""
+        """Store the grounder whose types are shared."""
         self._types_of = grounder
 
     @property
     def type_names(self) -> tuple[str, ...]:
-        """The types of the other grounder."""
+        """The types of the wrapped grounder."""
         return self._types_of.type_names
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The types, and nouns that there was none for."""
+        """The types, then nouns without a type."""
         return names_of(self._types_of)
 
 
 class GraphGrounder:
-    """The trained Distributed Correspondence Graph: sentences of the controlled language."""
+    """Grounder of the controlled language: the trained Distributed Correspondence Graph."""
 
     def __init__(
         self,
@@ -118,11 +118,10 @@ class GraphGrounder:
 
         Args:
             model: trained models.
-            labels: what the detector tells apart, in the order of its indices; the types of the
-                models by default.
+            labels: labels of the detector, in index order; the types of the models by default.
             attributes: groups of ``ATTRIBUTES`` that it reports.
-            least_probability: of what the trained reader makes of free speech, in [0, 1]: at less
-                it is refused.
+            least_probability: threshold on the probability of the trained reader's rewriting of
+                free speech, in [0, 1]; below it, the text is refused.
 
         Raises:
             ValueError: labels or groups are refused; one line.
@@ -133,7 +132,7 @@ class GraphGrounder:
 
     @classmethod
     def of_detector(cls, model: GroundingModel, detector: Detector) -> Self:
-        """Bind the graph to a detector to which nouns of earlier sentences are what they were."""
+        """Bind the graph to a detector that keeps the nouns of earlier sentences."""
         bound = cls(model, detector.labels, detector.attribute_groups)
         bound.detector = detector
         return bound
@@ -145,18 +144,18 @@ class GraphGrounder:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The labels, and after them nouns of sentences that there was no label for."""
+        """The labels, then nouns of sentences without a label."""
         return self.detector.names
 
     def ground(self, text: str, context: Context) -> Grounded:
-        """Understand a sentence; see ``Grounder.ground``."""
+        """Ground a sentence; see ``Grounder.ground``."""
         earlier = None
         if context.about != NONE:
             kind = noun_of(context.about, self.names)
             earlier = Antecedent(kind=kind, is_at=context.is_at)
-        least = self.least_probability
-        understood = understand(text, self.model, self.detector, earlier, least)
-        # A robot under way may also be told of the map, and what to keep away from.
+        limit = self.least_probability
+        understood = understand(text, self.model, self.detector, earlier, limit)
+        # A robot under way also accepts statements and constraints.
         if not context.is_under_way or int(understood.instruction.num_clauses):
             understood.check_task(is_first=not context.is_under_way)
         bound = understood.type_names
@@ -167,27 +166,27 @@ class GraphGrounder:
             annotations=tuple(understood.annotations),
             notes=(
                 *(f"not in the lexicon: '{word}'" for word in unknown),
-                *(f"left out, as it says nothing of the task: '{said}'" for said in unread),
+                *(f"left out, as it says nothing of the task: '{words}'" for words in unread),
                 *understood.notes,
             ),
             spoken=understood.spoken,
         )
 
 
-# ---------------------------------------------------------------- grounders made of grounders
+# ---------------------------------------------------------------- combined grounders
 
 Chooser = Callable[[str, Sequence[Alternative]], int | None]
-"""Told what was said and the ways to understand it, likeliest first; answers with the index of one,
-or None where it is none of them."""
-LEAST_ASKED = 0.05
-"""Ways less probable than this are not asked about."""
+"""Callback that is given the text and its alternatives, likeliest first, and returns the index of
+the chosen one, or None to reject all."""
+MIN_ASKED = 0.05
+"""Alternatives less probable than this are not asked about."""
 
 
 class FirstGrounder(OtherTypes):
-    """Asks one grounder, and another where the first refuses."""
+    """Fallback: grounds with one grounder, and with another if the first refuses."""
 
     def __init__(self, first: Grounder, then: Grounder) -> None:
-        """Join two grounders of one detector: where ``first`` refuses, ``then`` is asked."""
+        """Combine two grounders of one detector: if ``first`` refuses, ``then`` is used."""
         if first.type_names != then.type_names:
             raise ValueError("the grounders have different type_names: give both one detector's")
         super().__init__(first)
@@ -195,28 +194,30 @@ class FirstGrounder(OtherTypes):
         self.then = then
 
     def ground(self, text: str, context: Context) -> Grounded:
-        """Understand an instruction; where both refuse, the first's reason is given."""
+        """Ground an instruction; if both refuse, the first's error is raised."""
         try:
             return self.first.ground(text, context)
         except ValueError as error:
             refusal = error
         try:
-            found = self.then.ground(text, context)
+            result = self.then.ground(text, context)
         except ValueError as error:
             raise refusal from error
-        return dataclasses.replace(found, notes=(f"not read as it stands: {refusal}", *found.notes))
+        return dataclasses.replace(
+            result, notes=(f"not read as it stands: {refusal}", *result.notes)
+        )
 
 
 class ChoosingGrounder(OtherTypes):
-    """Lets a person pick among the ways to understand an instruction."""
+    """Clarification: a person chooses among the alternatives of an ambiguous instruction."""
 
-    def __init__(self, grounder: Grounder, choose: Chooser, *, least: float = LEAST_ASKED) -> None:
+    def __init__(self, grounder: Grounder, choose: Chooser, *, least: float = MIN_ASKED) -> None:
         """Wrap a grounder.
 
         Args:
-            grounder: tells the ways.
-            choose: asks the person; not called where there is one way only.
-            least: ways less probable than this are not asked about.
+            grounder: yields the alternatives.
+            choose: asks the person; not called if there is only one alternative.
+            least: alternatives less probable than this are not asked about.
         """
         super().__init__(grounder)
         self.grounder = grounder
@@ -224,46 +225,46 @@ class ChoosingGrounder(OtherTypes):
         self.least = least
 
     def ground(self, text: str, context: Context) -> Grounded:
-        """Understand an instruction, and ask which way; see ``Grounder.ground``."""
-        found = self.grounder.ground(text, context)
-        ways = found.alternatives or tuple(_by_reading(found, self.names))
-        ways = [one for one in ways if one.probability >= self.least]
-        if len(ways) < 2:
-            return found
-        answer = self.choose(text, ways)
+        """Ground an instruction, and ask which alternative is meant; see ``Grounder.ground``."""
+        grounded = self.grounder.ground(text, context)
+        options = grounded.alternatives or tuple(_by_reading(grounded, self.names))
+        options = [option for option in options if option.probability >= self.least]
+        if len(options) < 2:
+            return grounded
+        answer = self.choose(text, options)
         if answer is None:
             raise ValueError(
-                f"none of the {len(ways)} ways to understand it is meant: say it in other words"
+                f"none of the {len(options)} ways to understand it is meant: say it in other words"
             )
-        if not 0 <= answer < len(ways):
-            raise ValueError(f"the answer is {answer}, but there are ways 0 to {len(ways) - 1}")
-        chosen = ways[answer]
+        if not 0 <= answer < len(options):
+            raise ValueError(f"the answer is {answer}, but there are ways 0 to {len(options) - 1}")
+        chosen = options[answer]
         note = f"chosen: '{chosen.says}'"
         return dataclasses.replace(chosen.grounded, notes=(note, *chosen.grounded.notes))
 
 
 def _by_reading(grounded: Grounded, names: Sequence[str]) -> Iterator[Alternative]:
-    """Take each reading for a way; the commands are those of the sentence."""
+    """Yield each reading as an alternative; the commands are those of the sentence."""
     ranked = sorted(unpad_readings(grounded.instruction.readings), key=lambda item: -item[1])
     for reading, score in ranked:
-        kinds = ["robot" if one == ROBOT else name_of(one, names) for one in reading.mentions]
-        named = [*kinds, None]  # what stands at NONE, the last place
-        told = tuple(
+        kinds = ["robot" if m == ROBOT else name_of(m, names) for m in reading.mentions]
+        named = [*kinds, None]  # NONE is the last index
+        documents = tuple(
             annotation_document(named[figure], named[landmark], relation, rank, 1.0)
             for figure, relation, landmark, rank in reading.relations
         )
-        alone = replace(grounded.instruction, readings=pad_readings([(reading, 0.0)]))
+        instruction = replace(grounded.instruction, readings=pad_readings([(reading, 0.0)]))
         yield Alternative(
-            says="; ".join(_worded(one) for one in told),
+            says="; ".join(map(_describe, documents)),
             probability=float(np.exp(score)),
-            grounded=dataclasses.replace(grounded, instruction=alone, annotations=told),
+            grounded=dataclasses.replace(grounded, instruction=instruction, annotations=documents),
         )
 
 
-def _worded(said: Mapping[str, Any]) -> str:
-    """Write an annotation for people: "cone near car, rank 1"."""
-    if said["relation"] is None:
-        return f"there is a {said['figure']}"
-    rank = said.get("rank", int(said["superlative"]))
+def _describe(annotation: Mapping[str, Any]) -> str:
+    """Describe an annotation in words: "cone near car, rank 1"."""
+    if annotation["relation"] is None:
+        return f"there is a {annotation['figure']}"
+    rank = annotation.get("rank", int(annotation["superlative"]))
     ranked = f", number {rank} of its kind" if rank else ""
-    return f"{said['figure']} {said['relation']} {said['landmark']}{ranked}"
+    return f"{annotation['figure']} {annotation['relation']} {annotation['landmark']}{ranked}"

@@ -1,4 +1,4 @@
-"""From text to what the navigator needs (sections 3.1 and 3.3): once per instruction, on the host.
+"""Ground a sentence into arrays for the navigator (sections 3.1, 3.3), once, on the host.
 
 ``understand`` parses, infers the annotations, and contracts the words for behavior inference. The
 result has fixed shapes: any sentence is data for one compiled program.
@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations
-from jaxlangnav.grounding.binding import BoundSentence, Detector, said_noun
+from jaxlangnav.grounding.binding import BoundSentence, Detector, noun_text
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program
 from jaxlangnav.grounding.readings import to_readings
@@ -35,60 +35,60 @@ from jaxlangnav.pytree import pytree
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Spoken:
-    """What a sentence speaks of; object types by their index."""
+    """Object types that a sentence refers to, by index, as the dialogue state needs them."""
 
     goals: tuple[int, ...] = ()
-    """What each command is about: its type; ANYTHING; NONE where that is not known."""
-    known: frozenset[int] = frozenset()  # a statement says of the one spoken of before
-    others: frozenset[int] = frozenset()  # another one is meant: "the other hydrant"
-    avoided: tuple[tuple[int, bool], ...] = ()  # to keep away from, and whether from all of a type
+    """Object type of each command's goal; ANYTHING; NONE if unknown."""
+    known: frozenset[int] = frozenset()  # types that a statement takes as known
+    others: frozenset[int] = frozenset()  # types with "other": "the other hydrant"
+    avoided: tuple[tuple[int, bool], ...] = ()  # types to avoid, and whether all of a type
     steps: tuple[tuple[float, float], ...] = ()
-    """Where commands end that are told from the robot as it hears them: metres, its frame."""
+    """End positions of metric commands ("go 2 m left"): metres, robot frame when it hears them."""
     ways: tuple[tuple[int, ...], ...] = ()
-    """Types that one noun may be any of; the first of them stands for the noun in ``goals``."""
+    """Candidate types of each ambiguous noun; the first stands for the noun in ``goals``."""
 
     def may_be(self, kind: int) -> tuple[int, ...]:
-        """List the types that the noun of a goal may be, ``kind`` first."""
-        return next((way for way in self.ways if way[0] == kind), (kind,))
+        """List the candidate types of a goal's noun, ``kind`` first."""
+        return next((types for types in self.ways if types[0] == kind), (kind,))
 
 
-def _spoken_of(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoken:
-    """Find what a sentence speaks of; ``types_of`` lists the types that a noun of it may be."""
+def _collect_references(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoken:
+    """Collect the types a sentence refers to; ``types_of`` lists the candidate types of a noun."""
     goals: list[int] = []
     known: set[int] = set()
     others: set[int] = set()
     avoided: list[tuple[int, bool]] = []
-    ways: dict[tuple[int, ...], None] = {}
+    candidates: dict[tuple[int, ...], None] = {}
 
-    def told(phrase: Phrase) -> tuple[int, ...]:
-        """List the types that the thing may be which a phrase is about."""
+    def types_at(phrase: Phrase) -> tuple[int, ...]:
+        """List the candidate types of a phrase's head noun."""
         leaf = head_of(phrase)
         if leaf is not None and is_thing(leaf):
             return (ANYTHING,)
         types = () if leaf is None else types_of((type_sense(leaf) or "").removeprefix("type:"))
-        ways.setdefault(types)
+        candidates.setdefault(types)
         return types
 
     for clause, kind in zip(tree.clauses, tree.kinds, strict=True):
         nouns = [child for child in clause.children if child.label == "NP"]
         for leaf in leaves(clause):
             if leaf.says("other"):
-                others.update(told(leaf))
+                others.update(types_at(leaf))
         if is_constraint(clause):
-            avoided += [(type_, not one.children) for one in nouns for type_ in told(one)]
+            avoided += [(type_, not noun.children) for noun in nouns for type_ in types_at(noun)]
         elif kind == COMMAND:
-            goals.append(next(iter(told(clause)), NONE))
-        else:  # what it names as known, and says no more of
-            for one in (noun for noun in nouns if not noun.children):
-                if not {word.text for word in one.words} & {"a", "an", "another"}:
-                    known.update(told(one))
+            goals.append(next(iter(types_at(clause)), NONE))
+        else:  # definite nouns without a modifier are taken as known
+            for noun in (noun for noun in nouns if not noun.children):
+                if not {word.text for word in noun.words} & {"a", "an", "another"}:
+                    known.update(types_at(noun))
     return Spoken(
         goals=tuple(goals),
         known=frozenset(known),
         others=frozenset(others),
         avoided=tuple(avoided),
-        steps=tuple(one.end for one in tree.measures if one.end is not None),
-        ways=tuple(way for way in ways if len(way) > 1),
+        steps=tuple(m.end for m in tree.measures if m.end is not None),
+        ways=tuple(types for types in candidates if len(types) > 1),
     )
 
 
@@ -101,14 +101,14 @@ _MIN_PROBABILITY = 1e-4
 
 @dataclasses.dataclass(frozen=True)
 class GroundingModel:
-    """Both trained models and the object types they speak of."""
+    """The two trained correspondence models and the object types that they know."""
 
     annotation: CorrespondenceModel
     behavior: CorrespondenceModel
     type_names: tuple[str, ...]
 
     def zeroed(self) -> "GroundingModel":
-        """Copy the model with every weight zero: it knows nothing."""
+        """Copy the models with all weights zero, an uninformative baseline."""
         return GroundingModel(self.annotation.zeroed(), self.behavior.zeroed(), self.type_names)
 
 
@@ -116,25 +116,25 @@ class GroundingModel:
 class Instruction:
     """A grounded instruction as data; commands in order, padded to C clauses."""
 
-    readings: Readings  # what it says of the world
+    readings: Readings  # annotations of the world
     program: BehaviorProgram  # every leaf leads with C
-    num_clauses: Array  # i32[] commands; statements inform and ask for nothing
-    metres: Array  # f32[C] told, from the landmark to the goal place; 0: what the relation suggests
-    frame: Array  # f32[C, 3] from where a command is meant: x, y, heading; metres, radians, frame
-    # of the robot as it hears the sentence
+    num_clauses: Array  # i32[] commands; statements are not counted
+    metres: Array  # f32[C] from landmark to goal, as commanded; 0: the relation's typical distance
+    frame: Array  # f32[C, 3] reference pose of a command: x, y, heading; metres, radians, frame of
+    # the robot as it hears the sentence
 
 
 @dataclasses.dataclass(frozen=True)
 class Understanding:
-    """What was understood, for people and for the navigator."""
+    """Result of grounding a sentence: its parse, annotations, instruction and notes."""
 
     parse: Parse
     belief: Belief
     instruction: Instruction
-    names: tuple[str, ...]  # types of the sentence, which ``belief`` speaks of
-    type_names: tuple[str, ...]  # what the detector tells apart, which ``instruction`` speaks of
-    notes: tuple[str, ...]  # what of the words is not used, a line each
-    spoken: Spoken  # what the sentence speaks of
+    names: tuple[str, ...]  # object types of the sentence, indexed by ``belief``
+    type_names: tuple[str, ...]  # of the detector, indexed by ``instruction``
+    notes: tuple[str, ...]  # words that are not used, a line each
+    spoken: Spoken  # object types that the sentence refers to
 
     @property
     def annotations(self) -> list[dict[str, Any]]:
@@ -146,7 +146,7 @@ class Understanding:
         ]
 
     def check_task(self, *, is_first: bool = True) -> None:
-        """Refuse a sentence that asks for nothing to be done, or for another where there is none.
+        """Refuse a sentence without a command to go somewhere, or with an unresolved "other".
 
         Raises:
             ValueError: it only informs, or only says what to keep away from, or, where nothing has
@@ -176,18 +176,18 @@ class Understanding:
             )
 
     def _check_others(self) -> None:
-        """Refuse "the other hydrant" where no hydrant has been spoken of before."""
+        """Refuse "the other hydrant" where no hydrant has been mentioned before."""
         named: set[str] = set()
         for clause in self.parse.clauses:
-            things = [one for one in clause.walk() if one.label == "NP" and not one.children]
-            others = [one for one in things if one.says("other")]
-            named |= {type_sense(one) or "" for one in things if one not in others} - {""}
-            for one in others:
-                kind = type_sense(one)
+            things = [noun for noun in clause.walk() if noun.label == "NP" and not noun.children]
+            others = [noun for noun in things if noun.says("other")]
+            named |= {type_sense(noun) or "" for noun in things if noun not in others} - {""}
+            for noun in others:
+                kind = type_sense(noun)
                 if kind not in named and (kind is not None or not named):
-                    noun = "thing" if kind is None else said_noun(one) or kind.partition(":")[2]
+                    name = "thing" if kind is None else noun_text(noun) or kind.partition(":")[2]
                     raise ValueError(
-                        f"'{self.parse.instruction}': no {noun} has been spoken of yet, so there "
+                        f"'{self.parse.instruction}': no {name} has been spoken of yet, so there "
                         "is no other: say which, as in 'the hydrant by the cone'"
                     )
 
@@ -197,7 +197,7 @@ class Understanding:
         return [word for word, _ in self.parse.unknown_words]
 
     def graph(self, num_objects: int) -> dict[str, dict[str, int]]:
-        """Count both factor graphs, by model; that of behavior over so many objects."""
+        """Count the factor graphs of both models; that of behavior over ``num_objects`` objects."""
         annotation = count_factors(self.parse.clauses, AnnotationSpace(len(self.names)))
         behavior = count_factors(self.parse.clauses, BehaviorSpace(num_objects))
         return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
@@ -210,14 +210,14 @@ def understand(
     earlier: Antecedent | None = None,
     least_probability: float = LEAST_PROBABILITY,
 ) -> Understanding:
-    """Understand an instruction: parse, annotations, and a program for behavior inference.
+    """Parse a sentence, infer its annotations, and compile its program for behavior inference.
 
     Args:
         text: what the person said.
         model: trained models.
-        detector: what is told apart; the types of the models by default.
-        earlier: what earlier utterances have been about.
-        least_probability: of what the trained reader makes of it, in [0, 1]; see ``parse``.
+        detector: its labels and attributes; the types of the models by default.
+        earlier: antecedent from earlier utterances.
+        least_probability: of the trained reader's rewriting, in [0, 1]; see ``parse``.
 
     Raises:
         LanguageError: the text is refused by the parser.
@@ -232,14 +232,14 @@ def understand(
 def understand_parse(
     tree: Parse, model: GroundingModel, detector: Detector | None = None
 ) -> Understanding:
-    """Understand a sentence that has been parsed already; see ``understand``."""
+    """Ground a parsed sentence; see ``understand``."""
     detector = Detector(model.type_names) if detector is None else detector
     bound = BoundSentence(tree, model.type_names, detector)
     tree, names = bound.tree, tuple(bound.names)
     belief = infer_annotations(tree, model.annotation, names)
     kinds = zip(tree.clauses, tree.kinds, strict=True)
     commands = [
-        i for i, (one, kind) in enumerate(kinds) if kind == COMMAND and not is_constraint(one)
+        i for i, (root, kind) in enumerate(kinds) if kind == COMMAND and not is_constraint(root)
     ]
     if len(commands) > NUM_CLAUSES:
         raise ValueError(
@@ -261,27 +261,27 @@ def understand_parse(
         names=names,
         type_names=detector.names,
         notes=tuple(bound.notes),
-        spoken=_spoken_of(tree, bound.labels_of),
+        spoken=_collect_references(tree, bound.labels_of),
     )
 
 
 def pack_instruction(
     readings: Readings, commands: Sequence[dict[str, np.ndarray]], measures: Sequence[Measure] = ()
 ) -> Instruction:
-    """Put readings and the programs of commands together, padded to ``NUM_CLAUSES``.
+    """Pack readings and the programs of commands into an instruction, padded to ``NUM_CLAUSES``.
 
     Args:
-        readings: what is said of the world.
-        commands: fields of a program for each, in order, host arrays.
-        measures: how far each goes; by default as far as its words suggest.
+        readings: distribution over annotations of the world.
+        commands: fields of each command's program, in order, host arrays.
+        measures: distance of each command; by default the relation's typical one.
     """
     fields = [*commands, *[empty_program()] * (NUM_CLAUSES - len(commands))]
-    told = [*measures, *[Measure()] * (NUM_CLAUSES - len(measures))]
+    padded = [*measures, *[Measure()] * (NUM_CLAUSES - len(measures))]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *fields)
-    numbers = {
+    arrays = {
         "num_clauses": np.int32(len(commands)),
-        "metres": np.array([one.metres for one in told], np.float32),
-        "frame": np.array([one.frame for one in told], np.float32),
+        "metres": np.array([measure.metres for measure in padded], np.float32),
+        "frame": np.array([measure.frame for measure in padded], np.float32),
     }
     program = BehaviorProgram(**jax.device_put(stacked))
-    return Instruction(readings=readings, program=program, **jax.device_put(numbers))
+    return Instruction(readings=readings, program=program, **jax.device_put(arrays))

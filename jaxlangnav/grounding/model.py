@@ -171,7 +171,7 @@ def stack_columns(shape: tuple[int, ...], columns: PropertyColumns) -> np.ndarra
     return values.reshape(-1, len(columns))
 
 
-def of_each(prefix: str, names: Iterable[Any], rows: np.ndarray) -> dict[str, np.ndarray]:
+def by_name(prefix: str, names: Iterable[Any], rows: np.ndarray) -> dict[str, np.ndarray]:
     """Give every row a property of its own, named after what it is of."""
     return {f"{prefix} {name}": row for name, row in zip(names, rows, strict=True)}
 

@@ -24,14 +24,14 @@ from jaxlangnav.grounding.behavior_properties import (
     contract,
 )
 from jaxlangnav.grounding.model import RESTRICTORS, CorrespondenceModel, senses_of
-from jaxlangnav.grounding.properties import ranks_meant
+from jaxlangnav.grounding.properties import find_ranks
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Path, post_order
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import AT, NONE, ROBOT
 from jaxlangnav.pytree import pytree
 
 NUM_PHRASES, NUM_CHILDREN, NUM_REGION_SLOTS = 24, 3, 2
-NUM_OWN = 4
+MAX_NAMED_TYPES = 4
 """Kinds that the words of one phrase may name."""
 NUM_TABLES = 5
 """Different relations in which a sentence may place figures."""
@@ -72,7 +72,7 @@ class BehaviorProgram:
     mode: Array  # f32[3] probability
 
 
-OF_THE_CLAUSE = ("num_phrases", "table", "action", "mode")
+CLAUSE_FIELDS = ("num_phrases", "table", "action", "mode")
 """Fields that have no row for each phrase."""
 
 
@@ -85,7 +85,7 @@ def empty_program() -> dict[str, np.ndarray]:
         "num_children": np.full(h, NOTHING, i32),
         "is_verb": np.zeros(h, bool),
         "is_restrictor": np.zeros((h, k), bool),
-        "own": np.full((h, NUM_OWN), NONE, i32),
+        "own": np.full((h, MAX_NAMED_TYPES), NONE, i32),
         "objects": np.zeros((h, len(OBJECT_CONDITIONS)), f32),
         "table": np.full(NUM_TABLES, NONE, i32),
         "region_relation": np.full((h, s), NONE, i32),
@@ -217,9 +217,9 @@ def compile_clause(
                 objects["always"] += objects["no_previous"]
                 objects |= dict.fromkeys(PREVIOUS, np.zeros(NUM_REGIONS, np.float32))
             fields["objects"][row] = [term[0] for term in objects.values()]
-            named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:NUM_OWN]
+            named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:MAX_NAMED_TYPES]
             fields["own"][row, : len(named)] = named
-        meant = ranks_meant(node.phrase, node.path, rank, type_names)
+        meant = find_ranks(node.phrase, node.path, rank, type_names)
         slots = _fill_regions(fields, row, children, terms, meant)
         if node.phrase.label in RESTRICTORS:
             wanted += slots

@@ -1,8 +1,8 @@
-"""The engine's two symbol spaces: what is seen of annotations and of behaviors (eq. 4).
+"""The annotation and behavior symbol spaces, with the features of their symbols (eq. 4).
 
-A property is a column of the weights and is declared once, by its name and what it says of the
-symbols of a phrase; the order of declaration is that of the columns. Those of behaviors stand in
-``behavior_properties``, and their device form, words contracted in before, in ``behavior_odds``.
+A property is a feature: a column of the weights, declared once by its name and its value for each
+symbol of a phrase; the order of declaration is that of the columns. Those of behaviors are in
+``behavior_properties``; their device form, with words contracted, is in ``behavior_odds``.
 """
 
 import dataclasses
@@ -21,14 +21,14 @@ from jaxlangnav.grounding.behavior_properties import (
     behavior_tables,
     lies_in,
 )
-from jaxlangnav.grounding.correspondence import KIND, RANK, Block, Described
+from jaxlangnav.grounding.correspondence import RANKS, SYMBOLS, Block, Described
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
     BEHAVIOR_KINDS,
     RESTRICTORS,
     PropertyColumns,
     Senses,
-    of_each,
+    by_name,
     senses_of,
     stack_columns,
 )
@@ -51,23 +51,23 @@ from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations.table import NUM_RANKS
 
 NUM_IDENTITY = 8
-"""Object types with a property of their own; further types are carried by agreement alone."""
+"""Object types with an identity feature; further types only have agreement features."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _ChildSets:
-    """What the child phrases of an annotation phrase express, as they may be combined."""
+    """Union of what the child phrases of an annotation phrase express, with their heads."""
 
     expressed: np.ndarray  # bool[S] by any child
     objects: np.ndarray  # bool[T]
     regions: np.ndarray  # bool[6, L]
     relations: np.ndarray  # bool[T, 6, L]
-    heads: np.ndarray  # bool[T] what a child phrase is about: its object, or a relation's figure
-    number: int
+    heads: np.ndarray  # bool[T] type of a child's head: its object, or a relation's figure
+    count: int  # of children
 
 
 def _child_sets(space: AnnotationSpace, groundings: Sequence[np.ndarray]) -> _ChildSets:
-    """Join the groundings bool[S] of the child phrases, and find their heads."""
+    """Unite the groundings bool[S] of the child phrases, and find their heads."""
     # The head of a phrase that expresses relations is the figure that is no landmark of another
     # ("the cone near the car" is about the cone); a phrase that expresses a region has no head.
     expressed, heads = np.zeros(space.size, bool), np.zeros(space.num_types, bool)
@@ -84,34 +84,34 @@ def _child_sets(space: AnnotationSpace, groundings: Sequence[np.ndarray]) -> _Ch
 
 
 def _members(indices: frozenset[int], size: int) -> np.ndarray:
-    """Turn indices into a boolean vector, ignoring those out of range."""
+    """Encode indices as a boolean vector, ignoring those out of range."""
     return np.isin(np.arange(size), list(indices))
 
 
 def _object_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> PropertyColumns:
-    """Describe the object symbols, bool[T] each."""
-    own = _members(senses.types, space.num_types)
+    """Compute the features of the object symbols, bool[T] each."""
+    named = _members(senses.types, space.num_types)
     has_region = bool(child.regions.any())
     return {
         "bias": True,
-        "named": own,
-        "another named": ~own & bool(senses.types),
+        "named": named,
+        "another named": ~named & bool(senses.types),
         "of a child": child.objects,
         "of a child, in a region": child.objects & has_region,
         "of a child, in a relation": child.objects & bool(child.relations.any()),
-        "not of a child": bool(child.number) & ~child.objects,
-        "named, in a region": own & has_region,
-        **of_each("is type", range(NUM_IDENTITY), np.eye(NUM_IDENTITY, space.num_types)),
+        "not of a child": bool(child.count) & ~child.objects,
+        "named, in a region": named & has_region,
+        **by_name("is type", range(NUM_IDENTITY), np.eye(NUM_IDENTITY, space.num_types)),
     }
 
 
 def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> PropertyColumns:
-    """Describe the region symbols, bool[6, L] each and what broadcasts to it."""
-    types, has_children = space.num_types, bool(child.number)
+    """Compute the features of the region symbols, each broadcastable to bool[6, L]."""
+    types, has_children = space.num_types, bool(child.count)
     relation = _members(senses.relations, NUM_RELATIONS)[:, None]
     is_robot = (np.arange(space.num_landmarks) == types)[None, :]
     head = np.append(child.heads, False)[None, :]
-    own = np.append(_members(senses.types, types), senses.is_robot)[None, :]
+    named = np.append(_members(senses.types, types), senses.is_robot)[None, :]
     has_object = bool(child.heads.any())
     is_lone = not has_children and not senses.types
     is_type = np.eye(NUM_IDENTITY, types + 1) * ~is_robot
@@ -121,24 +121,24 @@ def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
         "head": head,
         "head, relation named": relation & head,
         "head, other relation named": ~relation & head & bool(senses.relations),
-        "named": own,
-        "named, relation named": relation & own,
+        "named": named,
+        "named, relation named": relation & named,
         "lone relation to the robot": relation & is_robot & is_lone,
         "robot named": is_robot & senses.is_robot,
         "of a child": child.regions,
         "of a child, of an object": child.regions & has_object,
         "of a child, of no object": child.regions & (not has_object),
         "not of a child, not head": has_children & ~child.regions & ~head,
-        "relation named, of nothing": relation & ~head & ~own & ~(is_robot & is_lone),
-        **of_each("is", RELATIONS, np.eye(NUM_RELATIONS)[:, :, None]),
-        **of_each("landmark is type", range(NUM_IDENTITY), is_type[:, None]),
+        "relation named, of nothing": relation & ~head & ~named & ~(is_robot & is_lone),
+        **by_name("is", RELATIONS, np.eye(NUM_RELATIONS)[:, :, None]),
+        **by_name("landmark is type", range(NUM_IDENTITY), is_type[:, None]),
         "landmark is the robot": is_robot,
     }
 
 
 def _relation_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> PropertyColumns:
-    """Describe the relation symbols, bool[T, 6, L] each and what broadcasts to it."""
-    own_type = _members(senses.types, space.num_types)[:, None, None]
+    """Compute the features of the relation symbols, each broadcastable to bool[T, 6, L]."""
+    named = _members(senses.types, space.num_types)[:, None, None]
     head, region = child.heads[:, None, None], child.regions[None]
     relation = _members(senses.relations, NUM_RELATIONS)[None, :, None]
     is_robot = (np.arange(space.num_landmarks) == space.num_types)[None, None, :]
@@ -147,43 +147,43 @@ def _relation_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets)
         "bias": True,
         "of a child": child.relations,
         "composed": composed,
-        "named, in a region": own_type & region,
-        "named, relation to the robot named": own_type & relation & is_robot,
+        "named, in a region": named & region,
+        "named, relation to the robot named": named & relation & is_robot,
         "head, relation to the robot named": head & relation & is_robot,
-        "region of a child, of no object": region & ~head & ~own_type,
+        "region of a child, of no object": region & ~head & ~named,
         "head, other region": head & ~region,
         "neither": ~child.relations & ~composed,
     }
 
 
 def _shared_columns(senses: Senses, child: _ChildSets) -> PropertyColumns:
-    """Describe symbols by what holds for every kind alike, so that kinds learn from each other."""
+    """Compute features shared by all kinds of symbols, so that kinds share statistics."""
     expressed = child.expressed
     return {
         "bias": True,
         "of a child": expressed,
-        "of the only child": expressed & (child.number == 1),
-        "of one of several": expressed & (child.number > 1),
+        "of the only child": expressed & (child.count == 1),
+        "of one of several": expressed & (child.count > 1),
         "of a child, nothing named": expressed & (not senses.types and not senses.relations),
-        "not of a child": ~expressed & (child.number > 0),
+        "not of a child": ~expressed & (child.count > 0),
     }
 
 
 def rank_columns(senses: Senses) -> PropertyColumns:
-    """Describe the ranks 1 to 4 that a phrase may give its region, bool[4] each."""
+    """Compute the features of the ranks 1 to 4 that a phrase may give its region, bool[4] each."""
     ranks = range(1, NUM_RANKS + 1)
-    own = np.isin(ranks, sorted(senses.ranks))
-    said = {"bias": True, "named": own, "another named": ~own & bool(senses.ranks)}
-    return said | of_each("is", ranks, np.eye(NUM_RANKS))
+    named = np.isin(ranks, sorted(senses.ranks))
+    columns = {"bias": True, "named": named, "another named": ~named & bool(senses.ranks)}
+    return columns | by_name("is", ranks, np.eye(NUM_RANKS))
 
 
 def annotation_table(
     space: AnnotationSpace, senses: Senses, groundings: Sequence[np.ndarray]
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Describe every annotation symbol of a phrase, given bool[S] that each child expresses.
+    """Build the feature matrix of a phrase's annotation symbols, given bool[S] of each child.
 
-    F names, and f32[S, F]: the properties of objects, regions and relations side by side, each zero
-    for symbols of another kind, and those that all kinds share.
+    F names, and f32[S, F]: features of objects, regions and relations side by side, each zero for
+    symbols of another kind, then the shared features.
     """
     child = _child_sets(space, groundings)
     columns = {
@@ -191,12 +191,12 @@ def annotation_table(
         "region": _region_columns(space, senses, child),
         "relation": _relation_columns(space, senses, child),
     }
-    in_common = _shared_columns(senses, child)
+    shared = _shared_columns(senses, child)
     names = [f"{kind}: {name}" for kind, of_kind in columns.items() for name in of_kind]
     parts = zip(space.parts(child.expressed), columns.values(), strict=True)
     tables: Any = block_diag(*(stack_columns(part.shape, of_kind) for part, of_kind in parts))
-    joined = np.hstack([tables, stack_columns((space.size,), in_common)])
-    return (*names, *(f"any: {name}" for name in in_common)), joined
+    joined = np.hstack([tables, stack_columns((space.size,), shared)])
+    return (*names, *(f"any: {name}" for name in shared)), joined
 
 
 # ---------------------------------------------------------------- the two spaces
@@ -207,22 +207,22 @@ _behavior_space = functools.cache(BehaviorSpace)
 
 @functools.cache
 def property_names() -> Mapping[str, tuple[str, ...]]:
-    """Name the columns of the weights, F of every kind of symbol, as files of weights do."""
+    """List the names of the weights' columns by kind of symbol, as stored in weight files."""
     nothing = Senses(*[frozenset()] * 5, is_robot=False)
     names, _ = annotation_table(_annotation_space(1), nothing, [])
-    own = {KIND: names, RANK: tuple(rank_columns(nothing))}
-    return MappingProxyType(own | behavior_names())
+    annotation = {SYMBOLS: names, RANKS: tuple(rank_columns(nothing))}
+    return MappingProxyType(annotation | behavior_names())
 
 
 @dataclasses.dataclass(frozen=True)
 class Annotations:
-    """The annotation symbols as a space; there is no world yet."""
+    """The annotation symbol space with its features; it needs no world."""
 
     type_names: tuple[str, ...]  # object types in the order of their indices
 
     @property
     def columns(self) -> Mapping[str, Sequence[str]]:
-        """Names of the properties of symbols and ranks."""
+        """Names of the features of symbols and ranks."""
         return {kind: property_names()[kind] for kind in ANNOTATION_KINDS}
 
     def symbols_in(self, world: None) -> AnnotationSpace:
@@ -230,25 +230,25 @@ class Annotations:
         return _annotation_space(len(self.type_names))
 
     def describe(self, phrase: Phrase, path: Path, world: None) -> Described:
-        """Describe the symbols of a phrase, and the ranks that its words may give a region."""
+        """Compute the features of a phrase's symbols, and of the ranks it may give a region."""
         space, senses = self.symbols_in(world), senses_of(phrase, self.type_names)
 
         def given(children: Sequence[np.ndarray]) -> Mapping[str, Block]:
-            return {KIND: Block(slice(None), annotation_table(space, senses, children)[1])}
+            return {SYMBOLS: Block(slice(None), annotation_table(space, senses, children)[1])}
 
         return Described(given, stack_columns((NUM_RANKS,), rank_columns(senses)))
 
 
 @dataclasses.dataclass(frozen=True)
 class Behaviors:
-    """The behavior symbols of placed objects as a space."""
+    """The behavior symbol space of a world's objects, with its features."""
 
     type_names: tuple[str, ...]  # object types in the order of their indices
-    rank: Mapping[Path, int]  # that each phrase gives its region: 0, 1 nearest, 2 second, ...
+    rank: Mapping[Path, int]  # of each phrase's region: 0 none, 1 nearest, 2 second, ...
 
     @property
     def columns(self) -> Mapping[str, Sequence[str]]:
-        """Names of the properties of every kind of symbol."""
+        """Names of the features by kind of symbol."""
         return {kind: property_names()[kind] for kind in BEHAVIOR_KINDS}
 
     def symbols_in(self, world: World) -> BehaviorSpace:
@@ -256,13 +256,13 @@ class Behaviors:
         return _behavior_space(world.object_type.shape[0])
 
     def describe(self, phrase: Phrase, path: Path, world: World) -> Described:
-        """Describe the symbols of a phrase; those of empty object slots are left out."""
+        """Compute the features of a phrase's symbols, except those of empty object slots."""
         space, senses = self.symbols_in(world), senses_of(phrase, self.type_names)
         is_verb = phrase.label in VERB_LABELS
         is_restrictor = [child.label in RESTRICTORS for child in phrase.children]
         words = PhraseWords.of(senses, bool(phrase.children), any(is_restrictor))
         ranks = [
-            ranks_meant(child, (*path, i), self.rank, self.type_names)
+            find_ranks(child, (*path, i), self.rank, self.type_names)
             for i, child in enumerate(phrase.children)
         ]
 
@@ -274,16 +274,16 @@ class Behaviors:
             return Block(begin + real, table[real])
 
         def given(children: Sequence[np.ndarray]) -> Mapping[str, Block]:
-            every = np.any([*children, np.zeros(space.size, bool)], axis=0)
+            union = np.any([*children, np.zeros(space.size, bool)], axis=0)
             lies = world.is_object.copy()
-            for is_told, rank, expressed in zip(is_restrictor, ranks, children, strict=True):
-                if is_told:
-                    places = space.part(expressed, REGION) | space.part(expressed, GOAL)
-                    lies &= lies_in(world, places, rank)
+            for restricts, rank, expressed in zip(is_restrictor, ranks, children, strict=True):
+                if restricts:
+                    regions = space.part(expressed, REGION) | space.part(expressed, GOAL)
+                    lies &= lies_in(world, regions, rank)
             joined = ChildGroundings(
-                objects=space.part(every, OBJECT),
-                regions=space.part(every, REGION) | space.part(every, GOAL),
-                constraints=space.part(every, CONSTRAINT),
+                objects=space.part(union, OBJECT),
+                regions=space.part(union, REGION) | space.part(union, GOAL),
+                constraints=space.part(union, CONSTRAINT),
                 lies=lies,
             )
             tables = behavior_tables(world, is_verb, senses, words, joined)
@@ -292,19 +292,19 @@ class Behaviors:
         return Described(given)
 
 
-def ranks_meant(
+def find_ranks(
     phrase: Phrase, path: Path, rank: Mapping[Path, int], type_names: tuple[str, ...]
 ) -> np.ndarray:
-    """Find for which relations a phrase means the extreme object, or the second, ... only, i[7].
+    """Compute the rank that a phrase gives each relation, i[7]: 0 none, 1 extreme, 2 second.
 
-    A phrase that passes on the region of a child ("that is nearest to the cone") passes on this. 0
-    where every object is meant; ``rank`` is that of each phrase, gold or inferred, absent 0.
+    A phrase that passes on the region of a child ("that is nearest to the cone") passes on its
+    rank. ``rank`` is that of each phrase, gold or inferred; a missing entry is 0.
     """
-    meant = np.zeros(NUM_REGIONS, int)
+    ranks = np.zeros(NUM_REGIONS, int)
     relations = sorted(senses_of(phrase, type_names).relations)
-    if relations:  # what is below belongs to the landmark: "near the second cone"
-        meant[relations] = rank.get(path, 0)
-        return meant
+    if relations:  # ranks below belong to the landmark: "near the second cone"
+        ranks[relations] = rank.get(path, 0)
+        return ranks
     for i, child in enumerate(phrase.children):
-        meant = np.maximum(meant, ranks_meant(child, (*path, i), rank, type_names))
-    return meant
+        ranks = np.maximum(ranks, find_ranks(child, (*path, i), rank, type_names))
+    return ranks

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.asked import Asked, asked
+from jaxlangnav.grounding.asked import CommandSummary, summarize_commands
 from jaxlangnav.grounding.form import quote
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, OtherTypes
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
@@ -208,11 +208,11 @@ def _meaning(grounded: Grounded) -> tuple[Any, ...]:
         places = sorted((edge[1], reading.mentions[edge[2]], edge[3]) for edge in own)
         return (reading.mentions[mention], *places)
 
-    def ask(one: Asked) -> tuple[Any, ...]:
+    def ask(one: CommandSummary) -> tuple[Any, ...]:
         avoided = sorted((region, thing(mention)) for region, mention, _ in one.avoid)
         return (one.action, one.mode, one.region, thing(one.mention), tuple(avoided))
 
-    return (_said(reading), tuple(ask(one) for one in asked(grounded.instruction)))
+    return (_said(reading), tuple(ask(one) for one in summarize_commands(grounded.instruction)))
 
 
 def _mixed_annotations(found: Sequence[Read], weight: np.ndarray) -> tuple[Mapping[str, Any], ...]:

@@ -1,6 +1,6 @@
-"""Symbol spaces: what a phrase may mean (sections 3.1, 3.3 and 4.1).
+"""Symbol spaces that phrases ground to: annotations and behaviors (sections 3.1, 3.3, 4.1).
 
-The annotation space knows no world: object types, regions (a relation to a type, or to the robot)
+The annotation space needs no world: object types, regions (a relation to a type, or to the robot)
 and relations (a figure type in a region). With 8 types that is 8 + 54 + 432 = 494 symbols.
 The behavior space is that of one world of n objects: noun and preposition phrases ground to n
 objects and 7 n regions (the six relations and "at"), verb phrases to 2 actions, 3 modes, 7 n goal
@@ -21,7 +21,7 @@ import numpy as np
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, RELATIONS, ROBOT
 
-OBJECT, REGION, RELATION, ACTION, MODE, GOAL, CONSTRAINT = range(7)
+OBJECT, REGION, RELATION, ACTION, MODE, GOAL, CONSTRAINT = range(7)  # kinds of symbols
 KINDS = ("object", "region", "relation", "action", "mode", "goal", "constraint")
 NUM_RELATIONS = len(RELATIONS)
 NUM_REGIONS = len(REGIONS)
@@ -31,30 +31,30 @@ Symbol = TypeVar("Symbol", bound=Hashable)
 
 
 class SymbolDomain(Generic[Symbol]):
-    """Symbols in the order of their correspondence variables, all different."""
+    """Ordered, distinct symbols of a symbol space, one correspondence variable each."""
 
     def __init__(self, symbols: Sequence[Symbol]) -> None:
-        """Take S symbols."""
+        """Store S distinct symbols in order."""
         self.symbols = symbols
         self.size = len(symbols)
 
     @cached_property
     def index(self) -> dict[Symbol, int]:
-        """Where each symbol stands."""
+        """Index of each symbol in ``symbols``."""
         return {symbol: i for i, symbol in enumerate(self.symbols)}
 
     def num_expressible(self, phrase: Phrase) -> int:
-        """Count the symbols that a phrase may express: each has a factor there."""
+        """Count the symbols that a phrase can express, one factor each."""
         return self.size
 
     def mask(self, symbols: Iterable[Symbol]) -> np.ndarray:
-        """Turn symbols, each of which belongs to the space, into a set over it, bool[S]."""
+        """Encode symbols of the space as a boolean indicator vector, bool[S]."""
         expressed = np.zeros(self.size, bool)
         expressed[[self.index[symbol] for symbol in symbols]] = True
         return expressed
 
     def members(self, expressed: np.ndarray) -> tuple[Symbol, ...]:
-        """List the symbols of a set, in the order of the space."""
+        """Decode an indicator vector into its symbols, in the order of the space."""
         return tuple(itertools.compress(self.symbols, expressed))
 
 
@@ -68,11 +68,11 @@ class AnnotationSymbol(NamedTuple):
 
 
 class BehaviorSymbol(NamedTuple):
-    """One behavior symbol of a world."""
+    """One behavior symbol: an object, region, action, mode, goal or constraint."""
 
     kind: int  # any but RELATION
     relation: int  # region index for regions, goals and constraints; NONE otherwise
-    slot: int  # object slot, action or mode
+    slot: int  # object slot, or index of the action or mode
 
 
 def object_symbol(figure: int) -> AnnotationSymbol:
@@ -103,13 +103,13 @@ class AnnotationSpace(SymbolDomain[AnnotationSymbol]):
         super().__init__([*objects, *itertools.starmap(region_symbol, regions), *relations])
 
     def parts(self, expressed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """View a set as objects bool[T], regions bool[6, L] and relations bool[T, 6, L]."""
+        """Split a set into objects bool[T], regions bool[6, L] and relations bool[T, 6, L]."""
         shape = (NUM_RELATIONS, self.num_landmarks)
-        first, second = self.num_types, self.num_types + math.prod(shape)
+        regions, relations = self.num_types, self.num_types + math.prod(shape)  # offsets
         return (
-            expressed[:first],
-            expressed[first:second].reshape(shape),
-            expressed[second:].reshape(self.num_types, *shape),
+            expressed[:regions],
+            expressed[regions:relations].reshape(shape),
+            expressed[relations:].reshape(self.num_types, *shape),
         )
 
 
@@ -123,28 +123,27 @@ class BehaviorSpace(SymbolDomain[BehaviorSymbol]):
     def __init__(self, num_objects: int) -> None:
         """List the symbols of n object slots: 7 regions, goals and constraints each."""
         self.num_objects = num_objects
-        places = [(r, i) for r in range(NUM_REGIONS) for i in range(num_objects)]
-        kinds = {
+        regions = [(r, i) for r in range(NUM_REGIONS) for i in range(num_objects)]
+        by_kind = {
             OBJECT: [(NONE, i) for i in range(num_objects)],
-            REGION: places,
+            REGION: regions,
             ACTION: [(NONE, a) for a in range(len(ACTIONS))],
             MODE: [(NONE, m) for m in range(len(MODES))],
-            GOAL: places,
-            CONSTRAINT: places,
+            GOAL: regions,
+            CONSTRAINT: regions,
         }
-        super().__init__([BehaviorSymbol(kind, *of) for kind in kinds for of in kinds[kind]])
-        ends = itertools.accumulate(len(of) for of in kinds.values())
-        self.spans = {  # where each kind begins and ends
-            kind: (end - len(of), end) for (kind, of), end in zip(kinds.items(), ends, strict=True)
-        }
+        super().__init__([BehaviorSymbol(kind, *ids) for kind in by_kind for ids in by_kind[kind]])
+        sizes = [len(pairs) for pairs in by_kind.values()]
+        ends = zip(by_kind, sizes, itertools.accumulate(sizes), strict=True)
+        self.spans = {kind: (end - size, end) for kind, size, end in ends}  # index ranges
 
     def num_expressible(self, phrase: Phrase) -> int:
-        """Count the symbols that a phrase may express: those of verb phrases, or of others."""
+        """Count the symbols that a verb phrase, or any other phrase, can express."""
         num_noun = self.spans[REGION][1]
         return self.size - num_noun if phrase.label in VERB_LABELS else num_noun
 
     def part(self, expressed: np.ndarray, kind: int) -> np.ndarray:
-        """View one kind of symbol of [..., S] as [..., n], [..., 7, n], [..., 2] or [..., 3]."""
+        """Slice one kind of symbol of [..., S], as [..., n], [..., 7, n], [..., 2] or [..., 3]."""
         begin, end = self.spans[kind]
         values = expressed[..., begin:end]
         if kind in (REGION, GOAL, CONSTRAINT):
@@ -160,7 +159,7 @@ Path = tuple[int, ...]
 
 @dataclasses.dataclass(frozen=True)
 class Node:
-    """A phrase in the graph."""
+    """A phrase as a node of the factor graph."""
 
     phrase: Phrase
     path: Path
@@ -168,7 +167,7 @@ class Node:
 
     @property
     def is_verb(self) -> bool:
-        """Whether it grounds to actions, modes, goals and constraints."""
+        """Whether the phrase grounds to actions, modes, goals and constraints."""
         return self.phrase.label in VERB_LABELS
 
 
@@ -186,11 +185,11 @@ def post_order(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
 
 
 def count_factors(clauses: Sequence[Phrase], symbols: SymbolDomain) -> dict[str, int]:
-    """Count the factor graph of a sentence whose clauses share no factor (section 3.1, Figure 3).
+    """Count phrases, factors and variables of a sentence's factor graph (section 3.1, Figure 3).
 
-    Every phrase λ has one factor per symbol; a factor joins the phrase, the grounding γ, its
-    correspondence φ and the groundings of the child phrases. So a phrase with S symbols adds S
-    factors, S groundings, S correspondences and itself: 2 S + 1 random variables.
+    Clauses share no factor. Every phrase λ has one factor per symbol, which joins the phrase, the
+    grounding γ, its correspondence φ and the groundings of the child phrases. So a phrase with S
+    symbols adds S factors, S groundings, S correspondences and itself: 2 S + 1 random variables.
 
     Returns:
         ``phrases``, ``factors`` and ``variables``; the six-phrase sentence of the paper has 2,964

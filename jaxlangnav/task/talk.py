@@ -18,7 +18,7 @@ from jaxlangnav.episode import EpisodeState
 from jaxlangnav.episode.recording import Recording, Remark, StaticScene
 from jaxlangnav.experiments.dialogue import speak
 from jaxlangnav.grounding import Context, Grounder
-from jaxlangnav.grounding.asked import asked
+from jaxlangnav.grounding.asked import summarize_commands
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
@@ -201,7 +201,7 @@ class Earshot:
             self.scene,
             readings=told.readings,
             num_clauses=int(told.num_clauses),
-            asks=tuple(asked(told)),
+            asks=tuple(summarize_commands(told)),
             type_names=tuple(names_of(self.grounder)),
         )
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.correspondence import RANK, AnyWorld, Labelled, SymbolSpace
+from jaxlangnav.grounding.correspondence import RANKS, AnyWorld, Labelled, SymbolSpace
 from jaxlangnav.grounding.model import Vocabulary
 from jaxlangnav.grounding.properties import Annotations, Behaviors
 from jaxlangnav.grounding.symbols import (
@@ -156,12 +156,12 @@ def _tree_examples(
         described = space.describe(node.phrase, node.path, one.world)
         blocks = described.given([gold[child] for child in node.children])
         rows = {
-            kind: Rows(np.asarray(block.properties, np.float32), expressed[block.places])
+            kind: Rows(np.asarray(block.properties, np.float32), expressed[block.indices])
             for kind, block in blocks.items()
         }
         if described.ranks is not None:
             own = np.arange(1, len(described.ranks) + 1) == rank
-            rows[RANK] = Rows(np.asarray(described.ranks, np.float32), own)
+            rows[RANKS] = Rows(np.asarray(described.ranks, np.float32), own)
         for kind, (properties, labels) in rows.items():
             wanted = len(labels), len(space.columns[kind])
             if properties.shape != wanted:

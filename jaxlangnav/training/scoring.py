@@ -17,10 +17,10 @@ import numpy as np
 
 from jaxlangnav.grounding.correspondence import (
     AnyWorld,
-    DescribedTree,
     Labelled,
+    ScoredTree,
     SymbolSpace,
-    WeighedTree,
+    TreeFeatures,
 )
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.properties import Annotations, Behaviors
@@ -74,7 +74,7 @@ class _Tally:
 
     def count(self, index: int, model: CorrespondenceModel, clauses: "Clauses") -> None:
         """Compare what a model infers of the clauses of a sentence with the gold sets."""
-        trees = [(WeighedTree(described, model), gold) for described, gold in clauses]
+        trees = [(ScoredTree(described, model), gold) for described, gold in clauses]
         for width, rows in self.rows.items():
             right, confidence, log_gold = True, 1.0, 0.0
             for tree, gold in trees:
@@ -103,12 +103,12 @@ class _Tally:
         )
 
 
-Clauses = Sequence[tuple[DescribedTree, np.ndarray]]
+Clauses = Sequence[tuple[TreeFeatures, np.ndarray]]
 """The clauses of a sentence in a world, each with the gold set bool[S]."""
 
 
 def _described(space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]) -> Clauses:
-    trees = [DescribedTree(space, one.root, one.world, one.clause) for one in labelled]
+    trees = [TreeFeatures(space, one.root, one.world, one.clause) for one in labelled]
     gold = [one.expressed[-1] for one in labelled]
     return [(tree, tree.symbols.mask(own)) for tree, own in zip(trees, gold, strict=True)]
 
@@ -184,7 +184,7 @@ def score_behaviors(
         for index in which:
             rank: dict[Path, int] = {}
             for described, _ in said:
-                found = WeighedTree(described, annotation[index]).log_ranks()
+                found = ScoredTree(described, annotation[index]).log_ranks()
                 rank |= {path: int(np.argmax(chances)) for path, chances in found.items()}
             if (key := tuple(rank.values())) not in worlds:
                 space = Behaviors(type_names, rank)

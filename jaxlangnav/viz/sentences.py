@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from jaxlangnav.episode.recording import Frame, Moment, Remark, StaticScene, missing_names
-from jaxlangnav.grounding.asked import Asked
+from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, ROBOT, Fault, Status
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
@@ -127,7 +127,7 @@ def describe_asked(scene: StaticScene) -> list[str]:
         first, _, rest = words.partition(" ")
         return f"the {rest}" if first in ("a", "an") else words
 
-    def asked(one: Asked) -> str:
+    def asked(one: CommandSummary) -> str:
         goal = "another one than before" if one.mention == NONE else thing(one.mention)
         if one.mention != NONE and one.region != AT:
             goal = f"{REGISTRY[one.region].words} {goal}"
