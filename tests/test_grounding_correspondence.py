@@ -122,7 +122,7 @@ def test_beliefs_are_those_of_the_likeliest_reading(graph):
     coefficients = graph.model.coefficients(root)
     for kind, block in SPACE.describe(root, (0,), world).given([meant]).items():
         likely = 1 / (1 + np.exp(-block.properties @ coefficients[kind]))
-        np.testing.assert_allclose(top.probability[block.places], likely, rtol=1e-5)
+        np.testing.assert_allclose(top.probability[block.indices], likely, rtol=1e-5)
 
 
 def test_a_picture_of_own_symbols(graph):

@@ -113,7 +113,7 @@ def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[s
         names: object types by index.
 
     Returns:
-        One object per command: ``action``, ``mode``, ``goal`` (``region``, ``object``; None if it is
+        One dict per command: ``action``, ``mode``, ``goal`` (``region``, ``object``; None if it is
         no mention: "the other cone"), ``probability``, and ``avoid``, a list of ``region``,
         ``object``, ``probability``.
     """

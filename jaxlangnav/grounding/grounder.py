@@ -200,12 +200,10 @@ class FirstGrounder(OtherTypes):
         except ValueError as error:
             refusal = error
         try:
-            result = self.then.ground(text, context)
+            reply = self.then.ground(text, context)
         except ValueError as error:
             raise refusal from error
-        return dataclasses.replace(
-            result, notes=(f"not read as it stands: {refusal}", *result.notes)
-        )
+        return dataclasses.replace(reply, notes=(f"not read as it stands: {refusal}", *reply.notes))
 
 
 class ChoosingGrounder(OtherTypes):
