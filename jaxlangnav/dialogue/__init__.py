@@ -6,12 +6,12 @@ from jaxlangnav.dialogue.memory import (
     AVOID_IT as AVOID_IT,
     Conversation as Conversation,
     Words as Words,
+    as_answered as as_answered,
     avoided as avoided,
     begin_conversation as begin_conversation,
     excluding as excluding,
     focus as focus,
     pinned as pinned,
     seen_from as seen_from,
-    without as without,
 )
 from jaxlangnav.dialogue.merge import join as join

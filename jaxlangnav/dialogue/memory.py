@@ -51,6 +51,7 @@ class Conversation:
     home: Array  # f32[3] x, y, heading where the conversation began
     approached: Array  # i32[] observed slot that the robot last went up to for this task; NONE
     ruled_out: Array  # i32[] observed slots that are no goal of the present command, a bit each
+    chosen: Array  # i32[] observed slot that an answer has named; NONE
     candidate: Array  # f32[O] goal probability of the observed slots at the last decision
     closeness: Array  # f32[] share of the usual reach at which the robot has arrived
     may_ask: Array  # bool[] it has not been told to choose by itself
@@ -75,6 +76,7 @@ def begin_conversation(
         home=pose,
         approached=jnp.int32(NONE),
         ruled_out=jnp.int32(0),
+        chosen=jnp.int32(NONE),
         candidate=jnp.zeros(num_objects, jnp.float32),
         closeness=jnp.float32(1.0),
         may_ask=jnp.asarray(True),
@@ -135,11 +137,20 @@ def focus(particles: SemanticMap, words: Words) -> SemanticMap:
     )
 
 
-def without(behavior: Behavior, ruled_out: Array) -> Behavior:
-    """Take what has been ruled out, i32[] observed slots, a bit each, from goals [..., P]."""
-    slots = jnp.arange(behavior.goal.shape[1])
-    is_out = (slots < 31) & ((ruled_out >> jnp.minimum(slots, 30)) & 1 == 1)
-    return replace(behavior, goal=jnp.where(is_out[None, :, None], 0.0, behavior.goal))
+def as_answered(behavior: Behavior, particles: SemanticMap, talk: Conversation) -> Behavior:
+    """Condition goals [..., P] on the answers: what is ruled out is none, what is named is the one.
+
+    Who names a thing knows it: it is the goal in every particle that has it, also where the words
+    of the command fit nothing there. Which region of it is meant stays as believed.
+    """
+    goal, slots = behavior.goal, jnp.arange(behavior.goal.shape[1])
+    is_out = (slots < 31) & ((talk.ruled_out >> jnp.minimum(slots, 30)) & 1 == 1)
+    goal = jnp.where(is_out[None, :, None], 0.0, goal)
+    region = jnp.sum(goal, axis=(1, 2))
+    region = region / jnp.maximum(jnp.sum(region), 1e-12)
+    is_there = jnp.pad(particles.is_observed, ((0, goal.shape[1] - talk.candidate.size), (0, 0)))
+    named = region[:, None, None] * ((slots == talk.chosen)[:, None] & is_there)[None]
+    return replace(behavior, goal=jnp.where(talk.chosen == NONE, goal, named))
 
 
 def pinned(

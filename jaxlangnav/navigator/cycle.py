@@ -224,7 +224,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     readings, relations = state.instruction.readings, params.map.relations
     behavior = infer_clause_behaviors(particles, state.instruction, clause, state.previous_goal)
     behavior = filter_untyped_goals(behavior, particles, readings, talk.context, relations)
-    behavior = dialogue.without(behavior, talk.ruled_out)
+    behavior = dialogue.as_answered(behavior, particles, talk)
     behavior = dialogue.pinned(behavior, particles, readings.mention_type, talk.words, clause)
     behavior = dialogue.avoided(behavior, particles, readings.mention_type, talk.words)
     belief = about_robot(replace(state.belief, particles=dialogue.focus(particles, talk.words)))

@@ -9,7 +9,7 @@ from jax import Array
 
 from jaxlangnav.dialogue import Conversation
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import Action, Behavior, SensorParams, Status
+from jaxlangnav.messages import NONE, Action, Behavior, SensorParams, Status
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import ProgressMonitor
 from jaxlangnav.planner.config import PlannerConfig
@@ -238,6 +238,7 @@ def update_task_state(
         talk,
         approached=jnp.where(choice.is_stop, reached, approached),
         ruled_out=jnp.where(moves_on, 0, talk.ruled_out),
+        chosen=jnp.where(moves_on, NONE, talk.chosen),
         closeness=jnp.where(moves_on, 1.0, talk.closeness),
         candidate=jnp.where(goals.is_object, goals.object_mass, 0.0)[:-1],
     )

@@ -93,6 +93,7 @@ def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: How) -> Nav
             talk,
             approached=jnp.int32(NONE),
             ruled_out=jnp.int32(0),
+            chosen=jnp.int32(NONE),
             candidate=jnp.zeros_like(talk.candidate),
             closeness=jnp.float32(1.0),
             may_ask=jnp.asarray(True),
@@ -157,7 +158,8 @@ def rule_out(state: NavigatorState, slots: Array) -> NavigatorState:
     talk = excluding(state.talk, state.clause, slots)
     belief = replace(state.belief, must_ground=jnp.asarray(True))
     is_out = (talk.ruled_out & _slot_bit(talk.approached)) != 0
-    talk = replace(talk, approached=jnp.where(is_out, NONE, talk.approached))
+    approached = jnp.where(is_out, NONE, talk.approached)
+    talk = replace(talk, approached=approached, chosen=jnp.int32(NONE))
     return _under_way(replace(state, belief=belief, talk=talk))
 
 
@@ -175,7 +177,8 @@ def choose(state: NavigatorState, slot: Array) -> NavigatorState:
     """Take an observed slot to be what is meant: all other candidates of the question are not."""
     slots = jnp.arange(state.talk.candidate.shape[0])
     others = (state.talk.candidate > 0.0) & (slots != slot)
-    return choose_freely(rule_out(state, jnp.sum(jnp.where(others, jnp.left_shift(1, slots), 0))))
+    after = rule_out(state, jnp.sum(jnp.where(others, jnp.left_shift(1, slots), 0)))
+    return choose_freely(replace(after, talk=replace(after.talk, chosen=slot)))
 
 
 def choose_freely(state: NavigatorState) -> NavigatorState:
