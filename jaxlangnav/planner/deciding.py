@@ -71,15 +71,12 @@ def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None
 
 
 def _own_doubt(situation: Situation) -> AskDecision:
-    """Doubt as one who does not know when all has been looked at, and plans no tour."""
-    goals, travel = situation.goals, situation.belief.terrain.travel
-    here, mass = (situation.robot_x, situation.robot_y), goals.hypothesis_mass
-    away = travel.metres(*here, goals.hypothesis_x, goals.hypothesis_y)
+    """Weigh a question about what has been seen: who plans no tour does not look on for more."""
     return value_of_asking(
-        goals,
-        jnp.sum(mass * away) / jnp.maximum(jnp.sum(mass), 1e-9),
+        situation.goals,
+        jnp.float32(0.0),
         params=situation.params,
-        has_looked=situation.has_chosen,
+        has_looked=True,
         may_ask=situation.may_ask,
     )
 
@@ -123,8 +120,7 @@ def decide(
         situation: nodes, goals, where the robot is.
         valuation: what its nodes are worth, and whether to stop.
         kept: a waypoint that is gone on to, if it is active, whatever the nodes are worth.
-        doubt: whether to ask which one is meant; by default as one who does not know when all has
-            been looked at.
+        doubt: whether to ask which one is meant; by default among what has been seen.
 
     Raises:
         ValueError: the values are not one for each node.
