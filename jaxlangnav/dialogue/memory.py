@@ -146,9 +146,8 @@ def as_answered(behavior: Behavior, particles: SemanticMap, talk: Conversation) 
     goal, slots = behavior.goal, jnp.arange(behavior.goal.shape[1])
     is_out = (slots < 31) & ((talk.ruled_out >> jnp.minimum(slots, 30)) & 1 == 1)
     goal = jnp.where(is_out[None, :, None], 0.0, goal)
-    region = jnp.sum(goal, axis=(1, 2))
-    region = region / jnp.maximum(jnp.sum(region), 1e-12)
-    is_there = jnp.pad(particles.is_observed, ((0, goal.shape[1] - talk.candidate.size), (0, 0)))
+    region = jnp.sum(goal, axis=(1, 2)) / jnp.maximum(jnp.sum(goal), 1e-12)
+    is_there = jnp.pad(particles.is_observed, ((0, slots.size - talk.candidate.size), (0, 0)))
     named = region[:, None, None] * ((slots == talk.chosen)[:, None] & is_there)[None]
     return replace(behavior, goal=jnp.where(talk.chosen == NONE, goal, named))
 

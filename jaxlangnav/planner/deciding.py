@@ -70,17 +70,6 @@ def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None
     return replace(situation, nodes=graph.put_first(x, y, is_node, situation.nodes))
 
 
-def _own_doubt(situation: Situation) -> AskDecision:
-    """Weigh a question about what has been seen: who plans no tour does not look on for more."""
-    return value_of_asking(
-        situation.goals,
-        jnp.float32(0.0),
-        params=situation.params,
-        has_looked=True,
-        may_ask=situation.may_ask,
-    )
-
-
 def _value(
     situation: Situation, valuation: Valuation, longer: Array, doubt: AskDecision
 ) -> tuple[Array, Array]:
@@ -134,7 +123,9 @@ def decide(
     x, y = jnp.append(nodes.x, last.x), jnp.append(nodes.y, last.y)
     kind = jnp.append(nodes.kind, last.kind)
     way = detours(situation, x, y, jnp.where(kind == OBJECT_NODE, APPROACH * params.reach, 0.0))
-    doubt = _own_doubt(situation) if doubt is None else doubt
+    if doubt is None:  # who plans no tour does not look on for more than has been seen
+        of_seen = {"has_looked": True, "may_ask": situation.may_ask}
+        doubt = value_of_asking(situation.goals, jnp.float32(0.0), params=params, **of_seen)
     value, cost = _value(situation, valuation, way[0][:-1], doubt)
     is_last = kept.is_active | jnp.all(value == -jnp.inf)
     index = jnp.where(is_last, value.shape[0], jnp.argmax(value))

@@ -242,8 +242,7 @@ class LiveEpisode:
         try:
             self._unheard.put_nowait(said)
         except queue.Full:
-            most = f"{_MOST_UNHEARD} utterances"
-            raise ValueError(f"{most} are still unheard: wait for the next step") from None
+            raise ValueError(f"{_MOST_UNHEARD} utterances are still unheard: wait") from None
 
     def close(self) -> None:
         """End the episode after its present step."""
