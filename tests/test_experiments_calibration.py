@@ -17,13 +17,13 @@ from jaxlangnav.experiments.calibration import (
     Tally,
     _draw_unseen,
     _goal_region,
-    _is_held_as,
+    _has_type,
     _reliability,
-    is_it,
-    nothing,
+    empty_tally,
+    matched_object,
     scores,
 )
-from jaxlangnav.experiments.judging import JUDGED, bin_sums, curve, pooled
+from jaxlangnav.experiments.judging import TALLIED, bin_sums, curve, pooled
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import navigator_config
@@ -36,7 +36,7 @@ S = len(STAGES)
 
 
 def empty(number: int) -> Tally:
-    return jax.tree.map(lambda leaf: np.zeros((number, *np.shape(leaf)), np.float32), nothing())
+    return jax.tree.map(lambda leaf: np.zeros((number, *np.shape(leaf)), np.float32), empty_tally())
 
 
 def tally(**changes: Any) -> Tally:
@@ -101,9 +101,9 @@ def test_one_object_at_most_is_the_goal() -> None:
     beside, alone, far = jnp.array(
         [[0.1, 0.4, 0.05, 3.0], [2.0, 0.7, 0.1, 0.8], [0.8, 0.9, 0.1, 3.0]]
     )
-    np.testing.assert_array_equal(is_it(beside, is_event), [True, False, False, False])
-    np.testing.assert_array_equal(is_it(alone, is_event), [False, True, False, False])
-    assert not is_it(far, is_event).any()
+    np.testing.assert_array_equal(matched_object(beside, is_event), [True, False, False, False])
+    np.testing.assert_array_equal(matched_object(alone, is_event), [False, True, False, False])
+    assert not matched_object(far, is_event).any()
 
 
 def test_object_is_of_the_type_that_most_of_the_belief_has_it_of() -> None:
@@ -112,7 +112,7 @@ def test_object_is_of_the_type_that_most_of_the_belief_has_it_of() -> None:
     kinds = np.asarray(belief.particles.object_type).copy()
     kinds[1], kinds[1, 0], kinds[2, :20] = by_hand.HYDRANT, by_hand.CONE, by_hand.HYDRANT
     particles = replace(belief.particles, object_type=jnp.asarray(kinds))
-    is_event = _is_held_as(replace(belief, particles=particles), jnp.int32(by_hand.HYDRANT))
+    is_event = _has_type(replace(belief, particles=particles), jnp.int32(by_hand.HYDRANT))
     np.testing.assert_array_equal(is_event[:3], [False, True, False])
 
 
@@ -213,7 +213,7 @@ def test_every_step_of_an_episode_is_judged_once() -> None:
     sentences = ground_sentences([SENTENCES["behind"]])
     tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 40, 5))
     given: Any = {"params": default_params(), "config": navigator_config("informed", 16)}
-    results, found = run_tasks(tasks, sentences.instructions, course=JUDGED, **given)
+    results, found = run_tasks(tasks, sentences.instructions, program=TALLIED, **given)
     np.testing.assert_array_equal(found.steps.sum(axis=1), results.steps)
     assert results.is_success.mean() > 0.8
 

@@ -150,7 +150,7 @@ def test_a_table_and_a_sweep_are_the_same_episodes() -> None:
 
 def test_an_arm_sets_its_worlds_and_keeps_their_keys() -> None:
     drawn = GRID.draw(PLACES)
-    arm = Arm(policy="known", told={}, sensor={"noise": 0.5}, worlds=lambda tasks: tasks)
+    arm = Arm(policy="known", labels={}, sensor={"noise": 0.5}, worlds=lambda tasks: tasks)
     tasks = arm.tasks(drawn)
     assert tasks.key is drawn.key
     np.testing.assert_allclose(tasks.sensor.noise, 0.5)
@@ -164,7 +164,7 @@ def test_a_grid_is_run_arm_by_arm_and_summed_up_by_setting() -> None:
     assert sum(done) == 2 * EPISODES
     rows = [summarize(*played.of_setting(place)) for place in range(2)]
     places = np.arange(2 * EPISODES)
-    columns = GRID.columns(played.arm, places, played.results, played.known)
+    columns = GRID.columns(played.arm, places, played.results, played.known_distances)
     assert columns["range"].to_pylist() == [2.0] * EPISODES + [5.0] * EPISODES
     assert [row.episodes for row in rows] == [EPISODES] * 2
     distance = np.asarray(columns["distance"])
@@ -178,16 +178,18 @@ def test_a_grid_is_run_arm_by_arm_and_summed_up_by_setting() -> None:
 def test_a_setting_may_have_numbers_of_its_own_to_believe(monkeypatch):
     """Those of one set of numbers are run together, and each ends where its setting stands."""
     believed = ({}, {"concentration": 2.0}, {})
-    settings = [dataclasses.replace(GRID.settings[0], believed=numbers) for numbers in believed]
-    arm = dataclasses.replace(policy_arm("informed", num_particles=64), judged=2)
+    settings = [dataclasses.replace(GRID.settings[0], overrides=numbers) for numbers in believed]
+    arm = dataclasses.replace(policy_arm("informed", num_particles=64), tallied=2)
     calls: list[tuple[float, int]] = []
 
-    def judge(self: Arm, tasks: Task, *_: object, is_judged: bool, **__: object) -> tuple[Any, Any]:
+    def judge(
+        self: Arm, tasks: Task, *_: object, with_tally: bool, **__: object
+    ) -> tuple[Any, Any]:
         assert self.params is not None
         assert self.config is arm.config
         calls.append((float(self.params.map.concentration), tasks.key.shape[0]))
         x = np.asarray(tasks.scenario.object_x)
-        return x + 100.0 * calls[-1][0], x if is_judged else None
+        return x + 100.0 * calls[-1][0], x if with_tally else None
 
     monkeypatch.setattr(Arm, "run", judge)
     grid = dataclasses.replace(GRID, settings=settings, arms=[arm])
@@ -201,4 +203,4 @@ def test_a_setting_may_have_numbers_of_its_own_to_believe(monkeypatch):
     np.testing.assert_array_equal(np.asarray(played.tally), firsts)
     # A baseline believes nothing.
     known = policy_arm("known", num_particles=64)
-    assert known.believing({"concentration": 2.0}) is known
+    assert known.with_overrides({"concentration": 2.0}) is known

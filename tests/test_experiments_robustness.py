@@ -58,8 +58,8 @@ def test_there_are_thirty_and_more_each_with_a_name_of_its_own() -> None:
 def test_truth_and_what_is_told_differ_only_where_it_says_so(name: str) -> None:
     spec = BY_NAME[name]
     cell = spec.setting(seed=0)
-    assert cell.told is not None
-    pairs = zip(dataclasses.astuple(cell.sensor), dataclasses.astuple(cell.told), strict=True)
+    assert cell.assumed_sensor is not None
+    pairs = zip(*map(dataclasses.astuple, (cell.sensor, cell.assumed_sensor)), strict=True)
     if spec.is_told:
         assert all(float(true) == float(told) for true, told in pairs)
         assert float(cell.motion.odometry_noise) == np.float32(0.02)
@@ -72,7 +72,7 @@ def test_how_many_there_are_may_be_told_to_one_who_takes_the_likeliest(name: str
     setting = BY_NAME[name].setting(seed=0)
     (informed,) = ROBUSTNESS.arms(Options(policies=("informed",)))
     assert informed.params is not None
-    told = informed.believing(setting.believed).params
+    told = informed.with_overrides(setting.overrides).params
     assert told is not None
     assert told.map.concentration == np.float32(BY_NAME[name].numbers["concentration"])
     assert told.map.relations is informed.params.map.relations
@@ -331,7 +331,7 @@ def study() -> dict[str, Any]:
     return {
         "episodes": 400, "seed": 3000, "num_particles": 64,
         "noise": {"field_of_view": 2 * np.pi, "detection_probability": 0.95, "step_length": 1.0},
-        "paper": PRINTED, "rows": rows, **UNKNOWNS.found(rows, OPTIONS),
+        "paper": PRINTED, "rows": rows, **UNKNOWNS.extras(rows, OPTIONS),
     }  # fmt: skip
 
 

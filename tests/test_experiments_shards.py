@@ -26,7 +26,7 @@ from jaxlangnav.episode import lanes
 from jaxlangnav.experiments import archive, shards
 from jaxlangnav.experiments.archive import CompileClock
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.shards import PartOf, Shard, ShardError, lock
+from jaxlangnav.experiments.shards import Part, Shard, ShardError, lock
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
@@ -136,7 +136,7 @@ def ignore(line: str) -> None:
 
 
 @contextlib.contextmanager
-def holder(folder: Path, part: PartOf) -> Iterator[subprocess.Popen[str]]:
+def holder(folder: Path, part: Part) -> Iterator[subprocess.Popen[str]]:
     """Hold a part in a process of its own."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(folder), *map(str, part)],

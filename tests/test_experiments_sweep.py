@@ -137,7 +137,7 @@ def test_the_plan_holds_every_episode_once() -> None:
     assert make_plan(example).episodes_of("1/1") == 24 * 50 * 3
     rows = set()
     for index in range(plan.num_files):
-        columns = plan.grid._labels(plan.arm(index), plan.places(index))
+        columns = plan.grid._labels(plan.arm(index), plan.episode_indices(index))
         assert {len(values) for values in columns.values()} == {plan.size(index)}
         rows |= set(zip(*columns.values(), strict=True))
     assert len(rows) == plan.episodes_of("1/1")
@@ -150,8 +150,8 @@ def test_a_part_of_a_billion_episodes_is_a_part() -> None:
     parts = [plan.episodes_of(f"{i}/1000") for i in (1, 500, 1000)]
     assert max(parts) - min(parts) <= 1024
     last = plan.files("7/1000")[-1]
-    first = plan.places(last)[0]
-    columns = plan.grid._labels(plan.arm(last), plan.places(last))
+    first = plan.episode_indices(last)[0]
+    columns = plan.grid._labels(plan.arm(last), plan.episode_indices(last))
     assert columns["episode"][0] == first % 10**8
     assert columns["seed"][0] == first // 10**8
     assert sum(plan.episodes_of(f"{i}/7") for i in range(1, 8)) == plan.episodes_of("1/1")

@@ -34,7 +34,7 @@ LAWS = {
 def cell(law: PlaceLaw) -> Cell:
     return Cell(
         world="here", relation="behind", instruction_index=0, sensor=default_sensor(),
-        motion=default_motion(), episodes=1, seed=0, place=law, told=default_sensor(),
+        motion=default_motion(), episodes=1, seed=0, place=law, assumed_sensor=default_sensor(),
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_recording
-from jaxlangnav.experiments.table import Told, write_report
+from jaxlangnav.experiments.table import Report, write_report
 from jaxlangnav.experiments.table1 import evaluate, table_1
 from jaxlangnav.experiments.timing import cycle_parts
 from jaxlangnav.grounding.weights import load_shipped
@@ -90,7 +90,7 @@ def _episodes(name: str, settings: Settings) -> Study:
         return document, lambda out: _draw(experiment.name, document, out, output)
 
     return Study(
-        **{one.name: getattr(experiment, one.name) for one in dataclasses.fields(Told)},
+        **{one.name: getattr(experiment, one.name) for one in dataclasses.fields(Report)},
         run=run,
         made=lambda document: {
             "episodes": f"{document['episodes']} a row and arm, seed {document['seed']}, "

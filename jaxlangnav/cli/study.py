@@ -12,7 +12,7 @@ from jaxlangnav.cli.settings import SettingPath, equip
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.table import Section, Table, Told
+from jaxlangnav.experiments.table import Report, Section, Table
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.grounding.instruction import understand_parse
 from jaxlangnav.grounding.weights import load
@@ -56,7 +56,7 @@ class Settings:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Study(Told):
+class Study(Report):
     """An experiment of ``reproduce``: how it is run, and what stands of it in the report."""
 
     run: Callable[[Settings, Output], Found]  # runs it and tells it

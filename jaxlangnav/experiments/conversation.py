@@ -15,7 +15,7 @@ from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.table import Row, Table, TableColumns, Told
+from jaxlangnav.experiments.table import Report, Row, Table, TableColumns
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
@@ -147,7 +147,7 @@ _COLUMNS: TableColumns = (
 )  # fmt: skip
 
 
-CONVERSATION = Told(
+CONVERSATION = Report(
     title="What a conversation is worth",
     lead="A simulated person who knows the goal corrects, answers and states.",
     tables=lambda document: [Table.of(document["rows"], _COLUMNS)],

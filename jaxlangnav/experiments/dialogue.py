@@ -181,7 +181,7 @@ def converse(
     """Run episodes in which a person speaks; NumPy arrays, leaves [E, …], in the tasks' order."""
     numbers = _Numbers(navigator=params, person=person, sentence=sentence)
     return run_tasks(
-        tasks, sentence, params=numbers, config=config, on_progress=on_progress, course=_TALK
+        tasks, sentence, params=numbers, config=config, on_progress=on_progress, program=_TALK
     )
 
 

@@ -1,8 +1,8 @@
-"""Experiments made of episodes: a grid of settings and arms, its rows, tables and files (4.2).
+"""Monte Carlo experiments: run a grid of settings and arms, then write rows, tables, files (4.2).
 
-A *setting* is where episodes run: world, command, range, detector, seed. An *arm* is what is
-compared in all of them: a policy with its numbers and sizes. Every arm runs the very same worlds
-with the same noise. A sweep takes the grid alone, and works settings and arms out one by one.
+A *setting* is where episodes run: world, command, range, detector, seed. An *arm* is a policy with
+its parameters and capacities. Every arm runs in every setting, in the same worlds with the same
+noise (common random numbers). A sweep uses only the grid, and builds settings and arms lazily.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ from jaxlangnav.experiments.policies import (
 )
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
-from jaxlangnav.experiments.table import Row, Told
+from jaxlangnav.experiments.table import Report, Row
 from jaxlangnav.experiments.tasks import (
     SENTENCES,
     Cell,
@@ -45,135 +45,135 @@ from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorParams, check
 from jaxlangnav.world.templates import TABLE_2
 
-_WHOLE = ("particles", "seed", "episode")
-_NAMES = 4 * (len("1H1C") + len("nearest") + len("lawnmower")) + 3 * 8
-"""Bytes of an episode's row that say which it is: texts of four bytes a letter, three numbers."""
+_INTEGER_COLUMNS = ("particles", "seed", "episode")
+_LABEL_BYTES = 4 * (len("1H1C") + len("nearest") + len("lawnmower")) + 3 * 8
+"""Bytes of an episode's label columns: texts of four bytes a letter, three numbers."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Settings × arms × episodes; an arm's episodes are numbered setting by setting."""
+    """Grid of settings × arms × episodes; an arm's episodes are indexed setting by setting."""
 
     settings: Sequence[Cell]
     arms: Sequence[Arm]
-    episodes: int  # of an arm in a setting
+    episodes: int  # per arm and setting
     names: tuple[str, ...]
-    """Columns that settings and arms fill; ``seed`` and ``episode`` follow them."""
+    """Label columns of settings and arms; ``seed`` and ``episode`` follow them."""
 
-    def draw(self, places: np.ndarray) -> Task:
-        """Draw the tasks, leaves [E, …], of an arm's episodes by their numbers alone, i[E]."""
-        used, index, numbers = self._locate(places)
-        return draw_tasks(used, index, numbers)
+    def draw(self, indices: np.ndarray) -> Task:
+        """Draw the tasks, leaves [E, …], of the episodes with the given indices in an arm, i[E]."""
+        cells, cell_index, numbers = self._locate(indices)
+        return draw_tasks(cells, cell_index, numbers)
 
     def columns(
-        self, arm: Arm, places: np.ndarray, results: EpisodeResult, known: np.ndarray
+        self, arm: Arm, indices: np.ndarray, results: EpisodeResult, known_distances: np.ndarray
     ) -> dict[str, Any]:
-        """Lay episodes of an arm out as columns [E] by name: which each is, and what came of it.
+        """Build columns [E] by name for episodes of an arm: their labels and results.
 
-        ``places``: i[E], their numbers among the arm's; ``known``: f32[E], the known map's
-        distance, metres. The final position stands in ``final_x`` and ``final_y``.
+        ``indices``: i[E], within the arm; ``known_distances``: f32[E] metres, from start to goal
+        in the known map. The final position stands in ``final_x`` and ``final_y``.
         """
         columns: dict[str, Any] = {}
-        for name, labels in self._labels(arm, places).items():
-            # A column that is empty in one file has the type that it has in all others.
-            kind = pa.string() if isinstance(labels[0], str) else pa.float64()
-            columns[name] = pa.array(labels, pa.int64() if name in _WHOLE else kind)
+        for name, labels in self._labels(arm, indices).items():
+            # A column that is empty in one file still has the type that it has in the others.
+            dtype = pa.string() if isinstance(labels[0], str) else pa.float64()
+            columns[name] = pa.array(labels, pa.int64() if name in _INTEGER_COLUMNS else dtype)
         for field in dataclasses.fields(results):
             values = np.asarray(getattr(results, field.name))
             if values.ndim == 1:
                 columns[field.name] = values
             else:
                 columns |= {f"{field.name}_x": values[:, 0], f"{field.name}_y": values[:, 1]}
-        return columns | {"known_distance": np.asarray(known)}
+        return columns | {"known_distance": np.asarray(known_distances)}
 
-    def _labels(self, arm: Arm, places: np.ndarray) -> dict[str, list[Any]]:
-        """Say of every episode which it is; what an arm does not have is None."""
-        used, index, numbers = self._locate(places)
-        told = [{**one.labels, **arm.told, "seed": one.seed} for one in used]
-        columns = {name: [told[at][name] for at in index] for name in (*self.names, "seed")}
+    def _labels(self, arm: Arm, indices: np.ndarray) -> dict[str, list[Any]]:
+        """Build the label columns of episodes; None for parameters that the arm does not have."""
+        cells, cell_index, numbers = self._locate(indices)
+        labels = [{**cell.labels, **arm.labels, "seed": cell.seed} for cell in cells]
+        columns = {name: [labels[i][name] for i in cell_index] for name in (*self.names, "seed")}
         return columns | {"episode": [int(number) for number in numbers]}
 
-    def _locate(self, places: np.ndarray) -> tuple[list[Cell], np.ndarray, np.ndarray]:
-        """Find the settings of episodes, which of them each is of, and its number in it."""
-        where, index = np.unique(places // self.episodes, return_inverse=True)
-        return [self.settings[int(at)] for at in where], index, places % self.episodes
+    def _locate(self, indices: np.ndarray) -> tuple[list[Cell], np.ndarray, np.ndarray]:
+        """Split episode indices into cells used, index into them, and number within the cell."""
+        cell_ids, cell_index = np.unique(indices // self.episodes, return_inverse=True)
+        return [self.settings[int(i)] for i in cell_ids], cell_index, indices % self.episodes
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Played:
-    """An arm that has run in all settings."""
+class ArmResults:
+    """Results of one arm in all settings."""
 
     grid: Grid
     arm: Arm
     results: EpisodeResult
-    known: np.ndarray  # f32[E], the known map's distance, metres
+    known_distances: np.ndarray  # f32[E] metres, from start to goal in the known map
     tally: Tally | None = None
-    """Of the episodes that are judged: the belief against the truth; leaves [E, …]."""
+    """Calibration sums of the first episodes of each setting; leaves [E, …]."""
 
-    def of_setting(self, place: int) -> tuple[EpisodeResult, np.ndarray]:
-        """Take the results of one setting, and the known map's distances there."""
-        span = slice(place * self.grid.episodes, (place + 1) * self.grid.episodes)
-        mine = jax.tree.map(lambda leaf: np.asarray(leaf)[span], self.results)
-        return mine, self.known[span]
+    def of_setting(self, i: int) -> tuple[EpisodeResult, np.ndarray]:
+        """Select the results of one setting, and its distances in the known map."""
+        span = slice(i * self.grid.episodes, (i + 1) * self.grid.episodes)
+        part = jax.tree.map(lambda leaf: np.asarray(leaf)[span], self.results)
+        return part, self.known_distances[span]
 
 
 def run_grid(
     grid: Grid, instructions: Instruction, *, on_progress: OnProgress | None = None
-) -> Iterator[Played]:
-    """Run a grid arm by arm, all settings in one batch; yields what each arm did.
+) -> Iterator[ArmResults]:
+    """Run a grid arm by arm, all settings in one batch; yields each arm's results.
 
     ``instructions``: leaves [I, …], as the settings number them.
     """
     drawn = grid.draw(np.arange(len(grid.settings) * grid.episodes))
     for arm in grid.arms:
         tasks = arm.tasks(drawn)
-        results, tally = _play(grid, arm, tasks, instructions, on_progress)
-        known = known_distances(tasks)
-        yield Played(grid=grid, arm=arm, results=results, known=known, tally=tally)
+        results, tally = _run_arm(grid, arm, tasks, instructions, on_progress)
+        given = {"known_distances": known_distances(tasks), "tally": tally}
+        yield ArmResults(grid=grid, arm=arm, results=results, **given)
 
 
-def _play(
+def _run_arm(
     grid: Grid, arm: Arm, tasks: Task, instructions: Instruction, on_progress: OnProgress | None
 ) -> tuple[EpisodeResult, Tally | None]:
-    """Run an arm in all settings: at once, what is judged alike and believes the same numbers."""
+    """Run an arm in all settings, batching episodes that share overrides and calibration."""
     groups: dict[tuple[Any, ...], list[np.ndarray]] = {}
-    numbers, judged = np.arange(grid.episodes), arm.judged if arm.config is not None else 0
-    for place, setting in enumerate(grid.settings):
-        believed = () if arm.config is None else tuple(sorted(setting.believed.items()))
-        for is_judged, mine in ((True, numbers[:judged]), (False, numbers[judged:])):
-            if len(mine):
-                groups.setdefault((is_judged, believed), []).append(place * len(numbers) + mine)
+    ids, limit = np.arange(grid.episodes), arm.tallied if arm.config is not None else 0
+    for i, setting in enumerate(grid.settings):
+        changed = () if arm.config is None else tuple(sorted(setting.overrides.items()))
+        for tallied, part in ((True, ids[:limit]), (False, ids[limit:])):
+            if len(part):
+                groups.setdefault((tallied, changed), []).append(i * len(ids) + part)
     parts: list[tuple[np.ndarray, EpisodeResult, Tally | None]] = []
-    for (is_judged, believed), listed in groups.items():
-        places, told = np.concatenate(listed), arm.believing(dict(believed))
-        given = take_tasks(tasks, places), instructions
-        parts.append((places, *told.run(*given, is_judged=is_judged, on_progress=on_progress)))
+    for (tallied, changed), listed in groups.items():
+        indices, varied = np.concatenate(listed), arm.with_overrides(dict(changed))
+        inputs = take_tasks(tasks, indices), instructions
+        parts.append((indices, *varied.run(*inputs, with_tally=tallied, on_progress=on_progress)))
 
-    def joined(pairs: list[tuple[np.ndarray, Any]]) -> Any:
-        order = np.argsort(np.concatenate([places for places, _ in pairs]))
-        together = [leaves for _, leaves in pairs]
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *together)
+    def merge(chunks: list[tuple[np.ndarray, Any]]) -> Any:
+        ordered = np.argsort(np.concatenate([indices for indices, _ in chunks]))
+        trees = [leaves for _, leaves in chunks]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[ordered], *trees)
 
-    tallies = [(places, tally) for places, _, tally in parts if tally is not None]
-    results = joined([(places, found) for places, found, _ in parts])
-    return results, joined(tallies) if tallies else None
+    tallies = [(indices, tally) for indices, _, tally in parts if tally is not None]
+    results = merge([(indices, values) for indices, values, _ in parts])
+    return results, merge(tallies) if tallies else None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
-    """How much of an experiment is run, and under which numbers."""
+    """Options of an experiment: its size, seed and parameters."""
 
-    episodes: int = 100  # runs a row and arm
+    episodes: int = 100  # per row and arm
     policies: Sequence[str] = POLICY_NAMES
     seed: int = 0  # root seed of worlds and noise
     num_particles: int = DEFAULT_PARTICLES  # P, of the navigator's policies
     environments: int = 0
-    """Worlds of a template taken in turn, ten in the paper; 0 for a fresh one per episode."""
-    params: NavigatorParams | None = None  # the navigator's numbers; its defaults if None
+    """Worlds of a template, used cyclically, ten in the paper; 0 for a new one per episode."""
+    params: NavigatorParams | None = None  # the navigator's defaults if None
     sensor: SensorParams | None = None
-    """The detector; its range is that of each row. The default one if None."""
+    """Sensor model; its range is that of each row. The default one if None."""
     motion: MotionParams | None = None
-    """The odometry, of which the belief is told; the default one if None."""
+    """Motion model, which the filter assumes too; the default one if None."""
 
 
 def _policy_arms(options: Options) -> list[Arm]:
@@ -184,39 +184,39 @@ def _policy_arms(options: Options) -> list[Arm]:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Experiment(Told):
-    """What is run, what is measured of it, how it is told, and under which name it is written."""
+class Experiment(Report):
+    """An experiment: its rows, arms and measures, its report, and the name of its files."""
 
     name: str
     specs: tuple[RowSpec, ...]
     arms: Callable[[Options], list[Arm]] = _policy_arms
-    """What is compared: at least one arm; refuses an unknown policy."""
+    """Builds the arms to compare, at least one; raises for an unknown policy."""
     measure: Callable[[Row, RowSpec, EpisodeResult], Row] = lambda *_: {}
-    """What a row holds besides: from the row, which one it is, and its episodes."""
-    found: Callable[[Sequence[Row], Options], Row] = lambda *_: {}
-    """What the document holds besides the rows."""
+    """Computes further entries of a row from the row, its spec and its episodes."""
+    extras: Callable[[Sequence[Row], Options], Row] = lambda *_: {}
+    """Computes further entries of the document from all rows."""
     calibration_episodes: int = 0
-    """Episodes of a row in which every step's belief is held against the truth."""
+    """Episodes of a row in which the belief's calibration is measured at every step."""
     sentences: Mapping[str, str] = dataclasses.field(default_factory=lambda: SENTENCES)
-    """What is said, by the name that a row has for it."""
+    """Commands, by the relation of the rows that use them."""
 
     def total_episodes(self, options: Options) -> int:
         """Count the runs of all rows and arms."""
         return len(self.specs) * len(self.arms(options)) * options.episodes
 
     def check(self, options: Options) -> list[Arm]:
-        """Build the arms of a run, or refuse what cannot be, before anything is run.
+        """Validate the options and build the arms, before anything is run.
 
         ``ValueError``: fewer than one episode, an unknown policy, more than memory holds, or
         numbers with which the robot could never stop.
         """
-        judged, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
-        arms = [dataclasses.replace(one, judged=one.judged or judged) for one in self.arms(options)]
+        limit, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
+        arms = [dataclasses.replace(a, tallied=a.tallied or limit) for a in self.arms(options)]
         refuse_below(1, episodes=options.episodes)
         # Tasks and columns are laid out in parts and then put together: for a moment twice.
-        each = 2 * rows * (task_bytes() + len(arms) * (result_bytes() + _NAMES))
+        episode_bytes = 2 * rows * (task_bytes() + len(arms) * (result_bytes() + _LABEL_BYTES))
         beside = f"{rows} rows run {len(arms)} times"
-        check_count("episodes", options.episodes, each=each, beside=beside)
+        check_count("episodes", options.episodes, each=episode_bytes, beside=beside)
         for arm in arms:
             if arm.config is not None and arm.params is not None:
                 check_engine(arm.config)
@@ -230,31 +230,31 @@ class Experiment(Told):
         out: str | Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> dict[str, Any]:
-        """Run all rows for every arm; refuses as ``check``, and an unknown world or relation.
+        """Run all rows for every arm; raises as ``check``, and for an unknown world or relation.
 
         Args:
-            options: what is run; 100 episodes of every policy if None.
+            options: size and parameters; 100 episodes of every policy if None.
             out: folder for Parquet, Markdown, JSON and manifest; nothing is written if None.
             on_progress: called with the number of episodes just finished: ``total_episodes``.
 
         Returns:
             The document: ``rows``, ``paper``, ``sentences``, ``noise``, ``wall_s`` with
             compilation, ``compile_s`` of it, ``models_sha256`` of the trained weights, ``files``,
-            and what ``found`` adds. Rates in percent, distances in metres.
+            and what ``extras`` adds. Rates in percent, distances in metres.
         """
         options = Options() if options is None else options
         arms, begin = self.check(options), time.perf_counter()
-        given = {name: getattr(options, name) for name in ("seed", "environments", "sensor")}
-        settings = [one.setting(**given) for one in self.specs]
-        names = (*settings[0].labels, *arms[0].told)
+        shared = {name: getattr(options, name) for name in ("seed", "environments", "sensor")}
+        settings = [spec.setting(**shared) for spec in self.specs]
+        names = (*settings[0].labels, *arms[0].labels)
         grid = Grid(settings=settings, arms=arms, episodes=options.episodes, names=names)
         rows, parts = list[Row](), list[pa.Table]()
         with CompileClock() as clock:
             sentences = ground_sentences(list(self.sentences.values()))
-            for played in run_grid(grid, sentences.instructions, on_progress=on_progress):
-                rows += self.rows(played)
-                told = played.arm, np.arange(len(played.known)), played.results, played.known
-                parts.append(pa.table(grid.columns(*told)))
+            for run in run_grid(grid, sentences.instructions, on_progress=on_progress):
+                rows += self.rows(run)
+                distances, indices = run.known_distances, np.arange(len(run.known_distances))
+                parts.append(pa.table(grid.columns(run.arm, indices, run.results, distances)))
         document = {
             "experiment": self.name,
             "episodes": options.episodes,
@@ -267,30 +267,30 @@ class Experiment(Told):
             "noise": describe_noise(options.sensor, options.motion),
             "rows": rows,
             "paper": printed_rows([row for row in TABLE_2 if RowSpec.of(row) in self.specs]),
-            **self.found(rows, options),
+            **self.extras(rows, options),
             "wall_s": time.perf_counter() - begin,
             "compile_s": clock.seconds,
             "models_sha256": pytree_hash(sentences.models),
             "files": [],
         }
         if out is not None:
-            given = document, pa.concat_tables(parts), self.markdown(document), sentences.models
-            files = write_experiment(Path(out), self.name, *given)
+            contents = document, pa.concat_tables(parts), self.markdown(document), sentences.models
+            files = write_experiment(Path(out), self.name, *contents)
             document["files"] = [str(path) for path in files]
         return document
 
-    def rows(self, played: Played) -> list[Row]:
-        """Summarise what an arm did, one row a setting: its episodes, its scores, ``measure``."""
-        rows, number = [], len(self.specs)
-        for place, spec in enumerate(self.specs):
-            labels = {**played.grid.settings[place].labels, **played.arm.told}
-            episodes, known = played.of_setting(place)
-            row = labels | summarize(episodes, known).row()
-            # None where no belief was judged.
-            scored: Row = dict.fromkeys(("ece", "brier", "coverage90", "reliability"))
-            if played.tally is not None:
-                of = jax.tree.map(lambda leaf, at=place: np.split(leaf, number)[at], played.tally)
-                scored = scores(of) | {"reliability": bin_sums(of)}
-            row = row | spec.heading() | scored
+    def rows(self, run: ArmResults) -> list[Row]:
+        """Summarise an arm's results, one row a setting: metrics, calibration and ``measure``."""
+        rows, num_rows = [], len(self.specs)
+        for i, spec in enumerate(self.specs):
+            labels = {**run.grid.settings[i].labels, **run.arm.labels}
+            episodes, distances = run.of_setting(i)
+            row = labels | summarize(episodes, distances).row()
+            # None where calibration was not measured.
+            calibration: Row = dict.fromkeys(("ece", "brier", "coverage90", "reliability"))
+            if run.tally is not None:
+                tally = jax.tree.map(lambda leaf, i=i: np.split(leaf, num_rows)[i], run.tally)
+                calibration = scores(tally) | {"reliability": bin_sums(tally)}
+            row = row | spec.heading() | calibration
             rows.append(row | self.measure(row, spec, episodes))
         return rows

@@ -1,4 +1,4 @@
-"""Episodes that are judged step by step as they run (``calibration``)."""
+"""Episodes with calibration measured at every step, and reliability curves (``calibration``)."""
 
 import operator
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,51 +9,51 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeState, advance, begin, finish
 from jaxlangnav.episode.lanes import EpisodeProgram
-from jaxlangnav.experiments.calibration import Reliability, Tally, nothing, tally_step
+from jaxlangnav.experiments.calibration import Reliability, Tally, empty_tally, tally_step
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.pytree import pytree
 
 
 @pytree
-class _Judged:
-    """An episode under way, and what its steps have come to."""
+class _Tallied:
+    """State of an episode, with the calibration sums of its steps so far."""
 
     progress: EpisodeState
     tally: Tally
 
 
-def _advance_judged(
-    state: _Judged, *, params: NavigatorParams, config: NavigatorConfig
-) -> tuple[_Judged, None]:
+def _advance_tallied(
+    state: _Tallied, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[_Tallied, None]:
     after, info = advance(state.progress, params=params, config=config)
-    one = tally_step(state.progress, info, after)
-    return _Judged(progress=after, tally=jax.tree.map(operator.add, state.tally, one)), None
+    step = tally_step(state.progress, info, after)
+    return _Tallied(progress=after, tally=jax.tree.map(operator.add, state.tally, step)), None
 
 
-JUDGED = EpisodeProgram(
-    begin=lambda *given, config: _Judged(progress=begin(*given, config=config), tally=nothing()),
-    advance=_advance_judged,
+TALLIED = EpisodeProgram(
+    begin=lambda *args, config: _Tallied(progress=begin(*args, config=config), tally=empty_tally()),
+    advance=_advance_tallied,
     finish=lambda state: (finish(state.progress), state.tally),
     progress=operator.attrgetter("progress"),
 )
-"""Of ``run_tasks``: runs episodes as usual, and gives results and ``Tally`` of each."""
+"""Program for ``run_tasks``: runs episodes as usual; returns the result and ``Tally`` of each."""
 
 
 Bins: TypeAlias = Mapping[str, Sequence[float]]
-"""Sums by bin: ``events``, ``probability``, ``outcome``, ``episodes``; over episodes the squares of
-their events and outcomes, ``events2`` and ``outcome2``, and the product of both, ``cross``."""
+"""Sums by bin: ``events``, ``probability``, ``outcome``, ``episodes``; and over episodes sums of
+squared events and outcomes, ``events2`` and ``outcome2``, and of their product, ``cross``."""
 
 
 def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
-    """Sum up events of episodes, leaves [E, S, …], into ``Bins`` of ``planner`` and of ``map``."""
+    """Sum the events of episodes, leaves [E, S, …], to ``Bins`` of ``planner`` and ``map``."""
 
-    def sums(found: Reliability) -> dict[str, list[float]]:
+    def totals(reliability: Reliability) -> dict[str, list[float]]:
         events, probability, outcome = (
             np.asarray(leaf, np.float64).sum(axis=1)
-            for leaf in (found.events, found.probability, found.outcome)
+            for leaf in (reliability.events, reliability.probability, reliability.outcome)
         )
-        by_episode = {
+        per_episode = {
             "events": events,
             "probability": probability,
             "outcome": outcome,
@@ -62,35 +62,35 @@ def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
             "outcome2": outcome**2,
             "cross": events * outcome,
         }
-        return {name: of.sum(axis=0, dtype=float).tolist() for name, of in by_episode.items()}
+        return {key: sums.sum(axis=0, dtype=float).tolist() for key, sums in per_episode.items()}
 
-    return {"planner": sums(tally.planner), "map": sums(tally.map)}
+    return {"planner": totals(tally.planner), "map": totals(tally.map)}
 
 
 def pooled(parts: Iterable[Bins]) -> dict[str, np.ndarray]:
-    """Add up the bins of several rows of a table, at least one: f64[B] by name."""
-    listed = list(parts)
-    return {name: np.sum([part[name] for part in listed], axis=0) for name in listed[0]}
+    """Add the bins of several rows of a table, at least one: f64[B] by name."""
+    bins = list(parts)
+    return {name: np.sum([part[name] for part in bins], axis=0) for name in bins[0]}
 
 
 def curve(bins: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
-    """Turn sums by bin into a reliability curve.
+    """Compute a reliability curve from sums by bin.
 
-    Of each bin that is not empty: mean probability, share that came true, lower and upper end of
-    its 95 % interval, number of events. The interval is Wilson's, of as many independent events as
-    have the variance between episodes; of as many episodes where they all agree.
+    For each nonempty bin: mean probability, observed frequency, lower and upper end of its 95 %
+    interval, number of events. The interval is Wilson's, for the effective number of independent
+    events (from the variance between episodes); for the number of episodes if they all agree.
     """
     sums = {name: np.asarray(values, float) for name, values in bins.items()}
-    used = sums["events"] > 0
-    total = {name: values[used] for name, values in sums.items()}
-    rate, events = total["outcome"] / total["events"], total["events"]
-    spread = total["outcome2"] - 2 * rate * total["cross"] + rate**2 * total["events2"]
-    variance = spread / events**2
-    independent = rate * (1 - rate) / np.maximum(variance, 1e-12)
-    trials = np.where(variance > 1e-12, independent, total["episodes"])
-    numbers = np.maximum(1, np.clip(trials, 1.0, events).astype(int))
-    ends = [wilson_interval(round(one * n), int(n)) for one, n in zip(rate, numbers, strict=True)]
-    low, high = np.reshape(ends, (-1, 2)).T
-    mean = total["probability"] / events
-    # Rounding the successes moves the middle by less than half a trial; the rate stays inside.
-    return mean, rate, np.minimum(low, rate), np.maximum(high, rate), events
+    nonempty = sums["events"] > 0
+    sum_of = {name: values[nonempty] for name, values in sums.items()}
+    rate, events = sum_of["outcome"] / sum_of["events"], sum_of["events"]
+    sum_squares = sum_of["outcome2"] - 2 * rate * sum_of["cross"] + rate**2 * sum_of["events2"]
+    variance = sum_squares / events**2
+    effective = rate * (1 - rate) / np.maximum(variance, 1e-12)
+    trials = np.where(variance > 1e-12, effective, sum_of["episodes"])
+    counts = np.maximum(1, np.clip(trials, 1.0, events).astype(int))
+    intervals = [wilson_interval(round(p * n), int(n)) for p, n in zip(rate, counts, strict=True)]
+    lower, upper = np.reshape(intervals, (-1, 2)).T
+    mean = sum_of["probability"] / events
+    # Rounding the successes may move the interval off the rate; widen it to contain the rate.
+    return mean, rate, np.minimum(lower, rate), np.maximum(upper, rate), events

@@ -1,4 +1,4 @@
-"""What a row of a results table says of its episodes (section 4.2)."""
+"""Metrics of a group of episodes: success, distance, SPL, and paired tests (section 4.2)."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _Z95 = 1.959964
-_FLIPS = 4000
+_NUM_PERMUTATIONS = 4000
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -38,12 +38,12 @@ class RowMetrics:
     invalid_worlds: int
 
     def row(self) -> dict[str, Any]:
-        """Write it in JSON's own types."""
+        """Convert to JSON types."""
         return dataclasses.asdict(self) | {"success_ci": [*self.success_ci]}
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Compute the 95 % Wilson interval of a rate, in [0, 1]; (0, 1) without trials."""
+    """Compute the 95 % Wilson score interval of a rate, in [0, 1]; (0, 1) without trials."""
     if trials == 0:
         return 0.0, 1.0
     low, high = stats.binomtest(successes, trials).proportion_ci(method="wilson")
@@ -51,7 +51,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def timeouts_text(row: Mapping[str, Any]) -> str:
-    """Write a row's episodes without an arrival: "3", or "3 + 2 not found"."""
+    """Format a row's episodes without arrival: "3", or "3 + 2 not found"."""
     given_up = f" + {row['not_found']} not found" if row["not_found"] else ""
     return f"{row['timeouts']}{given_up}"
 
@@ -59,46 +59,46 @@ def timeouts_text(row: Mapping[str, Any]) -> str:
 def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
     """Summarise episodes of one row, leaves [E, …].
 
-    SPL is success weighted by path length: the mean of success · l / max(l, d), with l the straight
-    way to where the robot may stop and d the distance travelled. ``known_distance``: f32[E],
-    metres, straight from start to goal. Worlds that missed their template's law are counted and
-    left out.
+    SPL is success weighted by path length: the mean of success · l / max(l, d), with l the
+    straight-line distance to where the robot may stop and d the distance travelled.
+    ``known_distance``: f32[E] metres, straight from start to goal. Invalid worlds are counted and
+    excluded.
     """
     valid = np.asarray(results.is_valid)
-    found = {name: np.asarray(leaf)[valid] for name, leaf in vars(results).items()}
-    success, distance = found["is_success"], found["distance"].astype(np.float64)
-    known = np.asarray(known_distance, np.float64)[valid]
-    straight = np.maximum(known - SUCCESS_RADIUS, 1e-9)  # the least way that may end in a success
-    number = int(valid.sum())
-    low, high = wilson_interval(int(success.sum()), number)
+    leaves = {name: np.asarray(leaf)[valid] for name, leaf in vars(results).items()}
+    success, distance = leaves["is_success"], leaves["distance"].astype(np.float64)
+    known_valid = np.asarray(known_distance, np.float64)[valid]
+    straight = np.maximum(known_valid - SUCCESS_RADIUS, 1e-9)  # shortest path to a success
+    count = int(valid.sum())
+    ci_low, ci_high = wilson_interval(int(success.sum()), count)
 
     def mean(values: np.ndarray) -> float:
-        return float(values.mean()) if number else 0.0
+        return float(values.mean()) if count else 0.0
 
-    def spread(values: np.ndarray) -> float:
-        return float(values.std(ddof=1)) if number > 1 else 0.0
+    def std(values: np.ndarray) -> float:
+        return float(values.std(ddof=1)) if count > 1 else 0.0
 
     return RowMetrics(
-        episodes=number,
+        episodes=count,
         success_rate=100.0 * mean(success),
-        success_ci=(100.0 * low, 100.0 * high),
+        success_ci=(100.0 * ci_low, 100.0 * ci_high),
         distance_mean=mean(distance),
-        distance_sd=spread(distance),
-        known_distance_mean=mean(known),
-        known_distance_sd=spread(known),
+        distance_sd=std(distance),
+        known_distance_mean=mean(known_valid),
+        known_distance_sd=std(known_valid),
         spl=mean(success * straight / np.maximum(straight, distance)),
-        steps_mean=mean(found["steps"]),
-        overflows=int(found["overflow"].sum()),
-        **{name: int(found[name].sum()) for name in ("degenerate", "contradictions", "faults")},
-        timeouts=int((~found["is_stopped"]).sum()),
-        not_found=int((found["ending"] == Status.NOT_FOUND).sum()),
+        steps_mean=mean(leaves["steps"]),
+        overflows=int(leaves["overflow"].sum()),
+        **{name: int(leaves[name].sum()) for name in ("degenerate", "contradictions", "faults")},
+        timeouts=int((~leaves["is_stopped"]).sum()),
+        not_found=int((leaves["ending"] == Status.NOT_FOUND).sum()),
         invalid_worlds=int((~valid).sum()),
     )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Second arm against first, over the episodes that both ran."""
+    """Paired comparison of a second arm with a first, over the episodes that both ran."""
 
     pairs: int
     success_only_first: int
@@ -120,35 +120,35 @@ def compare(
         raise ValueError("no episode was run by both arms")
     only_first = int(np.sum(first_success & ~second_success))
     only_second = int(np.sum(second_success & ~first_success))
-    # McNemar's test: under the null hypothesis each episode that only one arm solved went to either
-    # like a coin: exact, two-sided. Limits: no such episode gives 1.
-    solved = only_first + only_second
-    by_chance = float(stats.binomtest(only_first, solved).pvalue) if solved else 1.0
+    # Exact two-sided McNemar test: under the null hypothesis, discordant pairs favour either arm
+    # with probability 1/2. Without discordant pairs p = 1.
+    discordant = only_first + only_second
+    p_value = float(stats.binomtest(only_first, discordant).pvalue) if discordant else 1.0
     difference = np.asarray(second_distance, np.float64) - np.asarray(first_distance, np.float64)
-    mean, number = float(difference.mean()), len(difference)
-    half = _Z95 * float(difference.std(ddof=1)) / math.sqrt(number) if number > 1 else 0.0
+    mean, count = float(difference.mean()), len(difference)
+    half_width = _Z95 * float(difference.std(ddof=1)) / math.sqrt(count) if count > 1 else 0.0
     return Comparison(
-        pairs=number,
+        pairs=count,
         success_only_first=only_first,
         success_only_second=only_second,
-        success_p=by_chance,
+        success_p=p_value,
         distance_difference=mean,
-        distance_ci=(mean - half, mean + half),
+        distance_ci=(mean - half_width, mean + half_width),
         distance_p=_sign_flip(difference),
     )
 
 
 def _sign_flip(difference: np.ndarray) -> float:
-    """Test whether paired differences have a mean of zero, by flipping their signs at random."""
-    # Limits: all differences zero give 1. The flips have a fixed seed: the same data, the same p.
-    found = stats.permutation_test(
+    """Compute the p-value of a sign-flip permutation test for a mean difference of zero."""
+    # If all differences are zero, p = 1. The seed is fixed: the same data give the same p.
+    result = stats.permutation_test(
         (difference,),
         lambda values, axis: np.abs(np.sum(values, axis=axis)),
         permutation_type="samples",
         vectorized=True,
-        n_resamples=_FLIPS,
+        n_resamples=_NUM_PERMUTATIONS,
         batch=100,
         alternative="greater",
         rng=0,
     )
-    return float(found.pvalue)
+    return float(result.pvalue)

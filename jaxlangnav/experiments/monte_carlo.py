@@ -1,7 +1,7 @@
-"""Running many episodes: batches of one shape, pieces, threads (section 4.2).
+"""Monte Carlo runner: episodes in fixed-shape batches, on all devices and threads (section 4.2).
 
 Every batch has the same shape, so one compiled program serves the whole grid, and a result does
-not depend on how many episodes are asked for or how they are split.
+not depend on the number of episodes or how they are split.
 """
 
 import collections
@@ -26,25 +26,25 @@ from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import strong
 
-CHUNK = 1024  # most episodes a device takes in one call; fewer are padded, and padding is not run
-LANES = 32  # episodes under way at once on a device
+CHUNK = 1024  # maximum of episodes a device takes in one call; padding is not run
+LANES = 32  # concurrent episodes on a device
 _AXIS = "episodes"  # the mesh's only axis
 
 _programs: dict[Any, Any] = {}
 _programs_lock = threading.Lock()
-_AHEAD = 2  # jobs handed out for each thread: none waits for the one that yields
+_AHEAD = 2  # jobs submitted per thread, so that no thread waits for the consumer
 Job = TypeVar("Job")
-Done = TypeVar("Done")
+Out = TypeVar("Out")
 OnProgress = Callable[[int], None]  # called with the number of episodes just finished
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Work:
-    """What one device does in one call."""
+class DeviceBatch:
+    """Input of one device in one call."""
 
-    tasks: Task  # leaves [CHUNK, …], see ``fill``
-    count: int  # how many of them to run
-    params: Any  # of the course
+    tasks: Task  # leaves [CHUNK, …], see ``pad_chunk``
+    count: int  # of them to run; the rest is padding
+    params: Any  # of the program
 
 
 def usable_cores() -> int:
@@ -54,8 +54,8 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def num_calls() -> int:
-    """Choose how many calls are under way at once: all cores busy, or one call ahead of a GPU."""
+def concurrent_calls() -> int:
+    """Choose the number of concurrent calls: as many as keep all cores, or an accelerator, busy."""
     if jax.default_backend() != "cpu":
         return 2
     return max(1, usable_cores() // mesh().size)
@@ -63,7 +63,7 @@ def num_calls() -> int:
 
 @functools.cache
 def mesh() -> Mesh:
-    """Line up the devices of this process."""
+    """Build the one-dimensional mesh of this process's devices."""
     devices = jax.local_devices()
     return jax.make_mesh((len(devices),), (_AXIS,), axis_types=(AxisType.Auto,), devices=devices)
 
@@ -71,19 +71,19 @@ def mesh() -> Mesh:
 def join_devices(
     coordinator: str | None = None, processes: int | None = None, process: int | None = None
 ) -> tuple[int, int]:
-    """Find out which of how many processes this is, from 0; before anything is computed.
+    """Determine this process's rank, from 0, and the number of processes; call it first.
 
     ``jax.distributed`` asks the launcher (SLURM, Open MPI, Kubernetes, cloud TPUs) for whatever is
     not given: ``coordinator``, host:port of the first process; how many ``processes`` there are;
-    which ``process`` this is, from 0. All meet at the first one, and then they part: a process that
-    dies later takes no peer along. ``ValueError``: no launcher is known, something is missing or
-    does not fit together, or the others did not come.
+    which ``process`` this is, from 0. The connection is closed again, so a process that dies later
+    stops no other. ``ValueError``: no launcher is known, an argument is missing or inconsistent,
+    or the other processes did not connect.
     """
     if coordinator is not None and not re.fullmatch(r".+:\d+", coordinator):
         raise ValueError(f'coordinator is "{coordinator}", but must be HOST:PORT')
     try:
         jax.distributed.initialize(coordinator, processes, process)
-        place = jax.process_index(), jax.process_count()
+        rank = jax.process_index(), jax.process_count()
         jax.distributed.shutdown()
     except (ValueError, RuntimeError, TypeError) as error:
         reason = str(error).strip().split("\n")[0]
@@ -91,55 +91,55 @@ def join_devices(
             f"cannot join the other processes: {reason} (under a launcher that JAX does not "
             "know, give --coordinator HOST:PORT, --processes and --process)"
         ) from None
-    return place
+    return rank
 
 
-def fill(tasks: Task, first: int, size: int) -> Task:
-    """Cut ``size`` tasks from ``first`` on, filled up to the shape of a call: leaves [CHUNK, …]."""
-    place = np.arange(CHUNK)
-    return take_tasks(tasks, first + np.where(place < size, place, 0))
+def pad_chunk(tasks: Task, first: int, size: int) -> Task:
+    """Slice ``size`` tasks from ``first`` on and pad to the shape of a call: leaves [CHUNK, …]."""
+    index = np.arange(CHUNK)
+    return take_tasks(tasks, first + np.where(index < size, index, 0))
 
 
 def run_round(
-    works: Sequence[Work],
+    batches: Sequence[DeviceBatch],
     instructions: Any,
     *,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
-    course: EpisodeProgram = EPISODE,
+    program: EpisodeProgram = EPISODE,
 ) -> list[Any]:
     """Run one call of the program, a chunk on each device; arguments as ``run_tasks``.
 
-    ``works``: at most as many as there are devices; the other devices rest. For each of them its
-    results as NumPy arrays, leaves [count, …].
+    ``batches``: at most one per device; the other devices stay idle. Returns the results of each as
+    NumPy arrays, leaves [count, …].
     """
-    idle = dataclasses.replace(works[0], count=0)
-    padded = [*works, *[idle] * (mesh().size - len(works))]
-    given = [(one.tasks, one.params, jnp.int32(one.count)) for one in padded]
-    stacked = strong(jax.tree.map(lambda *leaves: jnp.stack(leaves), *given))
+    idle = dataclasses.replace(batches[0], count=0)
+    padded = [*batches, *[idle] * (mesh().size - len(batches))]
+    inputs = [(item.tasks, item.params, jnp.int32(item.count)) for item in padded]
+    stacked = strong(jax.tree.map(lambda *leaves: jnp.stack(leaves), *inputs))
     tasks, params, count = jax.device_put(stacked, NamedSharding(mesh(), PartitionSpec(_AXIS)))
     everywhere = NamedSharding(mesh(), PartitionSpec())
-    inputs = (tasks, jax.device_put(strong(instructions), everywhere), params, count)
-    kinds = tuple(jax.typeof(leaf) for leaf in jax.tree.leaves(inputs))
-    name = (config, max_steps, course, LANES, mesh(), kinds)
+    args = (tasks, jax.device_put(strong(instructions), everywhere), params, count)
+    avals = tuple(jax.typeof(leaf) for leaf in jax.tree.leaves(args))
+    key = (config, max_steps, program, LANES, mesh(), avals)
     # Compiled once for these shapes, whichever thread asks first.
     with _programs_lock:
-        if name not in _programs:
-            _programs[name] = jax.jit(_sharded(config, max_steps, course)).lower(*inputs).compile()
-    results = jax.tree.map(np.asarray, _programs[name](*inputs))
+        if key not in _programs:
+            _programs[key] = jax.jit(_sharded(config, max_steps, program)).lower(*args).compile()
+    results = jax.tree.map(np.asarray, _programs[key](*args))
     return [
-        jax.tree.map(lambda leaf, at=at, size=one.count: leaf[at, :size], results)
-        for at, one in enumerate(works)
+        jax.tree.map(lambda leaf, i=i, size=item.count: leaf[i, :size], results)
+        for i, item in enumerate(batches)
     ]
 
 
-def _sharded(config: NavigatorConfig, max_steps: int, course: EpisodeProgram) -> Any:
-    """Spread the batch of one device over all of them."""
+def _sharded(config: NavigatorConfig, max_steps: int, program: EpisodeProgram) -> Any:
+    """Map the program of one device over the mesh (``shard_map``)."""
 
     def on_one_device(tasks: Task, instructions: Any, params: Any, count: jax.Array) -> Any:
-        own, numbers, size = jax.tree.map(lambda leaf: leaf[0], (tasks, params, count))
+        own, values, size = jax.tree.map(lambda leaf: leaf[0], (tasks, params, count))
         sizes: dict[str, Any] = {"config": config, "num_lanes": LANES, "max_steps": max_steps}
-        results = run_batch(own, instructions, params=numbers, count=size, course=course, **sizes)
+        results = run_batch(own, instructions, params=values, count=size, course=program, **sizes)
         return jax.tree.map(lambda leaf: leaf[None], results)
 
     split = PartitionSpec(_AXIS)
@@ -154,22 +154,22 @@ def _sharded(config: NavigatorConfig, max_steps: int, course: EpisodeProgram) ->
     )
 
 
-def _pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
-    """Split episodes into pieces of about one size, so that all threads end together."""
-    count = max(1, -(-number // capacity))
-    if number >= 2 * LANES * threads:
-        count = -(-count // threads) * threads
-    bounds = [number * index // count for index in range(count + 1)]
+def _pieces(num_episodes: int, capacity: int, threads: int) -> list[tuple[int, int]]:
+    """Split episodes into pieces of similar size, so that all threads finish together."""
+    num_pieces = max(1, -(-num_episodes // capacity))
+    if num_episodes >= 2 * LANES * threads:
+        num_pieces = -(-num_pieces // threads) * threads
+    bounds = [num_episodes * i // num_pieces for i in range(num_pieces + 1)]
     return [(low, high - low) for low, high in itertools.pairwise(bounds)]
 
 
-def run_ahead(work: Callable[[Job], Done], jobs: Iterable[Job], threads: int) -> Iterator[Done]:
-    """Do jobs in threads, taken as these come free; yields in order, the first failure ends it."""
-    running: collections.deque[concurrent.futures.Future[Done]] = collections.deque()
+def run_ahead(call: Callable[[Job], Out], jobs: Iterable[Job], threads: int) -> Iterator[Out]:
+    """Run jobs in a thread pool and yield their results in order; the first failure ends it."""
+    running: collections.deque[concurrent.futures.Future[Out]] = collections.deque()
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:
         try:
             for job in jobs:
-                running.append(pool.submit(work, job))
+                running.append(pool.submit(call, job))
                 if len(running) >= _AHEAD * threads:
                     yield running.popleft().result()
             while running:
@@ -188,27 +188,27 @@ def run_tasks(
     on_progress: OnProgress | None = None,
     num_threads: int | None = None,
     max_steps: int = MAX_STEPS,
-    course: EpisodeProgram = EPISODE,
+    program: EpisodeProgram = EPISODE,
 ) -> Any:
-    """Run tasks of any number through one compiled program, on all cores and devices.
+    """Run any number of tasks with one compiled program, on all cores and devices.
 
     Arguments and results are those of ``lanes.run_batch``; results are NumPy arrays.
-    ``on_progress`` is called with the number of episodes just finished; ``num_threads``: calls
-    under way at once, by default as many as keep all cores busy.
+    ``on_progress`` is called with the number of episodes just finished; ``num_threads``: concurrent
+    calls, by default as many as keep all cores busy.
     """
-    number, abreast = tasks.instruction_index.shape[0], mesh().size
-    threads = num_threads or num_calls()
-    parts = _pieces(number, CHUNK, threads * abreast)
-    rounds = [parts[at : at + abreast] for at in range(0, len(parts), abreast)]
+    num_tasks, devices = tasks.instruction_index.shape[0], mesh().size
+    threads = num_threads or concurrent_calls()
+    pieces = _pieces(num_tasks, CHUNK, threads * devices)
+    rounds = [pieces[start : start + devices] for start in range(0, len(pieces), devices)]
 
-    def work(places: list[tuple[int, int]]) -> list[Any]:
-        filled = [(fill(tasks, first, size), size) for first, size in places]
-        works = [Work(tasks=own, count=size, params=params) for own, size in filled]
-        return run_round(works, instructions, config=config, max_steps=max_steps, course=course)
+    def run(slices: list[tuple[int, int]]) -> list[Any]:
+        filled = [(pad_chunk(tasks, first, size), size) for first, size in slices]
+        batches = [DeviceBatch(tasks=padded, count=size, params=params) for padded, size in filled]
+        return run_round(batches, instructions, config=config, max_steps=max_steps, program=program)
 
     results: list[Any] = []
-    for places, done in zip(rounds, run_ahead(work, rounds, threads), strict=True):
+    for slices, done in zip(rounds, run_ahead(run, rounds, threads), strict=True):
         results += done
         if on_progress is not None:
-            on_progress(sum(size for _, size in places))
+            on_progress(sum(size for _, size in slices))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)

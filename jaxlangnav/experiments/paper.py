@@ -192,7 +192,7 @@ def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
         "states no numbers; where Table 2 prints a row of the same world, command and range, it is "
         "drawn.",
         specs=tuple(specs),
-        found=lambda rows, _: {"bounds": bound_rows(specs), "falls": _falls(rows)},
+        extras=lambda rows, _: {"bounds": bound_rows(specs), "falls": _falls(rows)},
         tables=lambda document: _tables(document, fold="All numbers"),
         notes=lambda document: [describe_falls(document), *caption(document)],
     )
@@ -256,7 +256,7 @@ def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
         "succeeds if the robot itself says stop within 1.5 m of the intended goal.",
         specs=specs,
         calibration_episodes=CALIBRATION_EPISODES,
-        found=lambda *_: {"bounds": bound_rows(specs)},
+        extras=lambda *_: {"bounds": bound_rows(specs)},
         tables=_tables,
         notes=lambda document: [
             *([describe_falls(document)] if has_curves else []),

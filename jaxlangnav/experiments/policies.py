@@ -1,6 +1,6 @@
-"""The policies that stand in the tables, by name: the navigator's two and the baselines.
+"""Arms of an experiment: the navigator's policies and the baselines, by name.
 
-All of them answer the same tasks with the same records, paired episode by episode.
+All arms run the same tasks and return the same records, paired episode by episode.
 """
 
 import dataclasses
@@ -15,9 +15,9 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.episode.lanes import EPISODE, EpisodeProgram
 from jaxlangnav.experiments.baselines import BASELINES
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import JUDGED
+from jaxlangnav.experiments.judging import TALLIED
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
-from jaxlangnav.experiments.tasks import Numbers
+from jaxlangnav.experiments.tasks import Overrides
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.messages import MotionParams, is_drifting
@@ -28,7 +28,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 
 POLICY_NAMES = (*reversed(POLICIES), *BASELINES)
-"""Ours first: informed, faithful, then the baselines."""
+"""All policies: informed, faithful, then the baselines."""
 DEFAULT_PARTICLES = MapConfig().num_particles
 
 KNOWLEDGE = {
@@ -45,30 +45,30 @@ KNOWLEDGE = {
     "arc": "as frontier, and by what law the worlds are drawn; sweeps along the likeliest arc",
     "known": "the whole map and its own true position",
 }
-"""What each policy may use, for the captions of tables."""
+"""Information that each policy may use, for the captions of tables."""
 
 
 def check_policies(names: Sequence[str]) -> tuple[str, ...]:
-    """Check policies' names as typed, each once, in order; refuses with the nearest there is."""
+    """Validate names of policies, without duplicates, in order; errors suggest the closest."""
     choose = f"choose from {', '.join(POLICY_NAMES)}"
     if not names:
         raise ValueError(f"no policy given: {choose}")
     for name in names:
         if name not in POLICY_NAMES:
-            near = difflib.get_close_matches(shorten(name).lower(), POLICY_NAMES, n=1)
-            hint = f'; did you mean "{near[0]}"?' if near else ""
+            closest = difflib.get_close_matches(shorten(name).lower(), POLICY_NAMES, n=1)
+            hint = f'; did you mean "{closest[0]}"?' if closest else ""
             raise ValueError(f'unknown policy "{shorten(name)}": {choose}{hint}')
     return tuple(dict.fromkeys(names))
 
 
 def navigator_config(policy: AnyPolicy, num_particles: int = DEFAULT_PARTICLES) -> NavigatorConfig:
-    """Build sizes of a navigator's policy: "informed", "faithful", or one of somebody's own."""
+    """Build the configuration of "informed", "faithful" or a custom policy."""
     sizes, planner = MapConfig(num_particles=num_particles), PlannerConfig(policy=policy)
     return NavigatorConfig(map=sizes, planner=planner)
 
 
 def without_compass(config: NavigatorConfig, motion: MotionParams) -> NavigatorConfig:
-    """Have the belief doubt the heading where odometry, as it is told, lets it drift; concrete."""
+    """Enable heading-bias estimation if the motion model has drift; needs concrete values."""
     if not is_drifting(motion):
         return config
     return dataclasses.replace(config, map=dataclasses.replace(config.map, has_drift=True))
@@ -76,39 +76,39 @@ def without_compass(config: NavigatorConfig, motion: MotionParams) -> NavigatorC
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Arm:
-    """What is compared: a policy with its numbers and sizes."""
+    """One arm of a comparison: a policy with its parameters and capacities."""
 
     policy: str
-    told: Mapping[str, Any]  # what the columns say of it, by name
+    labels: Mapping[str, Any]  # its label columns, by name
     config: NavigatorConfig | None = None  # None for a baseline, which has none
     params: NavigatorParams | None = None
-    """The navigator's numbers; a baseline has none of these either."""
-    motion: MotionParams | None = None  # odometry of its worlds; that of the setting if None
-    sensor: Numbers = dataclasses.field(default_factory=dict)
-    """Numbers of the detector in place of the setting's."""
+    """Parameters of the navigator; None for a baseline."""
+    motion: MotionParams | None = None  # motion model of its worlds; the setting's if None
+    sensor: Overrides = dataclasses.field(default_factory=dict)
+    """Fields of the sensor model that replace the setting's."""
     max_steps: int = MAX_STEPS
-    judged: int = 0
-    """In how many of the first episodes of a setting every step's belief is held against the truth;
-    none of a baseline's."""
-    worlds: Callable[[Task], Task] | None = None  # sets its worlds otherwise
+    tallied: int = 0
+    """Number of episodes of a setting, the first ones, in which calibration is measured at every
+    step; none of a baseline's."""
+    worlds: Callable[[Task], Task] | None = None  # transforms its worlds
 
     @property
-    def course(self) -> EpisodeProgram:
-        """What lanes run where nothing is judged."""
+    def program(self) -> EpisodeProgram:
+        """Program that lanes run where calibration is not measured."""
         return BASELINES.get(self.policy, EPISODE)
 
     def tasks(self, tasks: Task) -> Task:
-        """Set odometry, detector and worlds of tasks, leaves [E, …]; keys stay, so arms pair."""
-        number = tasks.instruction_index.shape[0]
-        sensor = {name: jnp.full(number, one, jnp.float32) for name, one in self.sensor.items()}
+        """Set motion, sensor and worlds of tasks, leaves [E, …]; keys stay, so arms pair."""
+        count = tasks.instruction_index.shape[0]
+        sensor = {name: jnp.full(count, value, jnp.float32) for name, value in self.sensor.items()}
         tasks = replace(tasks, sensor=replace(tasks.sensor, **sensor))
         if self.motion is not None:
-            spread = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (number,)), self.motion)
-            tasks = replace(tasks, motion=spread)
+            batch = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), self.motion)
+            tasks = replace(tasks, motion=batch)
         return tasks if self.worlds is None else self.worlds(tasks)
 
-    def believing(self, numbers: Numbers) -> "Arm":
-        """Set single numbers of the navigator by name, if it has any; the program stays."""
+    def with_overrides(self, numbers: Overrides) -> "Arm":
+        """Replace parameters of the navigator by name, if it has any; no recompilation."""
         if self.params is None or not numbers:
             return self
         return dataclasses.replace(self, params=with_numbers(numbers, params=self.params))
@@ -118,17 +118,16 @@ class Arm:
         tasks: Task,
         instructions: Instruction,
         *,
-        is_judged: bool = False,
+        with_tally: bool = False,
         on_progress: OnProgress | None = None,
         num_threads: int | None = None,
     ) -> tuple[EpisodeResult, Tally | None]:
         """Run any number of tasks, as ``run_tasks`` takes them.
 
         Gives results as NumPy arrays, leaves [E, …], in the order of the tasks; and, if
-        ``is_judged``, the belief of every step held against the truth: the sums of each episode,
-        leaves [E, …], else None.
+        ``with_tally``, the calibration sums of each episode, leaves [E, …], else None.
         """
-        found = run_tasks(
+        results = run_tasks(
             tasks,
             instructions,
             params=self.params,
@@ -136,9 +135,9 @@ class Arm:
             on_progress=on_progress,
             num_threads=num_threads,
             max_steps=self.max_steps,
-            course=JUDGED if is_judged else self.course,
+            program=TALLIED if with_tally else self.program,
         )
-        return found if is_judged else (found, None)
+        return results if with_tally else (results, None)
 
 
 def policy_arm(
@@ -147,24 +146,24 @@ def policy_arm(
     num_particles: int,
     params: NavigatorParams | None = None,
     motion: MotionParams | None = None,
-    told: Mapping[str, Any] | None = None,
+    labels: Mapping[str, Any] | None = None,
 ) -> Arm:
-    """Build the arm of a policy: one of ``POLICY_NAMES``, or a policy of somebody's own.
+    """Build the arm of a policy: one of ``POLICY_NAMES``, or a custom policy.
 
-    ``num_particles`` and ``params`` (the defaults if None) are the navigator's. ``motion``:
-    odometry, of which the belief is told; that of the settings if None. ``told``: what the columns
-    say of it; its name if None.
+    ``num_particles`` and ``params`` (the defaults if None) are the navigator's. ``motion``: motion
+    model of the worlds, assumed by the filter too; the settings' if None. ``labels``: its label
+    columns; its name if None.
     """
     policy, arrays = split_arrays(policy)
     name = check_policies([policy])[0] if isinstance(policy, str) else str(policy)
-    told = {"policy": name} if told is None else told
+    labels = {"policy": name} if labels is None else labels
     if name in BASELINES:
-        return Arm(policy=name, told=told, motion=motion)
+        return Arm(policy=name, labels=labels, motion=motion)
     params = replace(default_params() if params is None else params, policy=arrays)
     if motion is not None:
         params = replace(params, map=replace(params.map, motion=motion))
     config = without_compass(navigator_config(policy, num_particles), params.map.motion)
-    return Arm(policy=name, told=told, config=config, params=params, motion=motion)
+    return Arm(policy=name, labels=labels, config=config, params=params, motion=motion)
 
 
 def run_policy(
@@ -179,7 +178,7 @@ def run_policy(
     """Run any policy on any number of tasks; ``ValueError`` where there is none of that name.
 
     Args:
-        policy: one of ``POLICY_NAMES``, or a policy of somebody's own.
+        policy: one of ``POLICY_NAMES``, or a custom policy.
         tasks: leaves [E, …].
         instructions: leaves [I, …].
         num_particles: P, of the navigator's policies.

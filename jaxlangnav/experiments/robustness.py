@@ -46,13 +46,13 @@ def _arms(options: Options) -> list[Arm]:
         )
     arms = []
     for policy in names:
-        arm = Arm(policy=policy, told={"policy": policy}, max_steps=_MAX_STEPS)
+        arm = Arm(policy=policy, labels={"policy": policy}, max_steps=_MAX_STEPS)
         if policy in POLICIES:
             usual = Navigator.pretrained(policy)
             sizes = dataclasses.replace(usual.config.map, num_particles=options.num_particles)
             config = dataclasses.replace(usual.config, map=sizes)
             params = usual.params if options.params is None else options.params
-            arm = dataclasses.replace(arm, config=config, params=params, judged=options.episodes)
+            arm = dataclasses.replace(arm, config=config, params=params, tallied=options.episodes)
         arms.append(arm)
     return arms
 
@@ -184,7 +184,7 @@ ROBUSTNESS = Experiment(
     sentences=SAID,
     arms=_arms,
     measure=_measure,
-    found=lambda rows, _: {
+    extras=lambda rows, _: {
         "scenarios": [one.described() for one in SCENARIOS],
         "missed": _missed(rows),
     },

@@ -110,9 +110,9 @@ class PlaceSpec(RowSpec):
             seed=seed,
             environments=environments,
             place=place_law(**given),
-            told=default_sensor(self.range, **{**self.truth, **self.told}),
+            assumed_sensor=default_sensor(self.range, **{**self.truth, **self.told}),
             labels=self.heading() | {"relation": self.relation},
-            believed=self.numbers,
+            overrides=self.numbers,
         )
 
 

@@ -1,9 +1,9 @@
-"""Shards: the files of a sweep, each with a record of what it must be; and who works on which.
+"""Shards: self-verifying Parquet files of a sweep, and locks on the parts of its folder.
 
-A shard is a Parquet file of the episodes of one chunk of the plan. Its own footer says of which
-sweep it is, which of its files, how many rows it has, and the SHA-256 of its bytes (with zeros
-where the digits stand). One file holds rows and record, so one rename makes both count, and no kill
-can leave one without the other.
+A shard is a Parquet file with the episodes of one chunk of the plan. Its footer contains the hash
+of the sweep, the index of the file, the number of rows, and the SHA-256 of its bytes (with zeros in
+place of the digits). Rows and record are in one file, so one rename publishes both, and a killed
+process cannot leave one without the other.
 """
 
 import contextlib
@@ -26,57 +26,57 @@ import pyarrow.parquet as pq
 
 from jaxlangnav.inputs.whole_files import make_folder, write_bytes
 
-_KEY = "jaxlangnav.shard"
-_UNKNOWN = "0" * 64
-_DIGITS = b'"sha256": "'  # what stands before the digits, last of all in the footer
+_METADATA_KEY = "jaxlangnav.shard"
+_ZERO_HASH = "0" * 64
+_HASH_PREFIX = b'"sha256": "'  # precedes the digits, which end the footer
 
 
 class ShardError(ValueError):
-    """A file is not the shard that it should be; the message says in what."""
+    """Raised if a file is not the expected shard; the message says how it differs."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Shard:
-    """What a file of a sweep must be."""
+    """Identity of a shard: its sweep, index and number of rows."""
 
-    sweep: str  # SHA-256 of what all files of a sweep share, see ``sweep.identity``
+    sweep: str  # SHA-256 that all files of a sweep share, see ``sweep.identity``
     index: int
     rows: int
 
 
 def write_shard(columns: Mapping[str, Any], path: Path, shard: Shard) -> Path:
-    """Write a chunk's episodes, columns [E], all or nothing; ``ValueError`` for other lengths."""
+    """Write a chunk's episodes, columns [E], atomically; ``ValueError`` for a wrong length."""
     table = pa.table(dict(columns))
     if table.num_rows != shard.rows:
         raise ValueError(f"{path} would have {table.num_rows} rows, but must have {shard.rows}")
-    record = json.dumps(dataclasses.asdict(shard) | {"sha256": _UNKNOWN})
+    record = json.dumps(dataclasses.asdict(shard) | {"sha256": _ZERO_HASH})
     sink = pa.BufferOutputStream()
     options: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
     with pq.ParquetWriter(sink, table.schema, **options) as writer:
         writer.write_table(table)
-        writer.add_key_value_metadata({_KEY: record})
+        writer.add_key_value_metadata({_METADATA_KEY: record})
     content = sink.getvalue().to_pybytes()
-    place = content.rindex(_DIGITS) + len(_DIGITS)
+    start = content.rindex(_HASH_PREFIX) + len(_HASH_PREFIX)
     digits = hashlib.sha256(content).hexdigest().encode()
-    return write_bytes(content[:place] + digits + content[place + len(digits) :], path)
+    return write_bytes(content[:start] + digits + content[start + len(digits) :], path)
 
 
 def check_shard(path: Path, shard: Shard) -> None:
-    """Raise ``ShardError`` where a file is not the shard it should be, or not what was written."""
+    """Raise ``ShardError`` if a file is not the expected shard, or is damaged."""
     _compare(_record(_read(path)), shard)
 
 
 def read_shard(path: Path, *, sweep: str, index: int) -> pa.Table:
-    """Read the rows of the file ``index`` of a sweep, verified as ``check_shard`` does."""
+    """Read the rows of the file ``index`` of a sweep, verified as in ``check_shard``."""
     content = _read(path)
-    found = _record(content)
-    _compare(found, Shard(sweep=sweep, index=index, rows=found.rows))
-    # To the last byte what ``write_shard`` has written, so it can be read and has those rows.
+    record = _record(content)
+    _compare(record, Shard(sweep=sweep, index=index, rows=record.rows))
+    # The hash has verified every byte, so the file can be read and has those rows.
     return pq.read_table(pa.BufferReader(content))
 
 
 def _read(path: Path) -> bytes:
-    """Read a file; what is no file is no shard."""
+    """Read the bytes of a file; ``ShardError`` if there is none."""
     if not path.is_file():
         raise ShardError("is no file")
     try:
@@ -86,60 +86,60 @@ def _read(path: Path) -> bytes:
 
 
 def _record(content: bytes) -> Shard:
-    """Hold bytes against the record in them, and say what it tells."""
+    """Verify the hash of a file's bytes, and parse its record."""
     if not content:
         raise ShardError("is empty")
-    place = content.rfind(_DIGITS) + len(_DIGITS)
-    end = place + len(_UNKNOWN)
-    if place < len(_DIGITS) or not content.endswith(b"PAR1"):
+    start = content.rfind(_HASH_PREFIX) + len(_HASH_PREFIX)
+    end = start + len(_ZERO_HASH)
+    if start < len(_HASH_PREFIX) or not content.endswith(b"PAR1"):
         raise ShardError("has no record of what was written: it is cut short, or of another origin")
-    blank = content[:place] + _UNKNOWN.encode() + content[end:]
-    if hashlib.sha256(blank).hexdigest().encode() != content[place:end]:
+    zeroed = content[:start] + _ZERO_HASH.encode() + content[end:]
+    if hashlib.sha256(zeroed).hexdigest().encode() != content[start:end]:
         raise ShardError("is damaged: its bytes are not those that were written (SHA-256)")
-    record = json.loads(content[content.rfind(b"{", 0, place) : end + len(b'"}')])
+    record = json.loads(content[content.rfind(b"{", 0, start) : end + len(b'"}')])
     return Shard(sweep=record["sweep"], index=record["index"], rows=record["rows"])
 
 
-def _compare(found: Shard, shard: Shard) -> None:
-    """Refuse a sound file that is another one."""
-    if found.sweep != shard.sweep:
+def _compare(actual: Shard, expected: Shard) -> None:
+    """Raise ``ShardError`` if a valid file is not the expected one."""
+    if actual.sweep != expected.sweep:
         raise ShardError("is of another sweep, or of another version")
-    if found.index != shard.index:
-        raise ShardError(f"stands in the place of another: it is file {found.index} of the sweep")
-    if found.rows != shard.rows:
-        raise ShardError(f"has {found.rows} rows, but must have {shard.rows}")
+    if actual.index != expected.index:
+        raise ShardError(f"stands in the place of another: it is file {actual.index} of the sweep")
+    if actual.rows != expected.rows:
+        raise ShardError(f"has {actual.rows} rows, but must have {expected.rows}")
 
 
-# A part i/n of a folder is held by a lock on the file ``.held-i-of-n.json``, which names host,
-# process and time. The lock is the kernel's (``flock``): it ends with its holder, however that
-# dies, so a dead holder's part is simply taken over. Parts that share files (1/1 and 2/8, or 1/2
+# A part i/n of a folder is locked by the file ``.held-i-of-n.json``, which names host, process and
+# time. The lock is the kernel's (``flock``): it ends with its process, however that dies, so the
+# part of a dead process is simply taken over. Parts that share files (1/1 and 2/8, or 1/2
 # and 3/4) exclude each other; parts that share none run side by side, on any number of hosts.
 #
 # On NFS Linux carries the lock to the server, where it ends when the host's lease does. A file
-# system without locks is used without one, and that is said: results do not depend on the lock,
-# since every file is written whole, under a temporary name of its own, with the same bytes whoever
-# writes it. Two processes at one part then only do the same work twice.
+# system without locks is used without one, with a note: results do not depend on the lock, since
+# every file is written atomically, under a unique temporary name, with the same bytes whoever
+# writes it. Two processes on one part then only do the same work twice.
 
 Note = Callable[[str], None]  # called with a line for people
-PartOf = tuple[int, int]  # i and n, 1 ≤ i ≤ n: the files i, i + n, i + 2n, …
-_NAME = re.compile(r"\.held-(\d+)-of-(\d+)\.json")
-_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+Part = tuple[int, int]  # i and n, 1 ≤ i ≤ n: the files i, i + n, i + 2n, …
+_LOCK_NAME = re.compile(r"\.held-(\d+)-of-(\d+)\.json")
+_UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
 @contextlib.contextmanager
-def lock(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
-    """Hold a part i/n of a folder, made if need be: no second process works on the same files.
+def lock(folder: Path, part: Part, *, on_note: Note) -> Iterator[bool]:
+    """Lock a part i/n of a folder, created if missing, against other processes.
 
-    ``on_note`` is told whose lock was taken over, and where there are no locks. Yields whether the
-    part is held: not where the file system has no locks. ``ValueError``: a living process holds it,
-    or a part that shares files with it.
+    ``on_note`` is called where a dead process's lock was taken over or locks are not supported.
+    Yields whether the part is locked: not where the file system has no locks. ``ValueError``: a
+    running process has locked it, or a part that shares files with it.
     """
     make_folder(folder)
     path = folder / f".held-{part[0]}-of-{part[1]}.json"
     try:
-        handle = _lock(path, on_note)
+        handle = _acquire(path, on_note)
     except OSError as error:
-        if error.errno not in _NO_LOCKS:
+        if error.errno not in _UNSUPPORTED:
             raise
         path.unlink(missing_ok=True)
         on_note(
@@ -148,9 +148,9 @@ def lock(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
         yield False
         return
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    name = {"host": socket.gethostname(), "pid": os.getpid(), "since": now}
+    owner = {"host": socket.gethostname(), "pid": os.getpid(), "since": now}
     try:
-        os.truncate(handle, os.pwrite(handle, json.dumps(name).encode(), 0))
+        os.truncate(handle, os.pwrite(handle, json.dumps(owner).encode(), 0))
         _refuse_overlaps(folder, part, on_note)
         yield True
     finally:
@@ -158,8 +158,8 @@ def lock(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
         os.close(handle)
 
 
-def _lock(path: Path, on_note: Note, *, flags: int = os.O_RDWR | os.O_CREAT) -> int:
-    """Take the lock of a file, as its only holder, or say who has it."""
+def _acquire(path: Path, on_note: Note, *, flags: int = os.O_RDWR | os.O_CREAT) -> int:
+    """Lock a file exclusively; ``ValueError`` names the process that holds the lock."""
     while True:
         handle = os.open(path, flags, 0o666)
         try:
@@ -171,38 +171,38 @@ def _lock(path: Path, on_note: Note, *, flags: int = os.O_RDWR | os.O_CREAT) -> 
             os.close(handle)
             part = path.name.removeprefix(".held-").removesuffix(".json").replace("-of-", "/")
             raise ValueError(
-                f"{path.parent}: {_holder(path)} is at work on part {part}: let it end, or end "
+                f"{path.parent}: {_owner(path)} is at work on part {part}: let it end, or end "
                 "it; parts that share no files with it (--shard) can run beside it"
             ) from None
         except BaseException:
             os.close(handle)
             raise
-        # Its last holder has removed it between opening and locking: what is locked is gone.
+        # Another process removed the file between opening and locking: try again.
         os.close(handle)
     if os.fstat(handle).st_size:
-        on_note(f"note: {path.parent}: took over from {_holder(path)}, which is gone")
+        on_note(f"note: {path.parent}: took over from {_owner(path)}, which is gone")
     return handle
 
 
-def _refuse_overlaps(folder: Path, part: PartOf, on_note: Note) -> None:
-    """Refuse where a living process holds files of this part; clear away what dead ones left."""
+def _refuse_overlaps(folder: Path, part: Part, on_note: Note) -> None:
+    """Raise if a running process holds an overlapping part; remove stale locks."""
     for path in folder.iterdir():
-        match = _NAME.fullmatch(path.name)
+        match = _LOCK_NAME.fullmatch(path.name)
         if match is None:
             continue
-        place, number = int(match[1]), int(match[2])
-        if (place, number) == part or (place - part[0]) % math.gcd(part[1], number):
+        index, total = int(match[1]), int(match[2])
+        if (index, total) == part or (index - part[0]) % math.gcd(part[1], total):
             continue
         with contextlib.suppress(FileNotFoundError):
-            handle = _lock(path, on_note, flags=os.O_RDWR)
+            handle = _acquire(path, on_note, flags=os.O_RDWR)
             path.unlink()
             os.close(handle)
 
 
-def _holder(path: Path) -> str:
-    """Name who wrote a lock's file, for people."""
+def _owner(path: Path) -> str:
+    """Describe the process that wrote a lock file."""
     try:
-        who = json.loads(path.read_text("utf-8"))
-        return f"process {who['pid']} on {who['host']} since {who['since']}"
+        owner = json.loads(path.read_text("utf-8"))
+        return f"process {owner['pid']} on {owner['host']} since {owner['since']}"
     except (OSError, ValueError, KeyError, TypeError):
         return "a process that has not said its name"

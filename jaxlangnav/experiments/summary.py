@@ -12,7 +12,7 @@ import pyarrow as pa
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import compare, summarize, timeouts_text
 from jaxlangnav.experiments.shards import ShardError, read_shard
-from jaxlangnav.experiments.sweep import files_there, identity, read_manifest
+from jaxlangnav.experiments.sweep import episode_files, identity, read_manifest
 from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableColumns
 from jaxlangnav.inputs import sanitize
 
@@ -20,7 +20,7 @@ __all__ = ["render", "summarize_directory", "summary_markdown"]
 
 _ARM = ("policy", "particles")
 _PAIR = ("seed", "episode")
-_MOST_PAIRS = 6
+_ALL_PAIRS_LIMIT = 6
 """Arms up to which all pairs are compared; with more, each is compared with the first."""
 
 
@@ -37,7 +37,7 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
     manifest = read_manifest(folder)
     settings, sweep = manifest["settings"], identity(manifest)
     tables, damaged = list[pa.Table](), list[str]()
-    for index, file in sorted(files_there(folder)):
+    for index, file in sorted(episode_files(folder)):
         try:
             tables.append(read_shard(file, sweep=sweep, index=index))
         except ShardError as fault:
@@ -94,7 +94,7 @@ def _metrics(table: pa.Table) -> dict[str, Any]:
 def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, Any]]:
     """Compare the arms of one setting in pairs, over the valid episodes that both ran."""
     pairs = list(itertools.combinations(arms, 2))
-    if len(arms) > _MOST_PAIRS:
+    if len(arms) > _ALL_PAIRS_LIMIT:
         pairs = [(arms[0], other) for other in arms[1:]]
     found = []
     for (first, *one), (second, *two) in pairs:

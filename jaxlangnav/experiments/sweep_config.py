@@ -15,7 +15,7 @@
     field_of_view = "360 deg"
     noise = "10 cm"
 
-    [motion]                                  # holds for the world and is told to the belief
+    [motion]                                  # of the world, and assumed by the filter
     odometry_noise = "2 %"
 
     [map]
@@ -25,8 +25,8 @@
     discount = 0.8
 
 Only ``worlds`` and ``commands`` are required. "null", "behind" and "nearest" stand for the
-commands of Table 2; another sentence says by ``relation`` which law the worlds of a template
-follow. The grid is the product of everything that is listed.
+commands of Table 2; for another sentence, ``relation`` selects the distribution of a template's
+worlds. The grid is the product of everything that is listed.
 """
 
 import dataclasses
@@ -53,30 +53,30 @@ from jaxlangnav.world.scenario import scenario_law
 from jaxlangnav.world.state import NUM_SLOTS, walls_of
 from jaxlangnav.world.templates import Template, check_relation
 
-_LARGEST_FILE = 1 << 20  # bytes of a configuration
-_ANY = Meta(min_length=1)
+_MAX_BYTES = 1 << 20  # bytes of a configuration
+_NONEMPTY = Meta(min_length=1)
 _Seed = Annotated[int, Meta(ge=0, lt=SEED_LIMIT)]
 _Particles = Annotated[int, Meta(ge=2)]
 Choices = dict[str, tuple[float, ...]]
 
 
 class Command(Schema):
-    """A sentence and the law by which a template's worlds are drawn for it."""
+    """A sentence, and the relation for which a template's worlds are sampled."""
 
     text: PlainText
     relation: Name = "null"
 
 
-class _Sweep(Schema):
-    worlds: PlainText | Annotated[list[PlainText], _ANY]
-    commands: PlainText | Command | Annotated[list[PlainText | Command], _ANY]
+class _SweepSchema(Schema):
+    worlds: PlainText | Annotated[list[PlainText], _NONEMPTY]
+    commands: PlainText | Command | Annotated[list[PlainText | Command], _NONEMPTY]
     name: Name = "sweep"
     episodes: Annotated[int, Meta(ge=1)] = 100
     environments: _Seed = 0
-    seeds: _Seed | Annotated[list[_Seed], _ANY] = 0
-    ranges: float | int | str | Annotated[list[float | int | str], _ANY] = 3
-    policies: PlainText | Annotated[list[PlainText], _ANY] = "informed"
-    particles: _Particles | Annotated[list[_Particles], _ANY] = DEFAULT_PARTICLES
+    seeds: _Seed | Annotated[list[_Seed], _NONEMPTY] = 0
+    ranges: float | int | str | Annotated[list[float | int | str], _NONEMPTY] = 3
+    policies: PlainText | Annotated[list[PlainText], _NONEMPTY] = "informed"
+    particles: _Particles | Annotated[list[_Particles], _NONEMPTY] = DEFAULT_PARTICLES
     sensor: dict[str, Any] = field(default_factory=dict)
     motion: dict[str, Any] = field(default_factory=dict)
     map: dict[str, Any] = field(default_factory=dict)
@@ -85,39 +85,39 @@ class _Sweep(Schema):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SweepConfig:
-    """A grid; every field a tuple of the values it takes."""
+    """A validated grid: the tuple of values of every parameter."""
 
     name: str
     episodes: int
-    environments: int  # worlds of a template, taken in turn; 0 for a fresh one per episode
+    environments: int  # worlds of a template, used cyclically; 0: a new one per episode
     seeds: tuple[int, ...]
     worlds: tuple[str, ...]
     commands: tuple[Command, ...]
     ranges: tuple[float, ...]
     policies: tuple[str, ...]
     particles: tuple[int, ...]
-    params: dict[str, Choices]  # by table (sensor, motion, map, planner), then by key
-    own_worlds: dict[str, WorldFile]  # worlds that are no template, by their entry in ``worlds``
+    params: dict[str, Choices]  # by table (sensor, motion, map, planner), then key
+    custom_worlds: dict[str, WorldFile]  # worlds that are not templates, by entry in ``worlds``
     world_hashes: dict[str, str]  # SHA-256 of the world files, by their entry in ``worlds``
 
     def document(self) -> dict[str, Any]:
-        """Write the configuration out in full, for the manifest."""
-        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        del found["params"], found["own_worlds"], found["world_hashes"]
-        found["commands"] = [msgspec.structs.asdict(one) for one in self.commands]
-        return found | self.params | {"world_hashes": self.world_hashes}
+        """Convert the configuration to JSON types, for the manifest."""
+        document = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        del document["params"], document["custom_worlds"], document["world_hashes"]
+        document["commands"] = [msgspec.structs.asdict(item) for item in self.commands]
+        return document | self.params | {"world_hashes": self.world_hashes}
 
 
 def read_config(
     path: str | Path, *, overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> SweepConfig:
-    """Read and check a sweep's configuration, TOML; world files in it are relative to its folder.
+    """Read and validate a sweep's TOML file; world files in it are relative to its folder.
 
     ``overrides``: by table (sensor, motion, map, planner) and key, in place of the file's values.
-    ``ValueError``, in one line: unreadable, or anything in it is wrong.
+    ``ValueError``, in one line: the file is unreadable or invalid.
     """
     path = Path(path)
-    table = read_document(path, at_most=_LARGEST_FILE)
+    table = read_document(path, at_most=_MAX_BYTES)
     for name, keys in (overrides or {}).items():
         if isinstance(table.setdefault(name, {}), dict):
             table[name] |= keys
@@ -126,100 +126,100 @@ def read_config(
 
 
 def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> SweepConfig:
-    """Check a configuration as ``read_config``; world files are relative to ``folder``."""
-    given = convert(table, _Sweep)
-    listed = {name: tuple(_listed(value)) for name, value in msgspec.structs.asdict(given).items()}
-    own, hashes = _open_worlds(listed["worlds"], folder)
-    same: dict[str, Any] = {
-        one: getattr(given, one) for one in ("name", "episodes", "environments")
+    """Validate a configuration as ``read_config``; world files are relative to ``folder``."""
+    raw = convert(table, _SweepSchema)
+    sequences = {name: tuple(_listed(value)) for name, value in msgspec.structs.asdict(raw).items()}
+    custom, hashes = _open_worlds(sequences["worlds"], folder)
+    fields: dict[str, Any] = {
+        item: getattr(raw, item) for item in ("name", "episodes", "environments")
     }
-    same |= {name: listed[name] for name in ("seeds", "worlds", "particles")}
+    fields |= {name: sequences[name] for name in ("seeds", "worlds", "particles")}
     config = SweepConfig(
-        **same,
-        commands=tuple(map(_command, listed["commands"])),
-        ranges=tuple(LENGTH.read(one, "ranges") for one in listed["ranges"]),
-        policies=check_policies(listed["policies"]),
-        params={name: _params(getattr(given, name), name) for name in FIELDS},
-        own_worlds=own,
+        **fields,
+        commands=tuple(map(_command, sequences["commands"])),
+        ranges=tuple(LENGTH.read(item, "ranges") for item in sequences["ranges"]),
+        policies=check_policies(sequences["policies"]),
+        params={name: _params(getattr(raw, name), name) for name in FIELDS},
+        custom_worlds=custom,
         world_hashes=hashes,
     )
-    lists: dict[str, Any] = {"commands": [(one.text, one.relation) for one in config.commands]}
-    lists |= {name: getattr(config, name) for name in ("seeds", "worlds", "ranges", "particles")}
+    axes: dict[str, Any] = {"commands": [(item.text, item.relation) for item in config.commands]}
+    axes |= {name: getattr(config, name) for name in ("seeds", "worlds", "ranges", "particles")}
     for name, keys in config.params.items():
-        lists |= {f"{name}.{key}": values for key, values in keys.items()}
-    for name, values in lists.items():
+        axes |= {f"{name}.{key}": values for key, values in keys.items()}
+    for name, values in axes.items():
         if len(set(values)) < len(values):
             raise ValueError(f"{name} lists a value twice")  # rows could not be told apart
-    # Noise is held against the range: where the largest fits the shortest, all do.
-    for reach in (min(config.ranges), max(config.ranges)):
-        default_sensor(reach, noise=max(config.params["sensor"].get("noise", (0.1,))))
-    for world in (one for one in config.worlds if one not in own):
+    # Noise is checked against the range: largest noise, shortest and longest range.
+    for range_max in (min(config.ranges), max(config.ranges)):
+        default_sensor(range_max, noise=max(config.params["sensor"].get("noise", (0.1,))))
+    for world in (item for item in config.worlds if item not in custom):
         for command in config.commands:
             scenario_law(template=world, relation=command.relation)
     return config
 
 
 def _listed(value: Any) -> list[Any]:
-    """Take one value or a list of them as a list."""
+    """Wrap a single value in a list."""
     return value if isinstance(value, list) else [value]
 
 
-def _command(given: str | Command) -> Command:
+def _command(entry: str | Command) -> Command:
     """Read a command: the name of one of Table 2's, a sentence, or a table with its relation."""
-    if isinstance(given, Command):
-        check_relation(given.relation)
-        return given
+    if isinstance(entry, Command):
+        check_relation(entry.relation)
+        return entry
     for relation, text in SENTENCES.items():
-        if given in (relation, text):
+        if entry in (relation, text):
             return Command(text=text, relation=relation)
     raise ValueError(
-        f'command "{shorten(given)}": say by which relation the worlds are drawn, '
-        f'{{ text = "{shorten(given)}", relation = "behind" }} (null, behind or nearest)'
+        f'command "{shorten(entry)}": say by which relation the worlds are drawn, '
+        f'{{ text = "{shorten(entry)}", relation = "behind" }} (null, behind or nearest)'
     )
 
 
 def _open_worlds(
     worlds: tuple[str, ...], folder: Path
 ) -> tuple[dict[str, WorldFile], dict[str, str]]:
-    """Open the worlds that are no template, and hash their files."""
-    own: dict[str, WorldFile] = {}
+    """Open the worlds that are not templates, and hash their files."""
+    custom: dict[str, WorldFile] = {}
     hashes: dict[str, str] = {}
     for entry in worlds:
-        beside = folder / entry
-        is_beside = os.path.isfile(beside)
-        found = open_world(str(beside) if is_beside else entry)
-        if isinstance(found, Template):
+        path = folder / entry
+        is_file = os.path.isfile(path)
+        opened = open_world(str(path) if is_file else entry)
+        if isinstance(opened, Template):
             continue
-        number, slots = int(found.scenario.is_object.sum()), found.scenario.is_object.size
+        count, slots = int(opened.scenario.is_object.sum()), opened.scenario.is_object.size
         if slots > NUM_SLOTS:
             raise ValueError(
-                f"world {shorten(entry)} has {number} objects, but a sweep's worlds have at most "
+                f"world {shorten(entry)} has {count} objects, but a sweep's worlds have at most "
                 f"{NUM_SLOTS}: remove some, or run it alone with jaxlangnav follow --world"
             )
-        if len(walls_of(found.scenario)):
+        if len(walls_of(opened.scenario)):
             raise ValueError(
                 f"world {shorten(entry)} has walls, which a sweep's worlds have not: run it alone "
                 "with jaxlangnav follow --world"
             )
-        if not found.has_goal:
+        if not opened.has_goal:
             raise ValueError(
                 f"world {shorten(entry)} has no [goal], by which a sweep tells success: add it"
             )
-        own[entry] = found
-        if is_beside:
-            content = read_file(beside, at_most=LARGEST_WORLD_FILE)
+        custom[entry] = opened
+        if is_file:
+            content = read_file(path, at_most=LARGEST_WORLD_FILE)
             hashes[entry] = hashlib.sha256(content).hexdigest()
-    return own, hashes
+    return custom, hashes
 
 
 def _params(table: Mapping[str, Any], name: str) -> Choices:
-    """Read one of the tables of Params."""
-    found: Choices = {}
+    """Read the values of one table of Params."""
+    choices: Choices = {}
     for key, value in table.items():
         if key not in FIELDS[name]:
             raise ValueError(f"{name}.{unknown_key(key, FIELDS[name])}")
         values = _listed(value)
         if not values:
             raise ValueError(f"{name}.{key} is empty: the grid would be empty")
-        found[key] = tuple(FIELDS[name][key].read(one, f"{name}.{key}") for one in values)
-    return found
+        choices[key] = tuple(FIELDS[name][key].read(value, f"{name}.{key}") for value in values)
+    return choices

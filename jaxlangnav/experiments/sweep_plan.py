@@ -1,10 +1,10 @@
-"""The plan of a sweep: which episodes there are, and which of them make up a file.
+"""Plan of a sweep: its grid of arms and settings, divided into chunks of episodes, one per file.
 
-The grid falls into *arms* (policy, particles, Params of map, planner and motion: what one call of
+The grid consists of *arms* (policy, particles, Params of map, planner and motion: what one call of
 the compiled program shares) and *settings* (world, command, range, detector, seed). An arm's
-episodes are cut into chunks of the size the compiled program takes; a chunk is a file. The plan
-depends on the configuration alone. Arm, setting and chunk are worked out from their number, so that
-a part of a billion episodes costs what that part costs.
+episodes are divided into chunks of the compiled program's batch size; a chunk is a file. The plan
+depends on the configuration alone. Arm, setting and chunk are computed from their index on demand,
+so a shard of a billion episodes costs only what that shard costs.
 """
 
 import bisect
@@ -31,60 +31,60 @@ from jaxlangnav.navigator.deployment import with_numbers
 from jaxlangnav.planner.config import POLICIES, SHIPPED
 from jaxlangnav.pytree import replace
 
-MOST_FILES = 1_000_000
-"""Files of a folder: file systems grow slow with more, and their names have six digits."""
-_T = TypeVar("_T")
+MAX_FILES = 1_000_000
+"""Limit of files in a folder: file systems get slow, and file names have six digits."""
+_Item = TypeVar("_Item")
 Axes = dict[str, Sequence[Any]]
-"""What is varied, the slowest first: the values that a column takes, by its name."""
+"""Axes of a grid, the slowest first: the values of a column, by its name."""
 
 
-class LazySequence(Sequence[_T]):
-    """As many things as one likes, each made from its number when it is asked for."""
+class LazySequence(Sequence[_Item]):
+    """Sequence whose items are computed from their index on access, with a small cache."""
 
-    def __init__(self, size: int, make: Callable[[int], _T]) -> None:
-        """Keep how to make them; of those that are made the last few are kept."""
+    def __init__(self, size: int, make: Callable[[int], _Item]) -> None:
+        """Store the length and the function from index to item, cached."""
         self._size, self._make = size, functools.lru_cache(maxsize=256)(make)
 
     def __len__(self) -> int:
-        """Count them."""
+        """Return the length."""
         return self._size
 
-    def __getitem__(self, place: Any) -> Any:
-        """Make one."""
-        return self._make(place)
+    def __getitem__(self, index: Any) -> Any:
+        """Compute an item, or take it from the cache."""
+        return self._make(index)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SweepPlan:
-    """All files of a sweep, by their number."""
+    """All files of a sweep, by index."""
 
     config: SweepConfig
 
     @functools.cached_property
     def grid(self) -> Grid:
-        """The grid of the sweep; settings and arms are worked out when they are asked for."""
+        """Grid of the sweep; settings and arms are computed on access."""
         config = self.config
-        numbers = [_size(_arm_axes(config, policy)) for policy in config.policies]
-        firsts = [0, *itertools.accumulate(numbers)]
-        of_navigator = dict.fromkeys(("particles", *_params_axes(config, "map", "planner")))
+        counts = [_grid_size(_arm_axes(config, policy)) for policy in config.policies]
+        starts = [0, *itertools.accumulate(counts)]
+        defaults = dict.fromkeys(("particles", *_params_axes(config, "map", "planner")))
 
-        def arm(place: int) -> Arm:
-            which = bisect.bisect(firsts, place) - 1
-            policy = config.policies[which]
-            picked = _pick(_arm_axes(config, policy), place - firsts[which])
-            params = _params(picked)
+        def arm(index: int) -> Arm:
+            p = bisect.bisect(starts, index) - 1
+            policy = config.policies[p]
+            point = _grid_point(_arm_axes(config, policy), index - starts[p])
+            params = _params(point)
             return policy_arm(
                 policy,
-                num_particles=picked.get("particles", DEFAULT_PARTICLES),
+                num_particles=point.get("particles", DEFAULT_PARTICLES),
                 params=params,
                 motion=params.map.motion,
-                told={"policy": policy, **of_navigator, **picked},
+                labels={"policy": policy, **defaults, **point},
             )
 
         params = _params_axes(config, "sensor", "motion", "map", "planner")
         return Grid(
-            settings=LazySequence(_size(_setting_axes(config)), lambda at: _setting(config, at)),
-            arms=LazySequence(firsts[-1], arm),
+            settings=LazySequence(_grid_size(_setting_axes(config)), lambda i: _setting(config, i)),
+            arms=LazySequence(starts[-1], arm),
             episodes=config.episodes,
             names=("world", "command", "relation", "range", "policy", "particles", *params),
         )
@@ -105,63 +105,63 @@ class SweepPlan:
         return len(self.grid.arms) * self.files_of_arm
 
     def files(self, shard: str) -> range:
-        """List the files of a shard "i/n" by their numbers."""
+        """List the indices of the files of a shard "i/n"."""
         part, parts = parse_shard(shard)
         return range(part - 1, self.num_files, parts)
 
     def episodes_of(self, shard: str) -> int:
-        """Count the rows of a shard's files: all are full but the last one of each arm."""
-        files, each = self.files(shard), self.files_of_arm
-        lasts = sum(last in files for last in range(each - 1, self.num_files, each))
-        return len(files) * CHUNK - lasts * (CHUNK - self.size(each - 1))
+        """Count the rows of a shard's files; only the last file of an arm may be partial."""
+        files, per_arm = self.files(shard), self.files_of_arm
+        partial = sum(last in files for last in range(per_arm - 1, self.num_files, per_arm))
+        return len(files) * CHUNK - partial * (CHUNK - self.size(per_arm - 1))
 
     def size(self, index: int) -> int:
         """Count the episodes of a file."""
         return min(CHUNK, self.episodes_of_arm - index % self.files_of_arm * CHUNK)
 
     def arm(self, index: int) -> Arm:
-        """Work out the arm of a file."""
+        """Find the arm of a file."""
         return self.grid.arms[index // self.files_of_arm]
 
-    def places(self, index: int) -> np.ndarray:
-        """Number the episodes of a file among the arm's."""
+    def episode_indices(self, index: int) -> np.ndarray:
+        """List the indices of a file's episodes within its arm."""
         return index % self.files_of_arm * CHUNK + np.arange(self.size(index))
 
-    def kind(self, index: int) -> tuple[str, int | None]:
-        """Work out which program runs a file: policy, and particles if it has any."""
+    def program_key(self, index: int) -> tuple[str, int | None]:
+        """Identify the compiled program of a file: policy, and particles if it has any."""
         arm = self.arm(index)
-        return arm.policy, arm.told["particles"]
+        return arm.policy, arm.labels["particles"]
 
 
 def make_plan(config: SweepConfig) -> SweepPlan:
-    """Lay out a sweep.
+    """Build and validate the plan of a sweep.
 
     ``ValueError``: Params with which the robot could never stop, more particles than memory holds,
-    or more files than a folder does.
+    or more files than a folder holds.
     """
     plan = SweepPlan(config=config)
     arms, settings = len(plan.grid.arms), len(plan.grid.settings)
-    if plan.num_files > MOST_FILES:
-        fit = MOST_FILES // arms * CHUNK // settings
+    if plan.num_files > MAX_FILES:
+        fit = MAX_FILES // arms * CHUNK // settings
         remedy = f"at most {fit:,} episodes a cell fit" if fit else "not even one a cell fits"
         raise ValueError(
             f"the sweep has {readable_count(arms * settings)} cells times "
             f"{readable_count(config.episodes)} episodes, "
             f"which make {readable_count(plan.num_files)} files, but a folder holds "
-            f"{MOST_FILES:,}: {remedy}; or divide the lists (seeds, worlds, ...) among several "
+            f"{MAX_FILES:,}: {remedy}; or divide the lists (seeds, worlds, ...) among several "
             "sweeps"
         )
     for policy in config.policies:
         if policy in POLICIES:
             check_engine(navigator_config(policy, max(config.particles)))
-            # A limit of ``check`` is passed upwards or downwards: the ends stand for all arms.
+            # Limits of ``check`` are monotone: the extreme values stand for all arms.
             axes = _params_axes(config, "motion", "map", "planner").items()
-            least, most = (
-                _params({name: sorted(values)[at] for name, values in axes}) for at in (0, -1)
+            lower, upper = (
+                _params({name: sorted(values)[end] for name, values in axes}) for end in (0, -1)
             )
-            check(least, policy=SHIPPED[policy])
-            unclumped = replace(most.map, clumping=least.map.clumping)
-            check(replace(most, map=unclumped), policy=SHIPPED[policy])
+            check(lower, policy=SHIPPED[policy])
+            unclumped = replace(upper.map, clumping=lower.map.clumping)
+            check(replace(upper, map=unclumped), policy=SHIPPED[policy])
     return plan
 
 
@@ -172,61 +172,59 @@ def _params_axes(config: SweepConfig, *tables: str) -> Axes:
 
 
 def _setting_axes(config: SweepConfig) -> Axes:
-    where: Axes = {"world": config.worlds, "command": config.commands, "range": config.ranges}
-    return {**where, **_params_axes(config, "sensor"), "seed": config.seeds}
+    axes: Axes = {"world": config.worlds, "command": config.commands, "range": config.ranges}
+    return {**axes, **_params_axes(config, "sensor"), "seed": config.seeds}
 
 
 def _arm_axes(config: SweepConfig, policy: str) -> Axes:
-    """List the values of everything that makes up a policy's arms; a baseline has few."""
+    """Axes of a policy's arms; a baseline varies only the motion model."""
     motion = _params_axes(config, "motion")
-    if policy not in POLICIES:  # the navigator's numbers are none of its own
+    if policy not in POLICIES:  # a baseline has no parameters of the navigator
         return motion
     return {**motion, "particles": config.particles, **_params_axes(config, "map", "planner")}
 
 
-def _size(axes: Axes) -> int:
+def _grid_size(axes: Axes) -> int:
     return math.prod(map(len, axes.values()))
 
 
-def _pick(axes: Axes, place: int) -> dict[str, Any]:
-    """Take a member of a grid by its number: a value for each name."""
-    digits = np.unravel_index(place, [len(values) for values in axes.values()])
-    return {name: of[int(at)] for (name, of), at in zip(axes.items(), digits, strict=True)}
+def _grid_point(axes: Axes, index: int) -> dict[str, Any]:
+    """Compute the point of a grid with an index: a value for each name."""
+    indices = np.unravel_index(index, [len(values) for values in axes.values()])
+    return {name: values[int(i)] for (name, values), i in zip(axes.items(), indices, strict=True)}
 
 
-def _numbers(picked: Mapping[str, Any], *tables: str) -> dict[str, float]:
-    """Take the numbers of some tables, by their keys."""
-    own = ((name.partition("."), value) for name, value in picked.items())
-    return {key: value for (of, _, key), value in own if of in tables}
+def _table_values(point: Mapping[str, Any], *tables: str) -> dict[str, float]:
+    """Select the values of the given tables, by key."""
+    keys = ((name.partition("."), value) for name, value in point.items())
+    return {key: value for (table, _, key), value in keys if table in tables}
 
 
-def _setting(config: SweepConfig, place: int) -> Cell:
-    picked = _pick(_setting_axes(config), place)
-    command, own = picked["command"], config.own_worlds.get(picked["world"])
+def _setting(config: SweepConfig, index: int) -> Cell:
+    point = _grid_point(_setting_axes(config), index)
+    command, custom = point["command"], config.custom_worlds.get(point["world"])
     return Cell(
-        world=picked["world"],
+        world=point["world"],
         relation=command.relation,
         instruction_index=config.commands.index(command),
-        sensor=default_sensor(picked["range"], **_numbers(picked, "sensor")),
-        seed=picked["seed"],
+        sensor=default_sensor(point["range"], **_table_values(point, "sensor")),
+        seed=point["seed"],
         environments=config.environments,
-        scenario=None if own is None else jax.tree.map(np.asarray, own.scenario),
-        labels={**picked, "command": command.text, "relation": command.relation},
+        scenario=None if custom is None else jax.tree.map(np.asarray, custom.scenario),
+        labels={**point, "command": command.text, "relation": command.relation},
     )
 
 
-def _params(picked: Mapping[str, Any]) -> NavigatorParams:
-    return with_numbers(_numbers(picked, "motion", "map", "planner"), params=default_params())
+def _params(point: Mapping[str, Any]) -> NavigatorParams:
+    return with_numbers(_table_values(point, "motion", "map", "planner"), params=default_params())
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """Read which part of a sweep to do, "i/n": chunks i, i + n, i + 2n, …; refuses all else."""
+    """Parse a shard "i/n": chunks i, i + n, i + 2n, …; ``ValueError`` for anything else."""
     match = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", text)
     if match is None:
         raise ValueError(f'shard is "{text}", but must be i/n, such as 1/4')
-    part, parts = int(match[1]), int(match[2])
-    if not 1 <= part <= parts:
-        raise ValueError(
-            f'shard is "{text}", but i must be from 1 to n: 1/{parts} to {parts}/{parts}'
-        )
-    return part, parts
+    i, n = int(match[1]), int(match[2])
+    if not 1 <= i <= n:
+        raise ValueError(f'shard is "{text}", but i must be from 1 to n: 1/{n} to {n}/{n}')
+    return i, n

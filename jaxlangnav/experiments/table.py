@@ -112,7 +112,7 @@ def _html_text(value: object) -> str:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Told:
+class Report:
     """How an experiment is told, from its document: heading, tables, and notes beneath."""
 
     title: str

@@ -1,8 +1,8 @@
-"""The episodes of an experiment: worlds, keys, sentences, sensors (section 4.2).
+"""Tasks of an experiment: worlds, keys, sentences and sensors of its episodes (section 4.2).
 
-Episode i of a world has its scenario and its noise from (seed, world, i) alone, whatever the
-policy, range or batch. Commands share them too: "null" and "behind" are asked for in the same
-places, as in the paper.
+Scenario and noise of episode i of a world depend on (seed, world, i) alone, not on policy, range or
+batch. Commands share them too: "null" and "behind" are given in the same worlds, as in the
+paper.
 """
 
 import dataclasses
@@ -31,22 +31,22 @@ SENTENCES = {
     "behind": "go to the hydrant behind the cone",
     "nearest": "go to the hydrant nearest to the cone",
 }
-"""The three commands of Table 2 by their relation; none of them is in a training corpus."""
-SEED_LIMIT = 2**32  # seeds lie below it: they are the root of the keys, 32 bits
+"""The three commands of Table 2, by relation; none of them is in a training corpus."""
+SEED_LIMIT = 2**32  # exclusive: seeds are the root of the keys, 32 bits
 BLOCK = 256  # worlds drawn in one call
-Numbers = Mapping[str, float]  # values of fields of a record of Params
+Overrides = Mapping[str, float]  # parameter values by field name
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GroundedSentences:
-    """Sentences as the engine takes them, and the models that read them."""
+    """Grounded sentences, and the language models that grounded them."""
 
     instructions: Instruction  # leaves [I, …], in the order of the sentences
-    models: Any  # the trained weights, for a manifest's hash
+    models: Any  # trained weights, for the manifest's hash
 
 
 def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
-    """Parse and ground at least one sentence with the shipped models; refuses as ``check_task``."""
+    """Parse and ground at least one sentence with the shipped models; raises as ``check_task``."""
     if not texts:
         raise ValueError("no sentence given")
     from jaxlangnav.grounding.instruction import understand
@@ -54,18 +54,18 @@ def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
 
     models = load_shipped()
     understood = [understand(text, models) for text in texts]
-    for one in understood:
-        one.check_task()
-    told = (one.instruction for one in understood)
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *told)
+    for sentence in understood:
+        sentence.check_task()
+    instructions = (sentence.instruction for sentence in understood)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *instructions)
     return GroundedSentences(instructions=stacked, models=models)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One cell of a grid: episodes that share everything but their keys; arms are compared in it.
+    """One setting of a grid: episodes that share everything but their keys.
 
-    Detector and odometry are the default ones unless they are given.
+    Sensor and motion model are the default ones unless given.
     """
 
     world: str
@@ -73,23 +73,23 @@ class Cell:
     instruction_index: int
     sensor: SensorParams = dataclasses.field(default_factory=default_sensor)
     motion: MotionParams = dataclasses.field(default_factory=default_motion)
-    episodes: int = 1  # how many ``make_tasks`` draws; a grid has a number of its own
+    episodes: int = 1  # drawn by ``make_tasks``; a grid has its own number
     seed: int
     first_episode: int = 0
     environments: int = 0
-    """Different worlds, taken in turn (the paper has ten); 0 for a fresh one per episode."""
+    """Number of worlds, used cyclically (ten in the paper); 0: a new one per episode."""
     scenario: Scenario | None = None
-    """A world of somebody's own; None draws worlds of the template that ``world`` names."""
+    """A custom world; None: sample worlds of the template that ``world`` names."""
     place: PlaceLaw | None = None
-    """Places to draw in place of a template's; those of one name in ``world`` share their keys."""
-    told: SensorParams | None = None  # what the robot takes its detector for; the truth if None
+    """Distribution of worlds in place of a template; equal names in ``world`` share keys."""
+    assumed_sensor: SensorParams | None = None  # sensor model of the filter; the true one if None
     labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """What the columns of a table say of it, by name."""
-    believed: Numbers = dataclasses.field(default_factory=dict)
-    """Single numbers of the navigator that are other there than its arm's (``with_numbers``)."""
+    """Label columns of a table, by name."""
+    overrides: Overrides = dataclasses.field(default_factory=dict)
+    """Parameters of the navigator that replace its arm's (``with_numbers``)."""
 
     def __post_init__(self) -> None:
-        """Refuse a seed that another one would stand for."""
+        """Raise ``ValueError`` for a seed outside 32 bits."""
         if not 0 <= self.seed < SEED_LIMIT:
             raise ValueError(f"seed is {self.seed}, but must lie between 0 and {SEED_LIMIT - 1}")
 
@@ -114,102 +114,102 @@ def cell(
 
 
 @cached_jit()
-def _draw(described: dict[str, Any], *of_episode: ArrayLike) -> Task:
-    """Draw each episode's key by its number and its world by the world's; leaves [BLOCK, …].
+def _draw(shared: dict[str, Any], *ids: ArrayLike) -> Task:
+    """Sample the tasks of a block of episodes from their indices; leaves [BLOCK, …].
 
-    ``of_episode``: seeds, names of worlds, numbers and worlds, u32[BLOCK] each.
+    ``ids``: seeds, hashes of world names, indices of episodes and of worlds, u32[BLOCK] each.
     """
 
-    def one(cell: dict[str, Any], seed: Array, name: Array, number: Array, world: Array) -> Task:
+    def draw(cell: dict[str, Any], seed: Array, name: Array, episode: Array, world: Array) -> Task:
         # Policies, commands, ranges and noise levels share a cell's key, to be paired.
         root = jax.random.fold_in(jax.random.key(seed), name)
-        of_number, of_world = jax.vmap(
+        keys, world_keys = jax.vmap(
             lambda index: jax.random.split(jax.random.fold_in(root, index))
-        )(jnp.stack([number, world]))
+        )(jnp.stack([episode, world]))
         if "place" in cell:
-            scenario = draw_place(of_world[0], cell["place"])
+            scenario = draw_place(world_keys[0], cell["place"])
         else:
-            drawn, is_own = draw_scenario(of_world[0], cell["law"]), cell["is_own"]
-            given = cell["scenario"], drawn
-            scenario = jax.tree.map(lambda own, new: jnp.where(is_own, own, new), *given)
+            sampled, is_custom = draw_scenario(world_keys[0], cell["law"]), cell["is_custom"]
+            candidates = cell["scenario"], sampled
+            scenario = jax.tree.map(lambda a, b: jnp.where(is_custom, a, b), *candidates)
         return Task(
-            key=of_number[1],
+            key=keys[1],
             scenario=scenario,
             instruction_index=cell["instruction_index"],
             sensor=cell["sensor"],
             motion=cell["motion"],
-            told=cell["told"],
+            told=cell["assumed_sensor"],
         )
 
-    return jax.vmap(one)(described, *map(jnp.asarray, of_episode))
+    return jax.vmap(draw)(shared, *map(jnp.asarray, ids))
 
 
-@cached_jit(static_argnames=("number",))
-def _first(tasks: Task, *, number: int) -> Task:
-    """Take the first of some tasks: one program for all leaves."""
-    return jax.tree.map(lambda leaf: leaf[:number], tasks)
+@cached_jit(static_argnames=("count",))
+def _first(tasks: Task, *, count: int) -> Task:
+    """Select the first tasks: one program for all leaves."""
+    return jax.tree.map(lambda leaf: leaf[:count], tasks)
 
 
-def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) -> Task:
-    """Draw the worlds and keys of any selection of episodes, leaves [E, …].
+def draw_tasks(cells: Sequence[Cell], index: np.ndarray, episodes: np.ndarray) -> Task:
+    """Sample the worlds and keys of any selection of episodes, leaves [E, …].
 
-    ``index``: i[E], which cell each is of; ``numbers``: i[E], its number within the cell's (seed,
-    world); ``episodes`` and ``first_episode`` of the cells are not read. ``ValueError``: unknown
+    ``index``: i[E], the cell of each; ``episodes``: i[E], its index within the cell's (seed,
+    world); ``episodes`` and ``first_episode`` of the cells are not used. ``ValueError``: unknown
     world or relation, or places beside templates.
     """
-    if len({one.place is None for one in cells}) > 1:
+    if len({cell.place is None for cell in cells}) > 1:
         raise ValueError("places and templates cannot be drawn at once: they differ in size")
-    described = [_describe(one) for one in cells]
-    stacked = jax.tree.map(lambda *leaves: np.stack([*map(np.asarray, leaves)]), *described)
-    seeds = np.array([one.seed for one in cells], np.uint32)
-    names = np.array([zlib.crc32(one.world.encode()) for one in cells], np.uint32)
-    cycle = np.array([one.environments for one in cells])[index]
-    worlds = np.where(cycle > 0, numbers % np.maximum(cycle, 1), numbers)
+    shared = [_describe(cell) for cell in cells]
+    stacked = jax.tree.map(lambda *leaves: np.stack([*map(np.asarray, leaves)]), *shared)
+    seeds = np.array([cell.seed for cell in cells], np.uint32)
+    world_hashes = np.array([zlib.crc32(cell.world.encode()) for cell in cells], np.uint32)
+    cycles = np.array([cell.environments for cell in cells])[index]
+    world_ids = np.where(cycles > 0, episodes % np.maximum(cycles, 1), episodes)
     parts = []
-    # Drawn in blocks of one shape, filled up with the first: one program for any number.
+    # Sampled in blocks of one shape, padded with the first: one program for any number.
     for start in range(0, len(index), BLOCK):
-        at = np.arange(start, start + BLOCK)
-        at = np.where(at < len(index), at, start)
-        mine = jax.tree.map(lambda leaf, at=at: leaf[index[at]], stacked)
-        which = numbers[at].astype(np.uint32), worlds[at].astype(np.uint32)
-        parts.append(_draw(mine, seeds[index[at]], names[index[at]], *which))
-    return _first(concatenate(parts) if len(parts) > 1 else parts[0], number=len(index))
+        i = np.arange(start, start + BLOCK)
+        i = np.where(i < len(index), i, start)
+        part = jax.tree.map(lambda leaf, i=i: leaf[index[i]], stacked)
+        ids = episodes[i].astype(np.uint32), world_ids[i].astype(np.uint32)
+        parts.append(_draw(part, seeds[index[i]], world_hashes[index[i]], *ids))
+    return _first(concatenate(parts) if len(parts) > 1 else parts[0], count=len(index))
 
 
-def _describe(one: Cell) -> dict[str, Any]:
-    """Gather what the tasks of a cell have in common; leaves are single values."""
-    common = {name: getattr(one, name) for name in ("sensor", "motion", "told")}
-    common["instruction_index"] = np.int32(one.instruction_index)
-    if one.place is not None:
-        return common | {"place": one.place}
-    # The world of somebody's own is put in place of a drawn one, which then does not matter.
-    drawn = (one.world, one.relation) if one.scenario is None else ("1H1C", "null")
+def _describe(cell: Cell) -> dict[str, Any]:
+    """Collect the fields that all tasks of a cell share; leaves are single values."""
+    common = {name: getattr(cell, name) for name in ("sensor", "motion", "assumed_sensor")}
+    common["instruction_index"] = np.int32(cell.instruction_index)
+    if cell.place is not None:
+        return common | {"place": cell.place}
+    # A custom world replaces a sampled one, so any template will do.
+    template = (cell.world, cell.relation) if cell.scenario is None else ("1H1C", "null")
     return common | {
-        "law": scenario_law(template=drawn[0], relation=drawn[1]),
-        "is_own": np.asarray(one.scenario is not None),
-        "scenario": empty_scenario() if one.scenario is None else one.scenario,
+        "law": scenario_law(template=template[0], relation=template[1]),
+        "is_custom": np.asarray(cell.scenario is not None),
+        "scenario": empty_scenario() if cell.scenario is None else cell.scenario,
     }
 
 
-def make_tasks(one: Cell) -> Task:
-    """Draw the worlds and keys of a cell, at least one, leaves [E, …]."""
-    refuse_below(1, episodes=one.episodes)
-    refuse_below(0, environments=one.environments)
-    numbers = one.first_episode + np.arange(one.episodes)
-    return draw_tasks([one], np.zeros(one.episodes, np.int32), numbers)
+def make_tasks(cell: Cell) -> Task:
+    """Sample the worlds and keys of a cell, at least one, leaves [E, …]."""
+    refuse_below(1, episodes=cell.episodes)
+    refuse_below(0, environments=cell.environments)
+    numbers = cell.first_episode + np.arange(cell.episodes)
+    return draw_tasks([cell], np.zeros(cell.episodes, np.int32), numbers)
 
 
 def take_tasks(tasks: Task, index: np.ndarray) -> Task:
-    """Pick tasks by their numbers, i[n]: leaves [n, …] of [E, …]."""
-    at = jnp.asarray(index)
-    return jax.tree.map(lambda leaf: leaf[at], tasks)
+    """Select tasks by index, i[n]: leaves [n, …] of [E, …]."""
+    i = jnp.asarray(index)
+    return jax.tree.map(lambda leaf: leaf[i], tasks)
 
 
 def concatenate(parts: Sequence[Task]) -> Task:
-    """Put the tasks of several cells behind one another."""
+    """Concatenate tasks along their leading axis."""
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
 def known_distances(tasks: Task) -> np.ndarray:
-    """Measure the straight way from start to goal of each task, f32[E] metres."""
+    """Compute the straight-line distance from start to goal of each task, f32[E] metres."""
     return np.asarray(jax.vmap(known_distance)(tasks.scenario))

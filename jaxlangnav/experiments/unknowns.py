@@ -63,8 +63,8 @@ class Variation:
             num_particles=max(2, round(self.particle_factor * options.num_particles)),
             params=options.params,
             motion=options.motion,
-            told={"policy": _POLICY, "unknown": self.unknown, "value": self.value},
-        ).believing(self.numbers)
+            labels={"policy": _POLICY, "unknown": self.unknown, "value": self.value},
+        ).with_overrides(self.numbers)
         assert arm.config is not None
         planner = dataclasses.replace(arm.config.planner, num_blocks=self.num_blocks)
         config = dataclasses.replace(arm.config, planner=planner)
@@ -236,7 +236,7 @@ UNKNOWNS = Experiment(
     specs=PRINTED,
     arms=lambda options: [one.arm(options) for one in VARIATIONS],
     measure=_measure,
-    found=_found,
+    extras=_found,
     tables=lambda document: [_matrix(document)],
     notes=lambda document: [
         *(f"{row_name(one)}: {_explain(one)}" for one in document["explained"]),

@@ -79,7 +79,7 @@ def run_and_remember(
     """
     course = EPISODE._replace(finish=_remembered)
     return run_tasks(
-        tasks, instructions, params=params, config=config, max_steps=max_steps, course=course
+        tasks, instructions, params=params, config=config, max_steps=max_steps, program=course
     )
 
 
