@@ -182,16 +182,14 @@ def test_a_setting_may_have_numbers_of_its_own_to_believe(monkeypatch):
     arm = dataclasses.replace(policy_arm("informed", num_particles=64), tallied=2)
     calls: list[tuple[float, int]] = []
 
-    def judge(
-        self: Arm, tasks: Task, *_: object, with_tally: bool, **__: object
-    ) -> tuple[Any, Any]:
+    def run(self: Arm, tasks: Task, *_: object, with_tally: bool, **__: object) -> tuple[Any, Any]:
         assert self.params is not None
         assert self.config is arm.config
         calls.append((float(self.params.map.concentration), tasks.key.shape[0]))
         x = np.asarray(tasks.scenario.object_x)
         return x + 100.0 * calls[-1][0], x if with_tally else None
 
-    monkeypatch.setattr(Arm, "run", judge)
+    monkeypatch.setattr(Arm, "run", run)
     grid = dataclasses.replace(GRID, settings=settings, arms=[arm])
     (played,) = run_grid(grid, None)  # pyright: ignore
     usual = float(np.float32(0.3))
