@@ -3,7 +3,7 @@
 import numpy as np
 from corpus_labels import annotate, behave
 
-from jaxlangnav.grounding.worlds import World, place
+from jaxlangnav.grounding.worlds import World
 from jaxlangnav.language.corpus import ClauseLabels, Example, WorldLabels
 from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
@@ -105,4 +105,4 @@ def corpus(num_worlds=3, seed=0, sentences=SENTENCES):
     return [labelled_instruction(example(text, rng, num_worlds), TYPES) for text in sentences]
 
 
-__all__ = ["SENTENCES", "TYPES", "corpus", "example", "place", "random_placed", "random_topology"]
+__all__ = ["SENTENCES", "TYPES", "corpus", "example", "random_placed", "random_topology"]

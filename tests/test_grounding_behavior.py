@@ -19,7 +19,7 @@ from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.program import BehaviorProgram, softmax
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import CONSTRAINT, GOAL, BehaviorSpace
-from jaxlangnav.grounding.worlds import World, place, to_device
+from jaxlangnav.grounding.worlds import World, to_device, to_world
 from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.messages import AT, BEHIND, NEAR, ROBOT
 
@@ -197,7 +197,7 @@ def test_geometry_gives_the_edges():
         robot=(0.0, 0.0, 0.0),
         previous=1,
     )
-    world = place(placed, TYPES)
+    world = to_world(placed, TYPES)
     assert world.is_related[BEHIND, 0, 1]
     assert not world.is_related[BEHIND, 1, 0]
     assert world.is_related[2, 2, 3]  # the second cone is on the robot's left

@@ -19,7 +19,7 @@ from jaxlangnav.grounding import (
     load_shipped,
 )
 from jaxlangnav.grounding.readings import CapacityError
-from jaxlangnav.grounding.worlds import World, place_for, to_device
+from jaxlangnav.grounding.worlds import World, reading_world, to_device
 from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, REGIONS, RELATIONS, ROBOT
 
 START = Context(is_under_way=False)
@@ -107,7 +107,7 @@ def crowded(text: str, rng: np.random.Generator) -> list[World]:
             placed = random_placed(rng, SLOTS - 1)
             objects = tuple((rng.choice([*named, "bench"]), x, y) for _, x, y in placed.objects)
             place = type(placed)(objects=objects, robot=placed.robot, previous=placed.previous)
-            worlds.append(place_for(place, TYPES, graph.instruction.readings))
+            worlds.append(reading_world(place, TYPES, graph.instruction.readings))
         else:
             world = random_topology(rng, SLOTS - 1, p_relation=0.4)
             world.object_type[:-1] = rng.choice([TYPES.index(kind) for kind in named], SLOTS - 1)

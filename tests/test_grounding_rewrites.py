@@ -22,7 +22,7 @@ from jaxlangnav.grounding import (
     default_rewrite_params,
 )
 from jaxlangnav.grounding.readings import unpad_readings
-from jaxlangnav.grounding.rewrites import MOST_REWRITES
+from jaxlangnav.grounding.rewrites import MAX_REWRITES
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.messages import BEHIND, FRONT, NONE
 from jaxlangnav.training.shipped import COLDEST, Judged, fit_source_temperature, log_likelihood
@@ -118,7 +118,7 @@ def test_where_none_is_left_one_line_says_so(graph) -> None:
 
 def test_equal_rewritings_add_up_and_too_many_are_noted(graph) -> None:
     many = [("go to the car", math.log(0.3)), ("go to the car", math.log(0.3))]
-    many += [(f"zzz {i}", -9.0 - i) for i in range(MOST_REWRITES)]
+    many += [(f"zzz {i}", -9.0 - i) for i in range(MAX_REWRITES)]
     grounded = rewriting(graph, *many, (BEHIND_CAR, math.log(0.4))).ground("x", START)
     assert "2 less likely rewritings are not read" in grounded.notes
     assert [one.probability for one in grounded.alternatives] == pytest.approx([0.6, 0.4])

@@ -1,6 +1,6 @@
 """Log-odds of behavior symbols in the particles (eq. 4, section 3.3), given the children's sets.
 
-The device twin of ``behavior_properties``: leaves of a program are [..., E, 1], those of worlds
+The device version of ``behavior_properties``: leaves of a program are [..., E, 1], those of worlds
 [..., E, P]; episodes and particles are lanes. A ``row`` is a program of one phrase: its fields
 have lost their first axis.
 """
@@ -20,13 +20,13 @@ from jaxlangnav.numerics.batching import lookup
 
 
 class ObjectSets(NamedTuple):
-    """The particles' objects as bits."""
+    """Sets of each particle's objects as bit masks."""
 
-    kind: Array  # i32[N, E, P] kinds of the objects
+    kind: Array  # i32[N, E, P] types of the objects
     previous: Array  # i32[3, E, P] the previous goal; others of its type; those of other types
     robot: Array  # i32[E, P]
     everything: Array  # i32[E, P]
-    lies: Array  # i32[T, N, E, P] per table of the program and landmark, the objects there
+    lies: Array  # i32[T, N, E, P] objects in the region, by the program's tables and landmark
 
 
 class Combinations(NamedTuple):
@@ -40,11 +40,11 @@ class Combinations(NamedTuple):
 
 
 _OBJECTS, _TOUCHED, _KEPT, _OUTSIDE, _SLOTS, _NEAR = 0, 1, 2, 3, slice(4, -1), -1
-"""Of ``Combinations.sets``."""
+"""Indices into ``Combinations.sets``."""
 
 
 def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectSets:
-    """Turn worlds into bits; leaves of the world are [..., E, P]."""
+    """Encode worlds as bit masks; leaves of the world are [..., E, P]."""
     is_object, kind = world.is_object, world.object_type
     itself = jnp.where(is_object, _bit_of_each(kind.shape[0], 3), 0)
     everything = jnp.sum(itself, axis=0)
@@ -62,28 +62,28 @@ def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectS
         previous=jnp.stack([goal, others, rest]),
         robot=robot,
         everything=everything,
-        lies=lookup(figures, _each(program.table, is_object)),
+        lies=lookup(figures, _per_object(program.table, is_object)),
     )
 
 
-def _each(index: Array, objects: Array) -> Array:
-    """Put the same index beside each object: i32[n, E, 1] to i32[n, N, E, P]."""
+def _per_object(index: Array, objects: Array) -> Array:
+    """Broadcast indices over objects: i32[n, E, 1] to i32[n, N, E, P]."""
     return jnp.broadcast_to(index[:, None], (index.shape[0], *objects.shape))
 
 
-def _own(row: BehaviorProgram, scene: ObjectSets) -> Array:
-    """Find the objects of the kinds that the words name, i32[E, P]."""
+def _named(row: BehaviorProgram, scene: ObjectSets) -> Array:
+    """Find the objects of the types that the words name, i32[E, P]."""
     named = is_type(scene.kind[None], row.own[:, None])  # [W, N, E, P]
     return to_mask(functools.reduce(jnp.logical_or, named)) & scene.everything
 
 
 def object_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int) -> Array:
     """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
-    own_mask = _own(row, scene)
-    own = _is_in(own_mask, size)
+    named_mask = _named(row, scene)
+    own = _is_in(named_mask, size)
     always, named, other, expressed, there, elsewhere, absent, named_there, *previous = row.objects
     base = jnp.where(own, always + named, always + other)
-    base = base + jnp.where(_is_in(own_mask & scene.previous[0], size), previous[0], 0.0)
+    base = base + jnp.where(_is_in(named_mask & scene.previous[0], size), previous[0], 0.0)
     for n in range(3):
         base = base + jnp.where(_is_in(scene.previous[n], size), previous[1 + n], 0.0)
     base = base + jnp.where(scene.previous[0] == 0, previous[4], 0.0)[None]
@@ -100,7 +100,7 @@ def region_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, s
     inside = _is_in(joined.sets[:, _OBJECTS], size)[:, None]
     same = _is_in(joined.sets[:, _SLOTS], size)
     base, expressed, alike, absent, own, robot = row.regions[:, :, None]
-    base = base + jnp.where(_is_in(_own(row, scene), size), own, 0.0)
+    base = base + jnp.where(_is_in(_named(row, scene), size), own, 0.0)
     base = base + jnp.where(_is_in(scene.robot, size), robot, 0.0)
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     return (
@@ -114,11 +114,11 @@ def region_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, s
 def constraint_odds(
     row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int
 ) -> Array:
-    """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
+    """Evaluate the log-odds of the constraints, f32[4, N, E, P], of the row's one relation."""
     base, alike, inside, part, untouched, again, first = row.constraints
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     objects, touched, kept, near = (
-        _is_in(joined.sets[:, row_of], size) for row_of in (_OBJECTS, _TOUCHED, _KEPT, _NEAR)
+        _is_in(joined.sets[:, index], size) for index in (_OBJECTS, _TOUCHED, _KEPT, _NEAR)
     )
     return (
         base[None]
@@ -131,7 +131,7 @@ def constraint_odds(
 
 def lying_in(row: BehaviorProgram, scene: ObjectSets, regions: Array) -> Array:
     """Find the objects that lie in the expressed regions, i32[4, L, E, P] to i32[4, E, P]."""
-    table = lookup(scene.lies, _each(row.region_table, scene.lies[0]))
+    table = lookup(scene.lies, _per_object(row.region_table, scene.lies[0]))
     there = jnp.where(_is_in(regions, scene.lies.shape[1]), table[None], 0)  # [4, L, N, E, P]
     return jax.lax.reduce_or(there, axes=(1, 2))
 
@@ -141,42 +141,42 @@ def lying_in(row: BehaviorProgram, scene: ObjectSets, regions: Array) -> Array:
 
 
 def iota(size: int, ndim: int) -> np.ndarray:
-    """Count along the axis before the two lane axes, i32[1, ..., size, 1, 1], known when traced."""
+    """Build indices along the axis before the two lane axes, i32[1, ..., size, 1, 1], static."""
     return np.arange(size, dtype=np.int32).reshape(*(1,) * (ndim - 3), size, 1, 1)
 
 
 def _bit_of_each(size: int, ndim: int) -> np.ndarray:
-    """List the bit of each object along that axis, i32[1, ..., size ≤ 31, 1, 1]."""
+    """Build the bit of each object along that axis, i32[1, ..., size ≤ 31, 1, 1]."""
     return np.left_shift(np.int32(1), iota(size, ndim))
 
 
 def _is_in(mask: Array, size: int) -> Array:
-    """Spread bit masks i32[..., E, P] to bool[..., size, E, P]."""
+    """Unpack bit masks i32[..., E, P] to bool[..., size, E, P]."""
     return (mask[..., None, :, :] & _bit_of_each(size, mask.ndim + 1)) != 0
 
 
 def to_mask(flags: Array) -> Array:
-    """Gather bool[..., N, E, P] to bit masks i32[..., E, P]."""
+    """Pack bool[..., N, E, P] into bit masks i32[..., E, P]."""
     return jnp.sum(jnp.where(flags, _bit_of_each(flags.shape[-3], flags.ndim), 0), axis=-3)
 
 
 def smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
-    """Find the smallest of nonnegative costs f32[..., n ≤ 64, E, P] and where they stand.
+    """Find the ``count`` smallest nonnegative costs f32[..., n ≤ 64, E, P] and their indices.
 
-    The index rides in the low bits of the number, so that one minimum finds both.
+    The index replaces the low bits of the float, so that one minimum yields both.
     """
     size = cost.shape[-3]
     low = (1 << (size - 1).bit_length()) - 1
     bits = jax.lax.bitcast_convert_type(cost, jnp.int32)
     packed = (bits & ~low) | iota(size, cost.ndim)
-    least = jnp.min(packed, axis=-3)
-    found = [least]
+    lowest = jnp.min(packed, axis=-3)
+    minima = [lowest]
     for _ in range(count - 1):
-        rest = jnp.where(packed > least[..., None, :, :], packed, jnp.iinfo(jnp.int32).max)
-        least = jnp.min(rest, axis=-3)
-        found.append(least)
-    values = [jax.lax.bitcast_convert_type(each & ~low, jnp.float32) for each in found]
-    return values, [each & low for each in found]
+        rest = jnp.where(packed > lowest[..., None, :, :], packed, jnp.iinfo(jnp.int32).max)
+        lowest = jnp.min(rest, axis=-3)
+        minima.append(lowest)
+    values = [jax.lax.bitcast_convert_type(value & ~low, jnp.float32) for value in minima]
+    return values, [value & low for value in minima]
 
 
 def pick_of_four(values: Array, index: Array) -> Array:

@@ -1,13 +1,13 @@
 """Properties of behavior symbols: the grounding side of the bilinear score (section 3.3).
 
-A property holds of a symbol where a condition on its object is met (in a world, given the
-children's sets), times a gate that the words of the phrase set, apart for each relation:
+A property of a symbol is a condition on its object (in a world, given the children's sets), times
+a gate that depends on the words of the phrase, per relation:
 
     property(symbol) = gate(words)[relation] · condition(object, relation)
 
 Each is declared once, for training and search on the host (``behavior_tables``) and for the
-particles: there only conditions are evaluated, and ``contract`` adds up the coefficients of all
-properties with one condition per phrase. The order of declaration is that of the weights' columns.
+particles: there only conditions are evaluated, and ``contract`` sums the coefficients of all
+properties that share a condition. The order of declaration is that of the weights' columns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,22 +24,22 @@ _AT = (np.arange(NUM_REGIONS) == AT).astype(np.float32)[:, None]
 _EACH = np.eye(NUM_REGIONS, dtype=np.float32)[:, :, None]
 _NEAR = (np.arange(NUM_REGIONS) == NEAR).astype(np.float32)[:, None]
 Conditions = Mapping[str, Any]
-"""Name of a condition → bool[7, n] where it is met, and what broadcasts to it."""
+"""Name of a condition → where it is met, broadcastable to bool[7, n]."""
 
 
 class PhraseWords(NamedTuple):
-    """What gates read of a phrase."""
+    """Inputs of the gates: senses and shape of a phrase."""
 
-    named: np.ndarray  # f32[7, 1] one for the regions that the words name
+    named: np.ndarray  # f32[7, 1] indicator of the regions that the words name
     has_relations: bool
     is_named: bool  # the words name a type, or the robot
     is_lone: bool  # neither children nor a type
     has_children: bool
-    is_restricted: bool  # by a child that says where it is
+    is_restricted: bool  # by a child that states its location
 
     @classmethod
     def of(cls, senses: Senses, has_children: bool, is_restricted: bool) -> "PhraseWords":
-        """Read the senses of a phrase's own words."""
+        """Build from the senses of a phrase's own words."""
         named = np.isin(np.arange(NUM_REGIONS), sorted(senses.relations))
         return cls(
             named=named.astype(np.float32)[:, None],
@@ -126,29 +126,29 @@ OBJECT_CONDITIONS = (
     "always", "own", "other", "inside", "inside_lies", "inside_elsewhere", "outside", "own_lies",
     *PREVIOUS,
 )  # fmt: skip
-"""An object is named by the words, or other; a child expresses it (and it lies in all restricting
-regions, or elsewhere) or none does; it was the previous goal, is of its type or of another."""
+"""own, other: the words name the object or not; inside, outside: a child expresses it or not; lies,
+elsewhere: in all restricting regions or not; alike, unlike: of the previous goal's type or not."""
 REGION_CONDITIONS = ("base", "inside", "same", "absent", "own", "robot")
 CONSTRAINT_CONDITIONS = ("base", "same", "inside", "touched", "untouched", "kept", "new")
-"""A child expresses the object, the region or constraint itself, either or none ("touched": the
-object or a region of it); the words name the object; it is the robot."""
+"""inside: a child expresses the object; same: the same region; absent: neither; touched: the object
+or a region of it; kept: the same constraint; own: the words name the object; robot: it is."""
 _DECLARED = {
     "object": (_object_columns, OBJECT_CONDITIONS),
     "region": (_region_columns, REGION_CONDITIONS),
     "goal": (_goal_columns, REGION_CONDITIONS),
     "constraint": (_constraint_columns, CONSTRAINT_CONDITIONS),
 }
-"""Kind of symbol → its properties, and the conditions that they may be under."""
+"""Kind of symbol → its property columns, and the conditions that they use."""
 
 
 def contract(kind: str, words: PhraseWords, coefficients: np.ndarray) -> dict[str, np.ndarray]:
-    """Add up the coefficients, f32[F] log-odds, of the properties that hold under one condition.
+    """Sum the coefficients, f32[F] log-odds, of the properties that share a condition.
 
-    Of a kind, "object", "region", "goal" or "constraint": condition → f32[7] by relation; of
-    objects all seven are the same.
+    For a kind "object", "region", "goal" or "constraint": condition → f32[7] by relation; equal for
+    all relations if the kind is "object".
     """
     columns, conditions = _DECLARED[kind]
-    # Of as many things each of which meets one condition alone.
+    # Evaluate the columns for one-hot conditions.
     met = dict(zip(conditions, np.eye(len(conditions), dtype=np.float32)[:, None], strict=True))
     terms = np.zeros((NUM_REGIONS, len(conditions)), np.float32)
     for coefficient, column in zip(coefficients, columns(words, met).values(), strict=True):
@@ -157,14 +157,14 @@ def contract(kind: str, words: PhraseWords, coefficients: np.ndarray) -> dict[st
 
 
 def choice_columns(named: frozenset[int], names: Sequence[str]) -> PropertyColumns:
-    """Describe the symbols of actions or modes, of which the words name some, bool[n] each."""
-    own, is_named = np.isin(np.arange(len(names)), sorted(named)), bool(named)
-    given = {"bias": True, "named": own, "another named": ~own & is_named, "none named": not named}
-    return given | by_name("is", names, np.eye(len(names)))
+    """Compute features of the actions or modes, given those named by the words, bool[n] each."""
+    own, is_any = np.isin(np.arange(len(names)), sorted(named)), bool(named)
+    columns = {"bias": True, "named": own, "another named": ~own & is_any, "none named": not is_any}
+    return columns | by_name("is", names, np.eye(len(names)))
 
 
 def choice_tables(senses: Senses) -> dict[str, np.ndarray]:
-    """Describe actions and modes, f32[2, 6] and f32[3, 7]: they depend on the words alone."""
+    """Compute the features of actions f32[2, 6] and modes f32[3, 7] from the words alone."""
     return {
         "action": stack_columns((len(ACTIONS),), choice_columns(senses.actions, ACTIONS)),
         "mode": stack_columns((len(MODES),), choice_columns(senses.modes, MODES)),
@@ -172,7 +172,7 @@ def choice_tables(senses: Senses) -> dict[str, np.ndarray]:
 
 
 def behavior_names() -> dict[str, tuple[str, ...]]:
-    """Name the columns of the weights: kind of symbol → F names."""
+    """List the names of the weights' columns: kind of symbol → F names."""
     words = PhraseWords(_AT, *[False] * 5)
     choices = {"action": ACTIONS, "mode": MODES}
     return {
@@ -185,7 +185,7 @@ def behavior_names() -> dict[str, tuple[str, ...]]:
 
 
 class ChildGroundings(NamedTuple):
-    """What the child phrases express in one world."""
+    """Union of what the child phrases express in one world."""
 
     objects: np.ndarray  # bool[N]
     regions: np.ndarray  # bool[7, N] regions, and goals of child verb phrases
@@ -194,9 +194,9 @@ class ChildGroundings(NamedTuple):
 
 
 def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    """Find which objects lie in one of the regions bool[7, N], bool[N]; one lies "at" itself.
+    """Find the objects that lie in one of the regions bool[7, N], bool[N]; each is "at" itself.
 
-    ``rank`` is i[7], 0 where every object of the region is meant, 1 the extreme one, 2 the second.
+    ``rank`` is i[7]: 0 for every object of the region, 1 for the extreme one, 2 for the second.
     """
     lies = regions[AT].copy()
     for relation in range(NUM_RELATIONS):
@@ -206,11 +206,11 @@ def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
 
 
 def _conditions(world: World, senses: Senses, child: ChildGroundings) -> Conditions:
-    """Evaluate all conditions, bool[7, N] and what broadcasts to it."""
+    """Evaluate all conditions, each broadcastable to bool[7, N]."""
     is_type = np.isin(world.object_type, sorted(senses.types))
     is_robot = world.object_type == ROBOT
     own = (is_type | (is_robot & senses.is_robot)) & world.is_object
-    # What is called by no type may be anything, whatever the goal before was.
+    # An untyped goal ("the thing") ignores the previous goal.
     is_previous = world.is_previous & (not senses.is_thing)
     has_previous = bool(is_previous.any())
     alike = np.isin(world.object_type, world.object_type[is_previous])
@@ -244,7 +244,7 @@ def _conditions(world: World, senses: Senses, child: ChildGroundings) -> Conditi
 def behavior_tables(
     world: World, is_verb: bool, senses: Senses, words: PhraseWords, child: ChildGroundings
 ) -> dict[str, np.ndarray]:
-    """Describe every behavior symbol of a phrase in one world: kind → f32[symbols of the kind, F].
+    """Build the feature matrices of a phrase's behavior symbols in one world: kind → f32[n, F].
 
     A verb phrase expresses goals and constraints, any other objects and regions.
     """

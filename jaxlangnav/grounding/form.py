@@ -1,7 +1,7 @@
-"""A form of annotations: what an instruction says and asks for, without its words (section 3.1).
+"""Annotation form: a JSON document of an instruction's annotations and commands (section 3.1).
 
-A person, a program or a language model fills it in. It is JSON, described by
-``annotation_schema()``, and refused field by field.
+A person, a program or a language model fills it in. Its schema is ``annotation_schema()``, and
+errors name the first invalid field.
 """
 
 import dataclasses
@@ -25,21 +25,21 @@ from jaxlangnav.messages import (
 from jaxlangnav.relations.table import ORDERS, REGISTRY
 
 MAX_FORM_CHARACTERS = 65_536
-"""Longer texts are no forms: the largest that the arrays hold has a tenth of it."""
+"""Length limit; the largest form that the arrays hold has a tenth of it."""
 ROBOT_ID = "robot"
 _TOLERANCE = 0.01
-"""By how much the probabilities may miss 1, for people and models round them."""
+"""Allowed deviation of the sum of probabilities from 1, as people and models round them."""
 
 
 def quote(value: Any) -> str:
-    """Repeat a value in a refusal: on one line, and not too long."""
+    """Format a value for an error message: on one line, shortened."""
     return shorten(repr(value), 40)
 
 
 def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str = "$") -> None:
-    """Refuse a value, as ``json`` has read it, that does not fit ``annotation_schema()``.
+    """Validate a parsed JSON value against ``annotation_schema()``.
 
-    Or ``schema`` with its definitions; ``path`` is the JSON path of the value.
+    Or against ``schema`` with its definitions; ``path`` is the JSON path of the value.
 
     Raises:
         ValueError: the first field that does not fit, in one line with its JSON path.
@@ -50,57 +50,57 @@ def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str =
     error: Any = next(iter(Draft202012Validator(whole).iter_errors(value)), None)
     if error is None:
         return
-    place, found, limit = f"{path}{error.json_path[1:]}", error.instance, error.validator_value
+    where, instance, limit = f"{path}{error.json_path[1:]}", error.instance, error.validator_value
     match error.validator:
         case "required":
-            missing = next(name for name in limit if name not in found)
-            raise ValueError(f"{place}.{missing} is missing: add it")
+            missing = next(name for name in limit if name not in instance)
+            raise ValueError(f"{where}.{missing} is missing: add it")
         case "additionalProperties":
             known = error.schema["properties"]
-            name = quote(next(name for name in found if name not in known))
+            name = quote(next(name for name in instance if name not in known))
             raise ValueError(
-                f"{place} has a field {name}, but may only have {', '.join(known)}: leave it out"
+                f"{where} has a field {name}, but may only have {', '.join(known)}: leave it out"
             )
         case "maxItems":
-            raise ValueError(f"{place} has {len(found)} entries, but at most {limit} are held")
+            raise ValueError(f"{where} has {len(instance)} entries, but at most {limit} are held")
         case "enum":
             wanted = f"one of {', '.join(limit)}"
         case "type":
             wanted = f"of type {limit}: {error.schema['description']}"
         case _:
             wanted = error.schema["description"]
-    raise ValueError(f"{place} is {quote(found)}, but must be {wanted}")
+    raise ValueError(f"{where} is {quote(instance)}, but must be {wanted}")
 
 
 @dataclasses.dataclass(frozen=True)
 class FormCommand:
-    """Something to be done."""
+    """A command: action, mode, goal region, and objects to avoid."""
 
     action: int  # index into ACTIONS
     mode: int  # index into MODES
     region: int  # index into REGIONS
-    thing: int  # whose region it is
+    thing: int  # landmark of the region
     avoid: tuple[int, ...]
-    metres: float = 0.0  # from the thing to the place; 0: as far as the region suggests
+    metres: float = 0.0  # from landmark to goal; 0: the relation's typical distance
 
 
 @dataclasses.dataclass(frozen=True)
 class FormReading:
-    """One way to read an instruction."""
+    """One interpretation of an instruction, with its probability."""
 
     probability: float
-    types: tuple[int, ...]  # object type of each thing
-    relations: tuple[Relation, ...]  # things are counted from 0, or ``ROBOT``
+    types: tuple[int, ...]  # object type of each object
+    relations: tuple[Relation, ...]  # between object indices, or ``ROBOT``
     commands: tuple[FormCommand, ...]
 
     def type_of(self, thing: int) -> int:
-        """Look up the object type of a thing; ``ROBOT`` is a type of its own."""
+        """Look up the object type of an object index; that of ``ROBOT`` is ``ROBOT``."""
         return thing if thing == ROBOT else self.types[thing]
 
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """A form that has been read: its probabilities sum to one."""
+    """A validated form: readings whose probabilities sum to one, and notes."""
 
     readings: tuple[FormReading, ...]
     notes: tuple[str, ...]
@@ -135,25 +135,25 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
             f"$.readings: the probabilities sum to {total:.3g}, but must sum to 1: divide each by "
             "their sum, or add the reading that is missing"
         )
-    asked = readings[0].commands
+    first_commands = readings[0].commands
     for i, reading in enumerate(readings):
-        if len(reading.commands) != len(asked):
+        if len(reading.commands) != len(first_commands):
             raise ValueError(
                 f"$.readings[{i}].commands has {len(reading.commands)} entries, but the first "
-                f"reading has {len(asked)}: every reading needs as many"
+                f"reading has {len(first_commands)}: every reading needs as many"
             )
-        for j, (one, first) in enumerate(zip(reading.commands, asked, strict=True)):
-            if one.metres != first.metres:
+        for j, (command, first) in enumerate(zip(reading.commands, first_commands, strict=True)):
+            if command.metres != first.metres:
                 raise ValueError(
-                    f"$.readings[{i}].commands[{j}].goal.metres is {one.metres:g}, but "
+                    f"$.readings[{i}].commands[{j}].goal.metres is {command.metres:g}, but "
                     f"{first.metres:g} in the first reading: it must be the same in all"
                 )
-    shares = [dataclasses.replace(one, probability=one.probability / total) for one in readings]
-    return Form(tuple(shares), tuple(document.get("notes", ())))
+    scaled = [dataclasses.replace(r, probability=r.probability / total) for r in readings]
+    return Form(tuple(scaled), tuple(document.get("notes", ())))
 
 
 def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> FormReading:
-    """Read a reading that fits the schema: ids become indices."""
+    """Read a reading that matches the schema: ids become indices."""
     index: dict[str, int] = {ROBOT_ID: ROBOT}
     for i, thing in enumerate(document["things"]):
         where = f"{path}.things[{i}]"
@@ -251,9 +251,9 @@ def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: s
 
 
 def read_meaning(document: Any, *, path: str) -> tuple[FormReading, tuple[str, ...]]:
-    """Read one reading by itself, without a probability: what a labelled sentence means.
+    """Read a single reading without a probability: the meaning of a labelled sentence.
 
-    Also the object types that it names, in the order of its indices.
+    Also returns the object types that it names, in index order.
 
     Raises:
         ValueError: a field cannot be; one line that begins with the JSON ``path`` of the document.

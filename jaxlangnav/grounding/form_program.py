@@ -1,12 +1,12 @@
 """The behavior program of a form: coefficients without words (section 3.3).
 
-The trained graph contracts the words of each phrase with its weights. A form has no words and says
-itself what each phrase expresses, so its phrases are made up from what is described: "the hydrant"
-with "behind" over "the cone" below it, at log-odds of ±``CERTAIN``. The doubt of a form is in its
-probabilities.
+The trained graph contracts the words of each phrase with its weights. A form has no words, so a
+phrase is synthesized for each object and relation of a description: "the hydrant", with "behind"
+over "the cone" below it, at log-odds of ±``CERTAIN``. The uncertainty of a form is in the
+probabilities of its readings.
 
-A particle infers behavior from types and from the relations of its reading, so a form's things are
-described in these terms first.
+A particle infers behavior from types and from the relations of its reading, so a form's objects are
+first described in these terms.
 """
 
 import dataclasses
@@ -39,15 +39,15 @@ from jaxlangnav.messages import NEAR, NONE, REGIONS
 from jaxlangnav.relations.table import SYMBOL
 
 Place = tuple[int, int, "ThingDescription"]
-"""Relation, rank, and what the landmark is."""
+"""Relation, rank, and description of the landmark."""
 ANY, AGAIN, OTHER = (), ("alike",), ("own_previous",)
-"""How a goal bears on that of the command before, by the conditions that it must not meet: not at
-all; the same thing; another of its type ("the other cone")."""
+"""Reference of a goal to the previous one, as conditions that it must not meet: none; the same
+object; another one of its type ("the other cone")."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ThingDescription:
-    """What is said of a thing; two things of one description are not told apart."""
+    """Description of an object by type and relations; equal descriptions are not told apart."""
 
     kind: int  # object type; ROBOT
     places: frozenset[Place] = frozenset()
@@ -55,7 +55,7 @@ class ThingDescription:
 
 @dataclasses.dataclass(frozen=True)
 class Destination:
-    """A region of a thing, where a command ends or which it avoids."""
+    """A region of a described object: the goal of a command, or a constraint."""
 
     thing: ThingDescription
     region: int
@@ -63,17 +63,16 @@ class Destination:
 
 
 def _description_of(
-    reading: FormReading, thing: int, behind: tuple[int, ...] = ()
+    reading: FormReading, thing: int, ancestors: tuple[int, ...] = ()
 ) -> ThingDescription:
-    """Describe a thing by its relations, and its landmarks by theirs."""
-    # Of two that are said to be beside each other, one describes the other and not itself again:
-    # ``behind`` are the things whose description this one is part of.
-    path = (*behind, thing)
-    # Behavior knows what lies between two things as near each of them.
+    """Describe an object by its type and relations, and recursively its landmarks."""
+    # Cyclic relations are cut: ``ancestors`` are the objects whose description contains this one.
+    path = (*ancestors, thing)
+    # Behavior inference treats "between" two landmarks as near each of them.
     places = {
-        (SYMBOL[one.relation], one.rank, _description_of(reading, one.landmark, path))
-        for one in reading.relations
-        if one.figure == thing and one.landmark not in path
+        (SYMBOL[r.relation], r.rank, _description_of(reading, r.landmark, path))
+        for r in reading.relations
+        if r.figure == thing and r.landmark not in path
     }
     return ThingDescription(reading.type_of(thing), frozenset(places))
 
@@ -88,57 +87,57 @@ def _destination_of(reading: FormReading, index: int) -> Destination:
 
 
 def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
-    """Tell whether a thing of a reading has a description, and maybe more."""
-    told = [one for one in reading.relations if one.figure == index]
+    """Check whether an object of a reading satisfies a description."""
+    relations = [r for r in reading.relations if r.figure == index]
 
-    def is_told(relation: int, rank: int, landmark: ThingDescription) -> bool:
-        # The nearest is near, too; of later ranks, a particle does not know which.
+    def is_stated(relation: int, rank: int, landmark: ThingDescription) -> bool:
+        # The nearest is near, too; particles do not distinguish ranks beyond the first.
         return any(
-            SYMBOL[one.relation] == relation
-            and (rank == 0 or min(rank, 2) == min(one.rank, 2))
-            and _fits(landmark, reading, one.landmark)
-            for one in told
+            SYMBOL[r.relation] == relation
+            and (rank == 0 or min(rank, 2) == min(r.rank, 2))
+            and _fits(landmark, reading, r.landmark)
+            for r in relations
         )
 
-    return reading.type_of(index) == thing.kind and all(is_told(*place) for place in thing.places)
+    return reading.type_of(index) == thing.kind and all(is_stated(*place) for place in thing.places)
 
 
-def _shares(form: Form, meant: Sequence[Sequence[Destination]]) -> dict[Destination, float]:
-    """Find how probable each of what the readings mean is."""
-    # That is 1 of one that shows in no particle whose reading does not mean it, for then the
-    # particles' weights say how probable it is. Of what nothing is said but its type there may
-    # always be one more; relations are only those that the reading tells.
+def _probabilities(form: Form, meant: Sequence[Sequence[Destination]]) -> dict[Destination, float]:
+    """Compute the conditional probability of each destination of the readings in a particle."""
+    # It is 1 if particles of the other readings never contain the described object, as then the
+    # particles' weights carry its probability. An object described by its type alone may always
+    # exist; relations are only those that the reading states.
     pairs = list(zip(form.readings, meant, strict=True))
-    found: dict[Destination, float] = {}
-    for one in dict.fromkeys(own for named in meant for own in named):
-        share = sum(reading.probability for reading, named in pairs if one in named)
-        others = [reading for reading, named in pairs if one not in named]
+    probabilities: dict[Destination, float] = {}
+    for end in dict.fromkeys(end for named in meant for end in named):
+        prob = sum(reading.probability for reading, named in pairs if end in named)
+        others = [reading for reading, named in pairs if end not in named]
         is_sure = not others or (
-            bool(one.thing.places)
+            bool(end.thing.places)
             and not any(
-                _fits(one.thing, reading, index)
+                _fits(end.thing, reading, index)
                 for reading in others
                 for index in range(len(reading.types))
             )
         )
-        found[one] = 1.0 if is_sure else share
-    return found
+        probabilities[end] = 1.0 if is_sure else prob
+    return probabilities
 
 
 # ---------------------------------------------------------------- the program of a command
 
 
 CERTAIN = 16.0
-"""Log-odds of what a form says; the probability of the contrary is 1e-7, lost in rounding."""
+"""Log-odds of what a form states; the complement has probability 1e-7, lost in rounding."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _Phrase:
-    """A phrase of the program, above those it is made of."""
+    """A synthesized phrase of the program, with its child phrases."""
 
     row: Mapping[str, Any]  # values of the program's fields
     children: tuple["_Phrase", ...] = ()
-    table: int = NONE  # of a phrase that says where a figure is: what lies in its region
+    table: int = NONE  # relation table of a restrictor: which objects lie in its region
 
     def walk(self) -> Iterator["_Phrase"]:
         """Yield the phrases below and this one, bottom-up."""
@@ -153,7 +152,7 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
     Raises:
         CapacityError: the program cannot hold as much; one line.
     """
-    wanted = _shares(form, [[_destination_of(reading, index)] for reading in form.readings])
+    wanted = _probabilities(form, [[_destination_of(reading, index)] for reading in form.readings])
     regions = sorted({end.region for end in wanted})
     if len(regions) > NUM_REGION_SLOTS:
         names = ", ".join(REGIONS[region] for region in regions)
@@ -162,33 +161,33 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
             f"{NUM_REGION_SLOTS} are held: leave the least likely reading out"
         )
     phrases = []
-    for end, share in wanted.items():
-        inside = CERTAIN + _log_odds(share)
+    for end, prob in wanted.items():
+        inside = CERTAIN + _log_odds(prob)
         row = _in_slot(regions.index(end.region), end.region, inside)
         phrases.append(_Phrase(row, (_thing(end.thing, CERTAIN, end.before),)))
     avoided = [
-        [Destination(_description_of(one, thing), NEAR) for thing in one.commands[index].avoid]
-        for one in form.readings
+        [Destination(_description_of(r, thing), NEAR) for thing in r.commands[index].avoid]
+        for r in form.readings
     ]
-    shares = _shares(form, avoided)
-    phrases += [_thing(one.thing, _log_odds(share)) for one, share in shares.items()]
+    constraints = _probabilities(form, avoided)
+    phrases += [_thing(end.thing, _log_odds(prob)) for end, prob in constraints.items()]
     is_used = np.arange(NUM_REGION_SLOTS) < len(regions)
     slots = np.where(is_used, np.arange(NUM_REGION_SLOTS), NONE)
     base = np.where(is_used, -CERTAIN, LOG_NEVER)
-    passing_on = {  # of a phrase that expresses the goal regions of its children
+    passing_on = {  # fields of a phrase that expresses the goal regions of its children
         "region_relation": np.append(regions, [NONE] * (NUM_REGION_SLOTS - len(regions))),
-        "regions": _under(REGION_CONDITIONS, base=base, same=2.0 * CERTAIN * is_used),
+        "regions": _stack(REGION_CONDITIONS, base=base, same=2.0 * CERTAIN * is_used),
         "region_from": np.tile(slots, (NUM_CHILDREN, 1)),
     }
-    # More phrases than one may have as children go below phrases that pass all of them on.
-    row = passing_on | {"objects": _under(OBJECT_CONDITIONS, always=-CERTAIN, inside=2.0 * CERTAIN)}
+    # Surplus children are moved below intermediate phrases that pass their regions on.
+    row = passing_on | {"objects": _stack(OBJECT_CONDITIONS, always=-CERTAIN, inside=2.0 * CERTAIN)}
     while len(phrases) > NUM_CHILDREN:
         phrases = [_Phrase(row, tuple(phrases[:NUM_CHILDREN])), *phrases[NUM_CHILDREN:]]
-    # The verb phrase: the children's regions are goals, their objects are to be avoided.
+    # The verb phrase: the children's regions become goals, their objects constraints.
     verb = passing_on | {
         "is_verb": True,
         "constraint_relation": NEAR,
-        "constraints": _under(CONSTRAINT_CONDITIONS, base=-CERTAIN, inside=2.0 * CERTAIN),
+        "constraints": _stack(CONSTRAINT_CONDITIONS, base=-CERTAIN, inside=2.0 * CERTAIN),
     }
     fields = _lay_out(_Phrase(verb, tuple(phrases)), index)
     for reading in form.readings:
@@ -199,61 +198,61 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
 
 
 def _log_odds(probability: float) -> float:
-    """Turn a probability into log-odds that are no surer than ``CERTAIN``."""
+    """Convert a probability to log-odds, at most ``CERTAIN``."""
     if probability >= 1.0:
         return CERTAIN
     return min(CERTAIN, math.log(probability / (1.0 - probability)))
 
 
 def _thing(thing: ThingDescription, peak: float, before: tuple[str, ...] = ANY) -> _Phrase:
-    """Express the objects of a description, "the hydrant behind the cone", at log-odds ``peak``."""
+    """Build the phrase of a description ("the hydrant behind the cone") at log-odds ``peak``."""
     ordered = sorted(thing.places, key=lambda place: (*place[:2], repr(place[2])))
     places = []
-    for relation, rank, landmark in ordered:  # "behind the cone": to say where a figure is
+    for relation, rank, landmark in ordered:  # restrictors, such as "behind the cone"
         row = _in_slot(0, relation, 2.0 * CERTAIN)
         table = relation + NUM_RELATIONS * min(rank, 2)
         places.append(_Phrase(row, (_thing(landmark, CERTAIN),), table))
     first, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
     given = {"own": -CERTAIN, "other": LOG_NEVER, "own_lies": CERTAIN + (CERTAIN if rest else peak)}
-    objects = _under(OBJECT_CONDITIONS, **given, **dict.fromkeys(before, LOG_NEVER))
+    objects = _stack(OBJECT_CONDITIONS, **given, **dict.fromkeys(before, LOG_NEVER))
     own = np.array([thing.kind] + [NONE] * (MAX_NAMED_TYPES - 1), np.int32)
     phrase = _Phrase({"own": own, "objects": objects}, tuple(first))
-    while rest:  # more places than a phrase has children: a phrase of the same objects above it
-        some, rest = rest[: NUM_CHILDREN - 1], rest[NUM_CHILDREN - 1 :]
+    while rest:  # too many restrictors for one phrase: add a parent of the same objects
+        more, rest = rest[: NUM_CHILDREN - 1], rest[NUM_CHILDREN - 1 :]
         there = CERTAIN + (CERTAIN if rest else peak)
-        objects = _under(OBJECT_CONDITIONS, always=-CERTAIN, inside_lies=there)
-        phrase = _Phrase({"objects": objects}, (phrase, *some))
+        objects = _stack(OBJECT_CONDITIONS, always=-CERTAIN, inside_lies=there)
+        phrase = _Phrase({"objects": objects}, (phrase, *more))
     return phrase
 
 
 def _in_slot(slot: int, relation: int, inside: float) -> dict[str, np.ndarray]:
-    """Build the fields of one region slot; the others stay empty."""
+    """Build the fields of one region slot; the other slots are empty."""
     is_here = np.arange(NUM_REGION_SLOTS) == slot
     base = np.where(is_here, -CERTAIN, LOG_NEVER)
     return {
         "region_relation": np.where(is_here, relation, NONE),
-        "regions": _under(REGION_CONDITIONS, base=base, inside=inside * is_here),
+        "regions": _stack(REGION_CONDITIONS, base=base, inside=inside * is_here),
     }
 
 
-def _under(conditions: Sequence[str], **log_odds: Any) -> np.ndarray:
-    """Put log-odds into the columns of their conditions; there are none under the others."""
-    return np.stack(np.broadcast_arrays(*(log_odds.get(one, 0.0) for one in conditions)))
+def _stack(conditions: Sequence[str], **log_odds: Any) -> np.ndarray:
+    """Stack log-odds by condition, zero for the conditions not given."""
+    return np.stack(np.broadcast_arrays(*(log_odds.get(name, 0.0) for name in conditions)))
 
 
 def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:
-    """Write the phrases into the rows of a program, bottom-up, the root last."""
+    """Write the phrases into the rows of a program in post-order, the root last."""
     phrases = list(root.walk())
-    tables = list(dict.fromkeys(one.table for one in phrases if one.table != NONE))
+    tables = list(dict.fromkeys(p.table for p in phrases if p.table != NONE))
     depths = itertools.accumulate(1 - len(phrase.children) for phrase in phrases)
-    for what, size, most in (
+    for what, size, limit in (
         ("phrases over all readings", len(phrases), NUM_PHRASES),
         ("kinds of relations over all readings", len(tables), NUM_TABLES),
         ("phrases that nest", max(depths), MAX_DEPTH),
     ):
-        if size > most:
+        if size > limit:
             raise CapacityError(
-                f"command {index + 1} needs {size} {what}; at most {most} are held: "
+                f"command {index + 1} needs {size} {what}; at most {limit} are held: "
                 "leave the least likely reading or a relation out"
             )
     fields = empty_program()
@@ -263,7 +262,7 @@ def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:
     for count, phrase in enumerate(phrases):
         row = NUM_PHRASES - 1 if phrase is root else count
         fields["num_children"][row] = len(phrase.children)
-        # The last child lies on top of the stack, and counts first.
+        # The last child is on top of the stack, so it is child 0.
         labels = [child.table != NONE for child in phrase.children[::-1]]
         fields["is_restrictor"][row, : len(labels)] = labels
         for name, value in phrase.row.items():

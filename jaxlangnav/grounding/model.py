@@ -1,11 +1,11 @@
-"""The log-linear correspondence model: a bilinear form per kind of symbol (eq. 4).
+"""The log-linear correspondence model: a bilinear score per kind of symbol (eq. 4).
 
     log p(φ = 1 | λ, γ, Γ) / p(φ = 0 | λ, γ, Γ) = words(λ)ᵀ W_kind properties(γ, Γ)
 
 A feature of the paper is a product of a correspondence value, a property of the words and a
-property of the grounding, so the score is bilinear. Here is the word side, names with values; the
-grounding side stands in ``properties`` and ``behavior_properties``. Contracting the
-words leaves a few coefficients per phrase and kind of symbol, once per sentence.
+property of the grounding, so the score is bilinear. The word features are here, names with values;
+the grounding features are in ``properties`` and ``behavior_properties``. Contracting the words
+leaves a few coefficients per phrase and kind of symbol, once per sentence.
 
 A word carries its identity (lemma), part of speech and lexicon senses; a word without senses also
 its character n-grams, hashed. A phrase carries a bias, its label, shape and child labels. So a
@@ -25,13 +25,13 @@ from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS
 
 PropertyColumns = Mapping[str, np.ndarray | bool]
-"""Name of a property → what it says of the symbols of one kind; arrays that broadcast to them."""
+"""Name of a property → its values for the symbols of one kind; arrays that broadcast to them."""
 ANNOTATION_KINDS = ("symbol", "rank")
 BEHAVIOR_KINDS = ("object", "region", "goal", "constraint", "action", "mode")
 NUM_GRAMS = 128
 """Buckets of the hashed character n-grams."""
 RESTRICTORS = ("PP", "ADJP", "SBAR")
-"""Labels of child phrases that say where the figure of a noun phrase is."""
+"""Labels of child phrases that state the location of a noun phrase's figure."""
 IDENTITY_SCALE = 0.4
 WORD_SCALE = 0.2
 GRAM_SCALE = 0.3
@@ -42,14 +42,14 @@ _GROUPS = {
     "gram": ("gram",),
     "shape": ("label", "length", "child", "pair", "children"),
 }
-"""Group of word-side features → what their names begin with."""
+"""Group of word features → prefixes of their names."""
 FEATURE_GROUPS = tuple(_GROUPS)
-"""Groups of word-side features that an ablation may leave out."""
+"""Groups of word features that an ablation may leave out."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Senses:
-    """What the lexicon says of a phrase's own words."""
+    """Lexicon senses of a phrase's own words, as indices."""
 
     types: frozenset[int]
     relations: frozenset[int]  # indices into REGIONS
@@ -57,7 +57,7 @@ class Senses:
     modes: frozenset[int]
     ranks: frozenset[int]  # 1 for a plain superlative, n for the n-th
     is_robot: bool
-    is_thing: bool = False  # "the thing", "the one": a thing of any type, and not "the other one"
+    is_thing: bool = False  # "the thing", "the one": untyped, and not "the other one"
 
 
 def _indices(senses: set[str], prefix: str, names: tuple[str, ...]) -> frozenset[int]:
@@ -67,13 +67,13 @@ def _indices(senses: set[str], prefix: str, names: tuple[str, ...]) -> frozenset
 def senses_of(phrase: Phrase, type_names: tuple[str, ...]) -> Senses:
     """Collect the senses of a phrase's own words: indices of types, regions, actions and modes."""
     senses = {sense for word in phrase.words for sense in word.senses}
-    numbers = {int(sense[5:]) for sense in senses if sense.startswith("rank:")}
+    ranks = {int(sense[5:]) for sense in senses if sense.startswith("rank:")}
     return Senses(
         types=_indices(senses, "type", type_names),
         relations=_indices(senses, "relation", REGIONS),
         actions=_indices(senses, "action", ACTIONS),
         modes=_indices(senses, "mode", MODES),
-        ranks=frozenset(numbers or ({1} if "superlative" in senses else set())),
+        ranks=frozenset(ranks or ({1} if "superlative" in senses else set())),
         is_robot="robot" in senses or "type:robot" in senses,
         is_thing="anaphor" in senses
         and "other" not in senses
@@ -82,15 +82,15 @@ def senses_of(phrase: Phrase, type_names: tuple[str, ...]) -> Senses:
 
 
 def feature_group(name: str) -> str:
-    """Find the group of a word-side feature: one of ``FEATURE_GROUPS``, or "bias"."""
-    begin = name.partition("=")[0]
-    return next((group for group, names in _GROUPS.items() if begin in names), begin)
+    """Look up the group of a word feature: one of ``FEATURE_GROUPS``, or "bias"."""
+    prefix = name.partition("=")[0]
+    return next((group for group, names in _GROUPS.items() if prefix in names), prefix)
 
 
 def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict[str, float]:
-    """Describe the words and the shape of a phrase: values of named features; any other is zero.
+    """Compute the word features of a phrase as name → value; absent features are zero.
 
-    Its children count by label only; groups of ``FEATURE_GROUPS`` may be left out, for ablations.
+    Its children count by label and sense class only; groups of ``FEATURE_GROUPS`` may be left out.
     """
     features = {"bias": 1.0}
     for word in phrase.words:
@@ -100,7 +100,7 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
             features[f"sense={sense}"] = IDENTITY_SCALE
             features[f"class={sense.partition(':')[0]}"] = 1.0
         padded = "" if word.senses else f"^{word.text}$"
-        for i in range(len(padded) - 2):  # a hash that is the same in every process
+        for i in range(len(padded) - 2):  # CRC32 is the same in every process
             gram = zlib.crc32(padded[i : i + 3].encode()) % NUM_GRAMS
             features[f"gram={gram}"] = GRAM_SCALE
     features[f"label={phrase.label}"] = 1.0
@@ -121,7 +121,7 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
 
 @dataclasses.dataclass(frozen=True)
 class Vocabulary:
-    """Names of the word-side features a model was trained with, and what it leaves out."""
+    """Names of the word features a model was trained with, and the groups it leaves out."""
 
     names: tuple[str, ...]
     without: frozenset[str] = frozenset()
@@ -131,7 +131,7 @@ class Vocabulary:
         return {name: i for i, name in enumerate(self.names)}
 
     def vector(self, phrase: Phrase) -> np.ndarray:
-        """Describe a phrase, f32[W]; features never seen in training count nothing."""
+        """Compute the word features of a phrase, f32[W], without those unseen in training."""
         vector = np.zeros(len(self.names), np.float32)
         for name, value in word_features(phrase, self.without).items():
             if name in self._column:
@@ -141,7 +141,7 @@ class Vocabulary:
 
 @dataclasses.dataclass(frozen=True)
 class CorrespondenceModel:
-    """Weights of one model, annotation or behavior."""
+    """A trained correspondence model, for annotation or behavior: vocabulary and weights."""
 
     vocabulary: Vocabulary
     weights: dict[str, np.ndarray]  # kind → f32[W, F]
@@ -154,11 +154,11 @@ class CorrespondenceModel:
 
     @property
     def num_features(self) -> int:
-        """Features as the paper counts them: 2 correspondence values × words × properties."""
+        """Number of features as the paper counts them: 2 × word features × properties."""
         return 2 * sum(weight.size for weight in self.weights.values())
 
     def zeroed(self) -> "CorrespondenceModel":
-        """Copy the model with every weight zero: it knows nothing."""
+        """Copy the model with all weights zero, an uninformative baseline."""
         zeros = {kind: np.zeros_like(weight) for kind, weight in self.weights.items()}
         return dataclasses.replace(self, weights=zeros)
 
@@ -172,11 +172,11 @@ def stack_columns(shape: tuple[int, ...], columns: PropertyColumns) -> np.ndarra
 
 
 def by_name(prefix: str, names: Iterable[Any], rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Give every row a property of its own, named after what it is of."""
+    """Build one property per row, named ``prefix name``."""
     return {f"{prefix} {name}": row for name, row in zip(names, rows, strict=True)}
 
 
 def build_vocabulary(phrases: list[Phrase], without: frozenset[str] = frozenset()) -> Vocabulary:
-    """Collect the word-side features of phrases, sorted, so that their order does not matter."""
+    """Collect the word features of phrases, sorted, so that their order does not matter."""
     names = {name for phrase in phrases for name in word_features(phrase, without)}
     return Vocabulary(tuple(sorted(names)), without)

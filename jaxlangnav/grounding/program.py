@@ -1,11 +1,11 @@
-"""The behavior program: a sentence with its words contracted away (section 3.3).
+"""The behavior program: a sentence compiled to coefficients per phrase (section 3.3).
 
 Contracting the words of a sentence with the weights leaves a few coefficients per phrase, and
 inference per particle and step reads only these. All sentences have the same shapes, so a new
 sentence is new data and never a new program.
 
 A phrase rarely expresses more than one relation, so of the seven regions each object has, only
-the ``NUM_REGION_SLOTS`` whose log-odds can become largest are kept (for constraints: one).
+the ``NUM_REGION_SLOTS`` with the largest upper bound on their log-odds are kept (constraints: one).
 """
 
 from collections.abc import Mapping
@@ -32,15 +32,15 @@ from jaxlangnav.pytree import pytree
 
 NUM_PHRASES, NUM_CHILDREN, NUM_REGION_SLOTS = 24, 3, 2
 MAX_NAMED_TYPES = 4
-"""Kinds that the words of one phrase may name."""
+"""Maximum number of object types named by the words of one phrase."""
 NUM_TABLES = 5
-"""Different relations in which a sentence may place figures."""
+"""Maximum number of different relations, with ranks, that restrict figures in a sentence."""
 MAX_DEPTH = 6
-"""Phrases that may wait for their parent at the same time."""
+"""Stack depth: maximum number of phrases whose parent has not been processed."""
 LOG_NEVER = -1e4
 """Log-odds of a symbol that a phrase cannot express."""
 NOTHING = -1
-"""Children of a padded row: it leaves the stack as it is."""
+"""Number of children in a padded row, which leaves the stack unchanged."""
 AT_TABLE = 3 * NUM_RELATIONS
 
 
@@ -49,19 +49,19 @@ class BehaviorProgram:
     """Coefficients of one clause: phrases bottom-up, then padding, the root in the last row.
 
     H rows, 3 children, L region slots, T tables. Log-odds are sums over the conditions that hold.
-    The children of a phrase are what lies on top of the stack; the last child is child 0.
+    The children of a phrase are the top entries of the stack; the last child is child 0.
     """
 
     num_phrases: Array  # i32[]
     num_children: Array  # i32[H]; NOTHING in padded rows
     is_verb: Array  # bool[H] expresses goals and constraints, otherwise objects and regions
-    is_restrictor: Array  # bool[H, 3] the child says where the figure is
-    own: Array  # i32[H, 4] kinds that the words name; NONE beyond them
+    is_restrictor: Array  # bool[H, 3] the child states the figure's location
+    own: Array  # i32[H, 4] object types that the words name; NONE beyond them
     objects: Array  # f32[H, 13] log-odds added under each of ``OBJECT_CONDITIONS``
     table: Array  # i32[T] 0-5 related, 6-11 extreme of its type, 12-17 the second, third, ... that
     # the sentence means, 18 at; NONE where unused
     region_relation: Array  # i32[H, L] relation of each slot; NONE where empty
-    region_table: Array  # i32[H, L] which table says what lies in the region; NONE
+    region_table: Array  # i32[H, L] index of the table for the region; NONE
     region_from: Array  # i32[H, 3, L] slot of the child with the same relation; NONE
     regions: Array  # f32[H, 6, L] added under each of ``REGION_CONDITIONS``
     constraint_relation: Array  # i32[H]
@@ -73,7 +73,7 @@ class BehaviorProgram:
 
 
 CLAUSE_FIELDS = ("num_phrases", "table", "action", "mode")
-"""Fields that have no row for each phrase."""
+"""Fields of the clause, without an axis over phrases."""
 
 
 def empty_program() -> dict[str, np.ndarray]:
@@ -104,29 +104,29 @@ def empty_program() -> dict[str, np.ndarray]:
     return fields
 
 
-def _reach(
+def _upper_bound(
     fields: dict[str, np.ndarray], children: tuple[int, ...], terms: dict[str, np.ndarray]
 ) -> np.ndarray:
-    """Bound the log-odds of each relation that some child may express from above, f32[7]."""
-    is_held = np.isin(np.arange(NUM_REGIONS), fields["region_relation"][list(children)])
+    """Compute an upper bound on the log-odds of each relation, f32[7]."""
+    is_in_child = np.isin(np.arange(NUM_REGIONS), fields["region_relation"][list(children)])
     bound = terms["base"].copy()
     for name in ("inside", "touched", "kept", "new", "own", "robot"):
         bound += np.maximum(terms.get(name, 0), 0)
-    bound += np.where(is_held, np.maximum(terms["same"], 0), 0)
+    bound += np.where(is_in_child, np.maximum(terms["same"], 0), 0)
     rest = np.maximum(terms.get("absent", 0), 0) + np.maximum(terms.get("untouched", 0), 0)
     return np.asarray(bound + rest)
 
 
 def softmax(log_odds: np.ndarray) -> np.ndarray:
-    """Turn log-odds into the distribution given that exactly one is expressed."""
+    """Convert log-odds to the distribution given that exactly one symbol is expressed."""
     weight = np.exp(log_odds - log_odds.max())
     return (weight / weight.sum()).astype(np.float32)
 
 
 def _slot_of(fields: dict[str, np.ndarray], row: int, relation: int) -> int:
-    """Find the slot of a phrase that has a relation; NONE."""
-    held = np.flatnonzero(fields["region_relation"][row] == relation)
-    return int(held[0]) if len(held) else NONE
+    """Find the region slot of a phrase that has a relation, or NONE."""
+    slots = np.flatnonzero(fields["region_relation"][row] == relation)
+    return int(slots[0]) if len(slots) else NONE
 
 
 def _fill_regions(
@@ -134,14 +134,14 @@ def _fill_regions(
     row: int,
     children: tuple[int, ...],
     terms: dict[str, np.ndarray],
-    meant: np.ndarray,
+    ranks: np.ndarray,
 ) -> list[tuple[float, int, int, int]]:
-    """Choose the slots of a phrase; of each the bound, the row, the slot and the table."""
-    reach, slots = _reach(fields, children, terms), []
-    for slot, relation in enumerate(np.argsort(-reach, kind="stable")[:NUM_REGION_SLOTS]):
+    """Fill the region slots of a phrase; returns (bound, row, slot, table) of each."""
+    bounds, slots = _upper_bound(fields, children, terms), []
+    for slot, relation in enumerate(np.argsort(-bounds, kind="stable")[:NUM_REGION_SLOTS]):
         fields["region_relation"][row, slot] = relation
-        table = AT_TABLE if relation == AT else relation + NUM_RELATIONS * min(meant[relation], 2)
-        slots.append((float(reach[relation]), row, slot, int(table)))
+        table = AT_TABLE if relation == AT else relation + NUM_RELATIONS * min(ranks[relation], 2)
+        slots.append((float(bounds[relation]), row, slot, int(table)))
         fields["regions"][row, :, slot] = [term[relation] for term in terms.values()]
         for k, child in enumerate(children):
             fields["region_from"][row, k, slot] = _slot_of(fields, child, relation)
@@ -151,8 +151,8 @@ def _fill_regions(
 def _fill_constraint(
     fields: dict[str, np.ndarray], row: int, children: tuple[int, ...], terms: dict[str, np.ndarray]
 ) -> None:
-    """Choose the relation of a verb phrase's constraints and write its coefficients."""
-    relation = int(np.argmax(_reach(fields, children, terms)))
+    """Choose the relation of a verb phrase's constraints and fill in its coefficients."""
+    relation = int(np.argmax(_upper_bound(fields, children, terms)))
     fields["constraint_relation"][row] = relation
     fields["constraints"][row] = [term[relation] for term in terms.values()]
     for k, child in enumerate(children):
@@ -163,14 +163,14 @@ def _fill_constraint(
 
 def _check_sizes(nodes: tuple[Node, ...]) -> None:
     """Refuse a clause that the arrays do not hold."""
-    for what, size, most in (
+    for what, size, limit in (
         ("phrases", len(nodes), NUM_PHRASES),
         ("parts of one phrase", max(len(node.children) for node in nodes), NUM_CHILDREN),
         ("nested phrases", max(accumulate(1 - len(node.children) for node in nodes)), MAX_DEPTH),
     ):
-        if size > most:
+        if size > limit:
             raise ValueError(
-                f"the command has {size} {what}; at most {most} are held: say less at once"
+                f"the command has {size} {what}; at most {limit} are held: say less at once"
             )
 
 
@@ -200,7 +200,7 @@ def compile_clause(
     wanted = []
     for index, node in enumerate(nodes):
         row = NUM_PHRASES - 1 if index == len(nodes) - 1 else index
-        children = node.children[::-1]  # the last child counts first
+        children = node.children[::-1]  # the last child is child 0
         z = model.coefficients(node.phrase)
         senses = senses_of(node.phrase, type_names)
         labels = [nodes[child].phrase.label in RESTRICTORS for child in children]
@@ -213,18 +213,18 @@ def compile_clause(
         else:
             terms = contract("region", words, z["region"])
             objects = contract("object", words, z["object"])
-            if senses.is_thing:  # whatever the goal before was, to it there is none
+            if senses.is_thing:  # as if there were no previous goal
                 objects["always"] += objects["no_previous"]
                 objects |= dict.fromkeys(PREVIOUS, np.zeros(NUM_REGIONS, np.float32))
             fields["objects"][row] = [term[0] for term in objects.values()]
             named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:MAX_NAMED_TYPES]
             fields["own"][row, : len(named)] = named
-        meant = find_ranks(node.phrase, node.path, rank, type_names)
-        slots = _fill_regions(fields, row, children, terms, meant)
+        ranks = find_ranks(node.phrase, node.path, rank, type_names)
+        slots = _fill_regions(fields, row, children, terms, ranks)
         if node.phrase.label in RESTRICTORS:
             wanted += slots
     tables: list[int] = []
-    for _, row, slot, table in sorted(wanted, key=lambda one: -one[0]):  # the likeliest first
+    for _, row, slot, table in sorted(wanted, key=lambda slot: -slot[0]):  # largest bound first
         if table not in tables and len(tables) < NUM_TABLES:
             tables.append(table)
         if table in tables:

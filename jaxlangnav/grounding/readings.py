@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
-from jaxlangnav.grounding.search import add_up
+from jaxlangnav.grounding.search import sum_by_key
 from jaxlangnav.grounding.symbols import OBJECT, REGION
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.inputs.sanitize import as_text
@@ -215,7 +215,7 @@ def to_readings(
     Raises:
         CapacityError: the best reading has more mentions or relations than the arrays hold.
     """
-    ranked = add_up(((read(*said), score) for said, score in belief.clauses), np.logaddexp)
+    ranked = sum_by_key(((read(*said), score) for said, score in belief.clauses), np.logaddexp)
     if not _fits(ranked[0][0]):
         raise CapacityError(
             f"the sentence speaks of {len(ranked[0][0].mentions)} things and "

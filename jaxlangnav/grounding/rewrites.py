@@ -1,12 +1,12 @@
-"""A grounder for rewritings: what others put into the controlled language (sections 3.1, 3.3).
+"""Grounder of paraphrases in the controlled language from another source (sections 3.1, 3.3).
 
-A source, such as a language model, gives a sentence in other words, several times, with
-log-probabilities. What the parser cannot read is dropped and counted, and the trained graph grounds
-the rest. Their readings are mixed by weight, as evidence for the map.
+A source, such as a language model, rewrites a sentence in several ways, with log-probabilities.
+Rewritings that cannot be parsed are dropped and counted; the trained graph grounds the rest. Their
+readings form a mixture, weighted by probability, as evidence for the map.
 
 Commands are not mixed: a behavior program is log-linear in the phrases of one sentence, and no
-program has as its behaviors the weighted sum of those of two. Rewritings that mean the same put
-their weights together, and of the weightiest meaning the likeliest rewriting commands.
+program yields the weighted sum of the behaviors of two. Rewritings of equal meaning are grouped and
+their weights summed; the likeliest rewriting of the group with the largest weight is executed.
 """
 
 import dataclasses
@@ -23,23 +23,23 @@ from jaxlangnav.grounding.asked import CommandSummary, summarize_commands
 from jaxlangnav.grounding.form import quote
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, OtherTypes
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
-from jaxlangnav.grounding.search import add_up
+from jaxlangnav.grounding.search import sum_by_key
 from jaxlangnav.inputs.documents import naming, parse_json, read_lines
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.pytree import pytree, replace
 
-MOST_REWRITES = 16
-"""Rewritings of one sentence that are read: the likeliest."""
-_LEAST_TOLD = 0.005
-"""Shares of the weight smaller than this are not told."""
+MAX_REWRITES = 16
+"""Maximum number of rewritings of one sentence that are read, likeliest first."""
+_MIN_REPORTED = 0.005
+"""Fractions of the weight below this are not reported."""
 
 Rewrite = tuple[str, float]
 """A sentence of the controlled language, and its log-probability; they need not sum to one."""
 
 
 class RewriteSource(Protocol):
-    """What puts sentences into the controlled language."""
+    """Protocol of a source of rewritings in the controlled language."""
 
     def __call__(self, text: str) -> Sequence[Rewrite]:
         """Rewrite a sentence: with log-probabilities, in any order; none where it knows of none."""
@@ -48,7 +48,7 @@ class RewriteSource(Protocol):
 
 @pytree
 class RewriteParams:
-    """How far the source's log-probabilities are believed."""
+    """Calibration of the source's log-probabilities."""
 
     temperature: Array  # f32[] above 0; weights are softmax(log-probability / temperature)
 
@@ -56,7 +56,7 @@ class RewriteParams:
 def default_rewrite_params(temperature: float = 1.0) -> RewriteParams:
     """Build parameters; ``fit_source_temperature`` finds a temperature for a source.
 
-    1 believes the source; above 1 it is taken to be too sure of itself.
+    1 takes the source as calibrated, above 1 as overconfident.
 
     Raises:
         ValueError: the temperature is none; one line.
@@ -68,7 +68,7 @@ def default_rewrite_params(temperature: float = 1.0) -> RewriteParams:
 
 @dataclasses.dataclass(frozen=True)
 class Read:
-    """A rewriting that could be read."""
+    """A rewriting that has been parsed and grounded."""
 
     text: str
     log_probability: float  # as the source has it
@@ -76,22 +76,22 @@ class Read:
 
 
 class RewriteGrounder(OtherTypes):
-    """Grounds rewritings of what is said, and not its own words."""
+    """Grounder of the rewritings of a sentence, in place of the sentence itself."""
 
     def __init__(
         self, graph: Grounder, source: RewriteSource, *, params: RewriteParams | None = None
     ) -> None:
-        """Join what puts sentences into the controlled language to what reads those."""
+        """Combine a source of rewritings with a grounder of the controlled language."""
         super().__init__(graph)
         self.graph = graph
         self.source = source
         self.params = default_rewrite_params() if params is None else params
 
     def ground(self, text: str, context: Context) -> Grounded:
-        """Understand a sentence by its rewritings; see ``Grounder.ground``."""
+        """Ground a sentence by its rewritings; see ``Grounder.ground``."""
         rewrites, notes = self._rewrites(text)
-        found, refusals = verify_rewrites(self.graph, rewrites, context)
-        if not found:
+        grounded, refusals = verify_rewrites(self.graph, rewrites, context)
+        if not grounded:
             first, why = next(iter(refusals.items()))
             raise ValueError(
                 f"none of the {len(refusals)} rewritings of {quote(text)} can be read; "
@@ -106,12 +106,12 @@ class RewriteGrounder(OtherTypes):
                 f"{len(refusals)} of {len(rewrites)} rewritings cannot be read and are left out, "
                 f"{lost:.0%} of the weight",
             )
-        log_weights = np.array([one.log_probability for one in found]) / temperature
+        log_weights = np.array([one.log_probability for one in grounded]) / temperature
         log_weights -= np.logaddexp.reduce(log_weights)
-        return _mixed(found, log_weights, notes)
+        return _mixture(grounded, log_weights, notes)
 
     def _rewrites(self, text: str) -> tuple[list[Rewrite], tuple[str, ...]]:
-        """Ask the source: the likeliest first, each text once, and what to note."""
+        """Query the source: distinct rewritings, likeliest first, and notes."""
         given = self.source(text)
         for one, score in given:
             if not isinstance(one, str) or math.isnan(score) or score == math.inf:
@@ -119,18 +119,18 @@ class RewriteGrounder(OtherTypes):
                     f"the source gives {quote(one)} the log-probability {score}; it must be a "
                     "text and a number that is finite or -inf"
                 )
-        ranked = add_up((one for one in given if one[1] > -math.inf), np.logaddexp)
+        ranked = sum_by_key((one for one in given if one[1] > -math.inf), np.logaddexp)
         if not ranked:
             raise ValueError(f"the source has no rewriting of {quote(text)}: say it in other words")
-        left_out = len(ranked) - MOST_REWRITES
+        left_out = len(ranked) - MAX_REWRITES
         notes = (f"{left_out} less likely rewritings are not read",) if left_out > 0 else ()
-        return ranked[:MOST_REWRITES], notes
+        return ranked[:MAX_REWRITES], notes
 
 
 def verify_rewrites(
     graph: Grounder, rewrites: Sequence[Rewrite], context: Context
 ) -> tuple[list[Read], dict[str, str]]:
-    """Parse and ground rewritings, each once: those that can be read, why others cannot."""
+    """Parse and ground rewritings: the grounded ones, and the error of each refused text."""
     found, refusals = [], {}
     for text, score in rewrites:
         try:
@@ -140,31 +140,31 @@ def verify_rewrites(
     return found, refusals
 
 
-def _mixed(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...]) -> Grounded:
-    """Mix what rewritings say, and let those of the weightiest meaning command."""
+def _mixture(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...]) -> Grounded:
+    """Mix the readings of rewritings, with the commands of the likeliest meaning."""
     groups: dict[Any, list[int]] = {}
-    for index, one in enumerate(found):
-        groups.setdefault(_meaning(one.grounded), []).append(index)
+    for index, read in enumerate(found):
+        groups.setdefault(_meaning(read.grounded), []).append(index)
     weight = np.exp(log_weights)
     ranked = sorted(groups.values(), key=lambda group: -weight[group].sum())
     alternatives = []
-    for group in ranked:  # the weightiest of the rewritings that mean the same speaks for them
-        best, share = found[max(group, key=lambda index: weight[index])], weight[group].sum()
-        one = Alternative(says=best.text, probability=float(share), grounded=best.grounded)
-        alternatives.append(one)
+    for group in ranked:  # represented by its likeliest rewriting
+        best, prob = found[max(group, key=lambda index: weight[index])], weight[group].sum()
+        way = Alternative(says=best.text, probability=float(prob), grounded=best.grounded)
+        alternatives.append(way)
     first = alternatives[0]
-    chosen = [f"read as '{first.says}', {first.probability:.0%} of the weight"]
-    told = [one for one in alternatives[1:] if one.probability >= _LEAST_TOLD]
-    if told:
-        others = ", ".join(f"'{one.says}' {one.probability:.0%}" for one in told)
-        chosen.append(f"it may also mean {others}")
+    remarks = [f"read as '{first.says}', {first.probability:.0%} of the weight"]
+    reported = [way for way in alternatives[1:] if way.probability >= _MIN_REPORTED]
+    if reported:
+        others = ", ".join(f"'{way.says}' {way.probability:.0%}" for way in reported)
+        remarks.append(f"it may also mean {others}")
     readings, left_out = _mixed_readings(found, log_weights, [i for group in ranked for i in group])
-    if left_out >= _LEAST_TOLD:
-        chosen.append(f"readings of {left_out:.0%} of the weight are more than are held")
+    if left_out >= _MIN_REPORTED:
+        remarks.append(f"readings of {left_out:.0%} of the weight are more than are held")
     return Grounded(
         instruction=replace(first.grounded.instruction, readings=pad_readings(readings)),
         annotations=_mixed_annotations(found, weight),
-        notes=(*notes, *chosen, *first.grounded.notes),
+        notes=(*notes, *remarks, *first.grounded.notes),
         spoken=first.grounded.spoken,
         alternatives=tuple(alternatives),
     )
@@ -173,20 +173,20 @@ def _mixed(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...
 def _mixed_readings(
     found: Sequence[Read], log_weights: np.ndarray, order: Sequence[int]
 ) -> tuple[list[tuple[Reading, float]], float]:
-    """Sum readings by weight: the likeliest that are held, and the share of those that are not."""
+    """Sum equal readings by weight: the likeliest ones, and the fraction of the weight left out."""
     given = [
         (reading, score + float(log_weights[index]))
         for index in order
         for reading, score in unpad_readings(found[index].grounded.instruction.readings)
     ]
-    first = {_said(reading): reading for reading, _ in reversed(given)}
-    ranked = add_up(((_said(reading), share) for reading, share in given), np.logaddexp)
-    left_out = sum(math.exp(share) for _, share in ranked[NUM_READINGS:])
-    return [(first[key], share) for key, share in ranked[:NUM_READINGS]], left_out
+    first = {_canonical(reading): reading for reading, _ in reversed(given)}
+    ranked = sum_by_key(((_canonical(reading), score) for reading, score in given), np.logaddexp)
+    left_out = sum(math.exp(score) for _, score in ranked[NUM_READINGS:])
+    return [(first[key], score) for key, score in ranked[:NUM_READINGS]], left_out
 
 
-def _said(reading: Reading) -> tuple[Any, ...]:
-    """Tell what a reading says, in whatever order it says it."""
+def _canonical(reading: Reading) -> tuple[Any, ...]:
+    """Build a key of a reading that does not depend on the order of mentions and relations."""
     kinds = dict(enumerate(reading.mentions))  # NONE stays as it is
     edges = [
         (kinds.get(figure, figure), relation, kinds.get(landmark, landmark), rank)
@@ -196,43 +196,43 @@ def _said(reading: Reading) -> tuple[Any, ...]:
 
 
 def _meaning(grounded: Grounded) -> tuple[Any, ...]:
-    """Tell what a sentence says and asks for, so that wordings of one meaning compare equal."""
+    """Build a key of a sentence's annotations and commands, equal for wordings of one meaning."""
     reading, _ = unpad_readings(grounded.instruction.readings)[0]
 
-    def thing(mention: int) -> tuple[Any, ...]:
+    def description(mention: int) -> tuple[Any, ...]:
         if mention < 0:
             return (mention,)
         if reading.mentions[mention] == ROBOT:
             return (ROBOT,)
-        own = [edge for edge in reading.relations if edge[0] == mention and edge[2] >= 0]
-        places = sorted((edge[1], reading.mentions[edge[2]], edge[3]) for edge in own)
-        return (reading.mentions[mention], *places)
+        edges = [edge for edge in reading.relations if edge[0] == mention and edge[2] >= 0]
+        relations = sorted((edge[1], reading.mentions[edge[2]], edge[3]) for edge in edges)
+        return (reading.mentions[mention], *relations)
 
-    def ask(one: CommandSummary) -> tuple[Any, ...]:
-        avoided = sorted((region, thing(mention)) for region, mention, _ in one.avoid)
-        return (one.action, one.mode, one.region, thing(one.mention), tuple(avoided))
+    def command_key(c: CommandSummary) -> tuple[Any, ...]:
+        avoided = sorted((region, description(mention)) for region, mention, _ in c.avoid)
+        return (c.action, c.mode, c.region, description(c.mention), tuple(avoided))
 
-    return (_said(reading), tuple(ask(one) for one in summarize_commands(grounded.instruction)))
+    return (_canonical(reading), tuple(map(command_key, summarize_commands(grounded.instruction))))
 
 
 def _mixed_annotations(found: Sequence[Read], weight: np.ndarray) -> tuple[Mapping[str, Any], ...]:
     """Sum annotations by weight, likeliest first."""
-    ranked = add_up(
+    ranked = sum_by_key(
         (
-            tuple(item for item in said.items() if item[0] != "probability"),
-            float(share) * float(said["probability"]),
+            tuple(item for item in document.items() if item[0] != "probability"),
+            float(w) * float(document["probability"]),
         )
-        for one, share in zip(found, weight, strict=True)
-        for said in one.grounded.annotations
+        for read, w in zip(found, weight, strict=True)
+        for document in read.grounded.annotations
     )
-    return tuple(dict(key) | {"probability": min(share, 1.0)} for key, share in ranked)
+    return tuple(dict(key) | {"probability": min(prob, 1.0)} for key, prob in ranked)
 
 
 # ---------------------------------------------------------------- recorded rewritings
 
 
-_LARGEST_FILE = 32 * 1024 * 1024
-"""Bytes of such a file."""
+_MAX_FILE_BYTES = 32 * 1024 * 1024
+"""Size limit of a file of rewritings in bytes."""
 
 
 class _Recorded(Schema):
@@ -240,14 +240,14 @@ class _Recorded(Schema):
     rewrites: list[Rewrite]
 
     def __post_init__(self) -> None:
-        """Take any characters, and finite numbers alone."""
+        """Check that the log-probabilities are finite."""
         for one, score in self.rewrites:
             if not math.isfinite(score):
                 raise ValueError(f"rewrites has {score} for {quote(one)}, but must be finite")
 
 
 class RecordedRewrites:
-    """A source that answers from a file, so that nothing has to be asked again.
+    """A source of rewritings that were recorded in a file, so that the model is not queried again.
 
     JSON lines, one sentence a line; the log-probabilities are natural logarithms:
 
@@ -261,8 +261,8 @@ class RecordedRewrites:
             ValueError: no such file, or a line cannot be; one line that names file and line.
         """
         self.answers: dict[str, tuple[Rewrite, ...]] = {}
-        for number, line in read_lines(path, at_most=_LARGEST_FILE):
-            with naming(f"{path}:{number}"):
+        for line_number, line in read_lines(path, at_most=_MAX_FILE_BYTES):
+            with naming(f"{path}:{line_number}"):
                 document = parse_json(line)
                 if not isinstance(document, dict):
                     why = "must be an object with text and rewrites"
@@ -275,5 +275,5 @@ class RecordedRewrites:
             raise ValueError(f"{path}: holds no rewriting: write one JSON object a line")
 
     def __call__(self, text: str) -> Sequence[Rewrite]:
-        """Look a sentence up; nothing where it was not recorded."""
+        """Look up the rewritings of a sentence; empty if it was not recorded."""
         return self.answers.get(text, ())

@@ -1,8 +1,8 @@
-"""Beam search for the likeliest expressed sets, bottom-up over the phrases (section 3.1).
+"""Beam search for the likeliest sets of symbols, bottom-up over the phrases (section 3.1).
 
 Given what the child phrases express, the factors of a phrase are independent, so its k best sets
 follow exactly from the margins |log-odds|. The only approximation is the beam: of each phrase's
-sets, and of the combinations of its children's, the best ``width`` are kept.
+sets, and of the combinations of its children's sets, the best ``width`` are kept.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from jaxlangnav.language.phrase import Phrase
 
 BEAM_WIDTH = 4
 PROOF_WIDTHS = (4, 16, 64, 256)
-"""Beam widths tried until the likeliest set is proven to be it."""
+"""Beam widths tried until the best set is proven to be the likeliest."""
 Children = tuple[np.ndarray, ...]
 """bool[S] for each child phrase."""
 LogOdds = Callable[[tuple[int, ...], Children], np.ndarray]
@@ -27,14 +27,14 @@ LogOdds = Callable[[tuple[int, ...], Children], np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class Hypothesis:
-    """What a phrase may express, with the child hypotheses it rests on."""
+    """A beam hypothesis: a set of symbols of a phrase, given hypotheses of its children."""
 
     expressed: np.ndarray  # bool[S]
-    log_probability: float  # of it and of all below it
+    log_probability: float  # joint, with all descendants
     children: tuple["Hypothesis", ...] = ()
 
     def walk(self, path: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], "Hypothesis"]]:
-        """Yield it and all below it with the paths of their phrases, parents first."""
+        """Yield the hypothesis and its descendants with their paths, parents first."""
         yield path, self
         for i, child in enumerate(self.children):
             yield from child.walk((*path, i))
@@ -55,50 +55,50 @@ def _best_sets(log_odds: np.ndarray, width: int) -> Iterator[tuple[np.ndarray, f
         expressed = best.copy()
         expressed[order[list(choice)]] ^= True
         yield expressed, float(top - cost)
-        if last + 1 < len(order):  # dearer: one factor more, or the next one for the last
-            for dearer in {(*choice, last + 1), (*choice[:-1], last + 1)}:
-                total = float(margins[order[list(dearer)]].sum())
-                heapq.heappush(choices, (total, last + 1, dearer))
+        if last + 1 < len(order):  # successors: add the next factor, or replace the last by it
+            for successor in {(*choice, last + 1), (*choice[:-1], last + 1)}:
+                total = float(margins[order[list(successor)]].sum())
+                heapq.heappush(choices, (total, last + 1, successor))
 
 
 def search(
     root: Phrase, log_odds: LogOdds, *, width: int = BEAM_WIDTH, path: tuple[int, ...] = ()
 ) -> list[Hypothesis]:
-    """Infer what a phrase at ``path`` expresses: up to ``width`` sets, best first.
+    """Find up to ``width`` likeliest sets of symbols of a phrase at ``path``, best first.
 
-    Children are searched first. Probabilities are not renormalised: what is missing to one was cut.
+    Children are searched first. Probabilities are not renormalised after pruning.
     """
-    below: list[tuple[tuple[Hypothesis, ...], float]] = [((), 0.0)]
+    combined: list[tuple[tuple[Hypothesis, ...], float]] = [((), 0.0)]
     for i, child in enumerate(root.children):
         beam = search(child, log_odds, width=width, path=(*path, i))
-        pairs = itertools.product(below, beam)
-        joint = [((*some, one), score + one.log_probability) for (some, score), one in pairs]
-        below = sorted(joint, key=lambda pair: -pair[1])[:width]
-    found = [
-        Hypothesis(expressed, score + own, some)
-        for some, score in below
-        for expressed, own in _best_sets(log_odds(path, tuple(c.expressed for c in some)), width)
+        pairs = itertools.product(combined, beam)
+        joint = [((*done, new), score + new.log_probability) for (done, score), new in pairs]
+        combined = sorted(joint, key=lambda pair: -pair[1])[:width]
+    results = [
+        Hypothesis(expressed, score + log_p, below)
+        for below, score in combined
+        for expressed, log_p in _best_sets(log_odds(path, tuple(c.expressed for c in below)), width)
     ]
-    found.sort(key=lambda one: -one.log_probability)
-    # Equal sets add up; the likeliest of the children that they rest on stand for all.
-    ranked = add_up(((one.expressed.tobytes(), one.log_probability) for one in found), np.logaddexp)
-    first = {one.expressed.tobytes(): one for one in reversed(found)}
+    results.sort(key=lambda h: -h.log_probability)
+    # Probabilities of equal sets are summed; the likeliest children are kept.
+    ranked = sum_by_key(((h.expressed.tobytes(), h.log_probability) for h in results), np.logaddexp)
+    first = {h.expressed.tobytes(): h for h in reversed(results)}
     return [dataclasses.replace(first[key], log_probability=p) for key, p in ranked[:width]]
 
 
 def search_exactly(beam_of: Callable[[int], list[Hypothesis]]) -> tuple[np.ndarray, bool]:
-    """Find the likeliest of all 2^S sets, bool[S], and whether it is proven to be.
+    """Find the likeliest of all 2^S sets, bool[S], and whether it is proven to be the likeliest.
 
-    What a beam finds are lower bounds, and what it misses adds up to the rest m of the probability.
-    So where p(best) > p(second) + m, no other set is likelier, found or not. Wider and wider beams,
-    ``beam_of`` a width, are searched until that holds; if not, the set is of the widest.
+    Beam probabilities are lower bounds, and pruned hypotheses have total probability m. So if
+    p(best) > p(second) + m, no other set is likelier. Beams of growing widths, ``beam_of(width)``,
+    are searched until that holds; otherwise the set is from the widest.
     """
     beam: list[Hypothesis] = []
     for width in PROOF_WIDTHS:
         beam = beam_of(width)
-        best, *others = (float(np.exp(one.log_probability)) for one in beam)
-        missed = max(1.0 - best - sum(others), 0.0)
-        if best > (others or [0.0])[0] + missed + 1e-9:
+        best, *others = (float(np.exp(h.log_probability)) for h in beam)
+        pruned = max(1.0 - best - sum(others), 0.0)
+        if best > (others or [0.0])[0] + pruned + 1e-9:
             return beam[0].expressed, True
     return beam[0].expressed, False
 
@@ -106,11 +106,11 @@ def search_exactly(beam_of: Callable[[int], list[Hypothesis]]) -> tuple[np.ndarr
 Key = TypeVar("Key", bound=Hashable)
 
 
-def add_up(
-    shares: Iterable[tuple[Key, float]], add: Callable[[float, float], Any] = operator.add
+def sum_by_key(
+    terms: Iterable[tuple[Key, float]], add: Callable[[float, float], Any] = operator.add
 ) -> list[tuple[Key, float]]:
-    """Sum the shares of equal keys, or add their logarithms by ``np.logaddexp``; largest first."""
+    """Sum values by key (logarithms with ``np.logaddexp``), sorted largest first."""
     total: dict[Key, float] = {}
-    for key, share in shares:
-        total[key] = float(add(total[key], share)) if key in total else share
+    for key, value in terms:
+        total[key] = float(add(total[key], value)) if key in total else value
     return sorted(total.items(), key=lambda item: -item[1])

@@ -1,7 +1,7 @@
-"""The shipped weights: saving, loading, and where they came from.
+"""Weight files of the trained models: saving, validated loading, and provenance.
 
-A file holds both models, the object types, the command that made it and a hash of the corpus. It
-may come from anybody: names, shapes and types are checked before anything large is made of it.
+A file holds both models, the object types, the training command and a hash of the corpus. It is
+untrusted input: names, shapes and types are checked before anything large is allocated.
 """
 
 import json
@@ -31,13 +31,13 @@ from jaxlangnav.language.lexicon import load_lexicon
 
 SHIPPED_WEIGHTS = "weights.npz"
 _MAX_BYTES = 1 << 22
-"""Of a file; the shipped one has 118 kB."""
+"""Size limit of a file; the shipped one has 118 kB."""
 _MAX_TEXT = 1 << 19
-"""Characters of a JSON document in it; the shipped one's longest has 4,690."""
+"""Length limit of a JSON document in it; the shipped one's longest has 4,690 characters."""
 _MAX_NAMES = 1 << 14
-"""Word-side features of a model; the shipped ones have 347 and 341."""
-_HEAVIEST = 1e6
-"""Log-odds of one feature; the shipped ones reach 6.4. Far beyond, sums are no longer finite."""
+"""Limit on the word features of a model; the shipped ones have 347 and 341."""
+_MAX_WEIGHT = 1e6
+"""Limit on the log-odds of one feature; the shipped ones reach 6.4. Larger sums may overflow."""
 _MODELS = {"annotation": ANNOTATION_KINDS, "behavior": BEHAVIOR_KINDS}
 
 
@@ -68,8 +68,8 @@ def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
     for kind in _MODELS[name]:
         shape = len(header.names), len(property_names()[kind])
         weights[kind] = read_floats(archive, f"{name}/{kind}", shape)
-        if np.abs(weights[kind]).max() > _HEAVIEST:
-            raise ValueError(f"{name}/{kind}: a weight is beyond {_HEAVIEST:,.0f}")
+        if np.abs(weights[kind]).max() > _MAX_WEIGHT:
+            raise ValueError(f"{name}/{kind}: a weight is beyond {_MAX_WEIGHT:,.0f}")
     vocabulary = Vocabulary(tuple(header.names), frozenset(header.without))
     return CorrespondenceModel(vocabulary, weights, header.temperature)
 
@@ -81,17 +81,17 @@ def _document(archive: ZipFile, name: str, schema: type[_Document]) -> _Document
 
 
 def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -> None:
-    """Write weights as ``.npz``, all or nothing, with the command that made them and its corpus."""
+    """Write weights atomically as ``.npz``, with their training command and corpus hash."""
     about = {"command": command, "corpus": corpus_hash, "types": model.type_names}
     arrays = {"about": np.array(json.dumps(about))}
-    for name, one in (("annotation", model.annotation), ("behavior", model.behavior)):
-        for kind, weight in one.weights.items():
+    for name, part in (("annotation", model.annotation), ("behavior", model.behavior)):
+        for kind, weight in part.weights.items():
             arrays[f"{name}/{kind}"] = weight.astype(np.float32)
         header = {
-            "names": one.vocabulary.names,
-            "without": sorted(one.vocabulary.without),
-            "temperature": one.temperature,
-            "properties": {kind: property_names()[kind] for kind in one.weights},
+            "names": part.vocabulary.names,
+            "without": sorted(part.vocabulary.without),
+            "temperature": part.temperature,
+            "properties": {kind: property_names()[kind] for kind in part.weights},
         }
         arrays[f"{name}.json"] = np.array(json.dumps(header))
     with replacing(path) as temporary:
@@ -99,10 +99,10 @@ def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -
 
 
 def load(path: Path | None) -> GroundingModel:
-    """Read weights that ``save`` has written; those of the package where ``path`` is None.
+    """Load weights written by ``save``; the shipped ones if ``path`` is None.
 
     Object types come from the lexicon, which may have more than the weights were trained with.
-    Names, shapes and types are those the engine works with, and numbers are finite.
+    Names, shapes and types are validated, and numbers are finite.
 
     Raises:
         ValueError: the file is not readable as weights, or its types disagree with the lexicon.
@@ -118,13 +118,13 @@ def load(path: Path | None) -> GroundingModel:
         annotation, behavior = (_unpack(name, archive) for name in _MODELS)
     type_names = load_lexicon().type_names
     if type_names[: len(trained)] != trained:
-        said = str(trained)[:200]
-        raise ValueError(f"{path}: trained with types {said}, but the lexicon has {type_names}")
+        listed = str(trained)[:200]
+        raise ValueError(f"{path}: trained with types {listed}, but the lexicon has {type_names}")
     return GroundingModel(annotation, behavior, type_names)
 
 
 def about(path: Path) -> dict[str, object]:
-    """Read where weights of ``save`` came from: ``command``, ``corpus`` hash, ``types``.
+    """Read the provenance of a weight file: ``command``, ``corpus`` hash, ``types``.
 
     Raises:
         ValueError: the file is not readable as weights.
@@ -135,7 +135,7 @@ def about(path: Path) -> dict[str, object]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[ZipFile]:
-    """Open a file, and say of what cannot be read that it holds no weights."""
+    """Open a weight file; errors say that it is not a file of weights."""
     try:
         yield open_arrays(read_file(path, at_most=_MAX_BYTES))
     except (OSError, ValueError) as error:
@@ -146,5 +146,5 @@ def _opened(path: Path) -> Iterator[ZipFile]:
 
 @cache
 def load_shipped() -> GroundingModel:
-    """Read the weights of the package; the same object at every call."""
+    """Load the shipped weights, cached."""
     return load(shipped_file("grounding", SHIPPED_WEIGHTS))

@@ -1,4 +1,4 @@
-"""Placed objects as the behavior model sees them (section 3.3), on the host and on the device."""
+"""Worlds of known objects as input of the behavior model (section 3.3), on host and device."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -17,13 +17,13 @@ from jaxlangnav.relations.table import NUM_RANKS, REGISTRY, SYMBOL
 
 @dataclasses.dataclass(frozen=True)
 class World:
-    """Placed objects of one world on the host; the last slot is the robot."""
+    """A world on the host: objects and the relations that hold; the last slot is the robot."""
 
     object_type: np.ndarray  # i32[N] type index; ROBOT last
     is_object: np.ndarray  # bool[N]
     is_related: np.ndarray  # bool[6, N, N] relation, figure, landmark
-    is_ranked: np.ndarray  # bool[4, 6, N, N] the figure is the extreme of its type, the second, ...
-    is_previous: np.ndarray  # bool[N] goal of the command before
+    is_ranked: np.ndarray  # bool[4, 6, N, N] by rank: extreme of its type, second, ...
+    is_previous: np.ndarray  # bool[N] goal of the previous command
 
     @classmethod
     def of_edges(
@@ -32,7 +32,7 @@ class World:
         related: Iterable[Sequence[int]],
         ranked: Iterable[Sequence[int]] = (),
     ) -> "World":
-        """Build a world in which these edges hold and no others; all slots filled, none previous.
+        """Build a world in which only these relations hold; all slots filled, none previous.
 
         Args:
             object_type: types of the N slots, ``ROBOT`` last.
@@ -45,16 +45,16 @@ class World:
         for table, edges in ((is_related, related), (is_ranked, ranked)):
             for edge in edges:
                 table[tuple(edge)] = True
-        types, nothing = np.array(object_type, np.int32), np.zeros(size, bool)
-        return cls(types, ~nothing, is_related, is_ranked, nothing)
+        types, none = np.array(object_type, np.int32), np.zeros(size, bool)
+        return cls(types, ~none, is_related, is_ranked, none)
 
 
-def place(
+def to_world(
     placed: PlacedWorld, type_names: tuple[str, ...], *, side_range: float = SIDE_RANGE
 ) -> World:
-    """Describe placed objects to the behavior model: a world of n + 1 slots, the robot in the last.
+    """Compute the world of n placed objects, with n + 1 slots, the robot in the last.
 
-    ``side_range``: metres up to which something is on a side of the robot; as in the corpus.
+    ``side_range``: maximum distance in metres of "on the left" of the robot; as in the corpus.
     """
     count = len(placed.objects)
     codes = placed.attributes or [0] * count
@@ -67,7 +67,7 @@ def place(
         geometry = Geometry(placed, side_range=side_range)
         other = ~np.eye(count, count + 1, dtype=bool)
         world.is_related[:, :count] = geometry.holds & other
-        # How many others of its type beat each figure, by landmark: i[6, n, n + 1].
+        # Number of objects of its type ranked before each figure, by landmark: i[6, n, n + 1].
         label = label_of(world.object_type[:count])
         alike = (label[:, None] == label[None, :]) & ~np.eye(count, dtype=bool)  # [figure, other]
         is_rival = alike[None] & ~np.eye(count + 1, count, dtype=bool)[:, None, :]
@@ -79,15 +79,15 @@ def place(
     return world
 
 
-def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readings) -> World:
-    """Describe placed objects as a sentence orders them, and says what lies between which.
+def reading_world(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readings) -> World:
+    """Compute the world of placed objects, with the ranks and "between" of a sentence's reading.
 
-    "The second cone on your left" is the second of those on the left. The device knows one rank
-    beyond the first, so the second table holds whichever the sentence means, by its likeliest
-    reading. What is said to lie between two things is near either of them to the device, and so
-    nothing else of its type is.
+    "The second cone on your left" is the second of those on the left. The device has one rank
+    beyond the first, so the second table holds the one that the sentence means, by its likeliest
+    reading. A figure between two landmarks is encoded as near each of them, and no other object of
+    its type is.
     """
-    world = place(placed, type_names, side_range=np.inf)
+    world = to_world(placed, type_names, side_range=np.inf)
     edges = readings.edges()
     edges = edges[edges[:, 1] != NONE]
     if not placed.objects or not ((edges[:, 1] == BETWEEN) | (edges[:, 3] > 0)).any():
@@ -95,34 +95,34 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
     strength = Geometry(placed).strength
     kinds = np.asarray(readings.mention_type[0])
     is_kind = [is_type(world.object_type, kind) for kind in kinds]
-    _put_between(world, placed, is_kind, edges)
+    _encode_between(world, placed, is_kind, edges)
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
-        own = allowed = is_kind[figure][:-1]
-        for other, place_said, by, other_rank in edges:
+        is_figure = allowed = is_kind[figure][:-1]
+        for other, relation_, by, other_rank in edges:
             if other == figure and other_rank == 0:
-                allowed = allowed & world.is_related[SYMBOL[place_said]][:-1, is_kind[by]].any(1)
+                allowed = allowed & world.is_related[SYMBOL[relation_]][:-1, is_kind[by]].any(1)
         table = world.is_ranked[min(rank, 2) - 1, relation]
         for index in np.flatnonzero(is_kind[landmark]):
-            rivals = allowed & (np.arange(len(own)) != index)
+            rivals = allowed & (np.arange(len(is_figure)) != index)
             meant = rivals & (num_before(strength[relation, :, index], rivals) == rank - 1)
-            table[:-1, index] = np.where(own, meant, table[:-1, index])
+            table[:-1, index] = np.where(is_figure, meant, table[:-1, index])
     return world
 
 
-def why_nothing_fits(
+def explain_mismatch(
     placed: PlacedWorld, type_names: tuple[str, ...], readings: Readings
 ) -> list[str]:
-    """Name what the likeliest reading says of types of things and no thing of them there is.
+    """Explain why no object of a world satisfies the likeliest reading.
 
-    A phrase each ("no hydrant is behind the robot"); empty where something is all that is said.
+    One phrase per cause ("no hydrant is behind the robot"); empty if all annotations hold.
     """
-    world, kinds = place_for(placed, type_names, readings), np.asarray(readings.mention_type[0])
+    world, kinds = reading_world(placed, type_names, readings), np.asarray(readings.mention_type[0])
     names = ["robot" if kind == ROBOT else name_of(kind, type_names) for kind in kinds]
     is_kind = [is_type(world.object_type, kind) for kind in kinds]
     missing = [
         f"there is no {name}"
-        for kind, name, found in zip(kinds, names, is_kind, strict=True)
-        if kind >= 0 and not found.any()
+        for kind, name, mask in zip(kinds, names, is_kind, strict=True)
+        if kind >= 0 and not mask.any()
     ]
     if missing:
         return missing
@@ -138,24 +138,24 @@ def why_nothing_fits(
     return []
 
 
-def _put_between(
+def _encode_between(
     world: World, placed: PlacedWorld, is_kind: Sequence[np.ndarray], edges: np.ndarray
 ) -> None:
-    """Put what lies between two things in place of what is near them, of mentions bool[n + 1]."""
-    told = edges[edges[:, 1] == BETWEEN]
+    """Replace "near" by "between" for the figures of "between", given bool[n + 1] of mentions."""
+    between = edges[edges[:, 1] == BETWEEN]
     x, y = np.array([[x, y] for _, x, y in placed.objects]).T
     lies = lies_between(*((x[ends], y[ends]) for ends in np.ix_(*[range(len(x))] * 3)))
-    for figure, relation, landmark, _ in told:
-        others = told[(told[:, 0] == figure) & (told[:, 2] != landmark), 2]
+    for figure, relation, landmark, _ in between:
+        others = between[(between[:, 0] == figure) & (between[:, 2] != landmark), 2]
         is_other = np.any([is_kind[other][:-1] for other in others], axis=0)
-        own = np.any(lies & is_other, axis=-1)
+        is_between = np.any(lies & is_other, axis=-1)
         is_figure, is_landmark = is_kind[figure][:-1], is_kind[landmark][:-1]
         ends = np.ix_([SYMBOL[relation]], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
-        world.is_related[ends] = own[is_figure][:, is_landmark]
+        world.is_related[ends] = is_between[is_figure][:, is_landmark]
 
 
 def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:
-    """Pad a world to N + 1 slots for ``infer_behavior``; its last slot, the robot, stays last.
+    """Pad a world to ``num_slots`` for ``infer_behavior``; its last slot, the robot, stays last.
 
     Raises:
         ValueError: the world has more objects than there are slots.
@@ -166,17 +166,17 @@ def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:
         raise ValueError(f"the world has {size - 1} objects; at most {num_slots - 1} are held")
     slots = np.append(np.arange(size - 1), num_slots - 1)
 
-    def spread(values: np.ndarray, axes: int, fill: int | bool) -> jnp.ndarray:
+    def pad(values: np.ndarray, axes: int, fill: int | bool) -> jnp.ndarray:
         shape = (*values.shape[: values.ndim - axes], *(num_slots,) * axes)
         padded = np.full(shape, fill, values.dtype)
         padded[(..., *np.ix_(*(slots,) * axes))] = values
         return jnp.asarray(padded)
 
     return BehaviorWorld(
-        object_type=spread(world.object_type, 1, NONE),
-        is_object=spread(world.is_object, 1, False),
-        is_related=spread(world.is_related, 2, False),
-        is_superlative=spread(world.is_ranked[0], 2, False),
-        is_later=spread(world.is_ranked[1], 2, False),
-        is_previous=spread(world.is_previous, 1, False),
+        object_type=pad(world.object_type, 1, NONE),
+        is_object=pad(world.is_object, 1, False),
+        is_related=pad(world.is_related, 2, False),
+        is_superlative=pad(world.is_ranked[0], 2, False),
+        is_later=pad(world.is_ranked[1], 2, False),
+        is_previous=pad(world.is_previous, 1, False),
     )

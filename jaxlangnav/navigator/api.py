@@ -22,7 +22,7 @@ from jax import Array
 from jaxlangnav import navigator
 from jaxlangnav.dialogue import first_words
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
-from jaxlangnav.grounding.annotated import returning
+from jaxlangnav.grounding.annotated import come_here
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.limits import bounded
@@ -156,7 +156,7 @@ class Navigator:
 
         Pose and area are those of ``start``; a ValueError where they cannot be.
         """
-        silent = replace(returning(), num_clauses=jnp.int32(0))
+        silent = replace(come_here(), num_clauses=jnp.int32(0))
         grounded = Grounded(instruction=silent, annotations=())
         return replace(self._start(grounded, pose, area), status=jnp.int32(Status.IDLE))
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxlangnav.dialogue import Merged, join, seen_from
 from jaxlangnav.grounding import Context, Grounded, Grounder
-from jaxlangnav.grounding.annotated import returning
+from jaxlangnav.grounding.annotated import come_here
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Spoken
 from jaxlangnav.inputs.object_types import is_anything, label_of, noun_of
@@ -112,7 +112,7 @@ class Listener:
         at, kind = int(state.talk.approached), said.kind or Kind.ANSWER
         heard = UtteranceOutcome(text=text, kind=kind)
         if said.wording == Wording.RETURN:
-            joined = self._join(state, Grounded(instruction=returning(), annotations=()))
+            joined = self._join(state, Grounded(instruction=come_here(), annotations=()))
             return _come_back(state, joined), heard
         if kind == Kind.ANSWER:
             return self._answered(state, text, said)
@@ -244,7 +244,7 @@ class Listener:
 
     def warm_up(self, state: NavigatorState) -> None:
         """Compile all that an utterance may do to a state, so that nobody waits for it."""
-        grounded = Grounded(instruction=returning(), annotations=())
+        grounded = Grounded(instruction=come_here(), annotations=())
         joined, slot = self._join(state, grounded), jnp.int32(0)
         for how in How:
             _tell(state, joined, state.belief.last_pose, how=how)

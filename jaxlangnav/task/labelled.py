@@ -28,7 +28,7 @@ from jaxlangnav.dialogue import seen_from
 from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
-from jaxlangnav.grounding.worlds import place_for
+from jaxlangnav.grounding.worlds import reading_world
 from jaxlangnav.inputs.documents import naming, parse_json, read_lines
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.language.geometry import PlacedWorld
@@ -206,7 +206,7 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
 def _infer_in(
     instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
 ) -> list[Behavior]:
-    return infer_commands(instruction, place_for(placed, names, instruction.readings))
+    return infer_commands(instruction, reading_world(placed, names, instruction.readings))
 
 
 def list_behaviors(

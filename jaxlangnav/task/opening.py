@@ -16,7 +16,7 @@ from jaxlangnav.episode import Task
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
-from jaxlangnav.grounding.worlds import why_nothing_fits
+from jaxlangnav.grounding.worlds import explain_mismatch
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import is_among, meant_goals, place_scenario, with_goal
@@ -179,7 +179,7 @@ def _judge(
     if not is_meant:
         types = understood.type_names
         placed = place_scenario(task.scenario, types)
-        missing = why_nothing_fits(placed, types, understood.instruction.readings)
+        missing = explain_mismatch(placed, types, understood.instruction.readings)
     if goals and not is_given:
         task = replace(task, scenario=with_goal(task.scenario, goals[0]))
     return Prepared(

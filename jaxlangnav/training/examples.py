@@ -26,7 +26,7 @@ from jaxlangnav.grounding.symbols import (
     region_symbol,
     relation_symbol,
 )
-from jaxlangnav.grounding.worlds import World, place
+from jaxlangnav.grounding.worlds import World, to_world
 from jaxlangnav.language.corpus import Example
 from jaxlangnav.language.phrase import COMMAND, Parse, Phrase
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, RELATIONS, ROBOT
@@ -84,7 +84,7 @@ def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> Label
         paths = [node.path for node in post_order(root, clause)]
         rank |= dict(zip(paths, labels.rank, strict=True))
     for labelled in example.worlds:
-        world, count, trees = place(labelled.world, type_names), len(labelled.world.objects), []
+        world, count, trees = to_world(labelled.world, type_names), len(labelled.world.objects), []
         clauses = zip(roots, labelled.behavior, example.parse.kinds, strict=True)
         for clause, (root, labels, kind) in enumerate(clauses):
             if kind == COMMAND:
