@@ -8,10 +8,10 @@ import readings as by_hand
 
 from jaxlangnav.semantic_map.coverage import (
     Coverage,
+    add_view,
     area_size,
     cell_centres,
     log_miss_at,
-    look,
     sample_unseen,
     unexplored,
 )
@@ -25,7 +25,7 @@ CELLS = 32
 @jax.jit
 def look_at(coverage, x, y, heading, sensor) -> Coverage:
     eye = eye_of(x, y, heading, sensor)
-    return look(coverage, eye, sensor, OPEN.view)
+    return add_view(coverage, eye, sensor, OPEN.view)
 
 
 def fresh() -> Coverage:

@@ -141,15 +141,15 @@ def test_robot_goes_by_one_drift_and_keeps_where_it_looked_by_either() -> None:
     assert np.abs(ours - theirs).max() > 1.0
     # Where each particle has the robot, its own map has been looked at.
     here = jnp.zeros((1, 1, 64))
-    assert (np.asarray(heading_bias.log_missed(belief, here, here)) < -1.0).all()
+    assert (np.asarray(heading_bias.log_miss_at_offset(belief, here, here)) < -1.0).all()
     # Drifts without a steady part are gone by all at once.
     belief = driven(2, numbers(heading_noise=0.1))
-    assert beliefs.is_led(belief).all()
+    assert beliefs.is_active(belief).all()
 
 
 def test_robot_goes_by_the_other_drift_once_it_is_far_likelier() -> None:
     belief = driven(8, numbers(heading_bias=0.1))
-    led = np.asarray(beliefs.is_led(belief))
+    led = np.asarray(beliefs.is_active(belief))
 
     def led_with(share: float):
         weight = np.where(led, share / led.sum(), (1.0 - share) / (~led).sum())
@@ -167,7 +167,7 @@ def test_robot_goes_by_the_other_drift_once_it_is_far_likelier() -> None:
 
 def test_maps_are_laid_over_each_other_at_the_robot() -> None:
     belief, _ = seen_twice(begin(True, 64), numbers(heading_noise=0.1))
-    laid, particles = beliefs.about_robot(belief), belief.particles
+    laid, particles = beliefs.align_on_robot(belief), belief.particles
     robot = by_hand.CONFIG.num_objects
     x, y = beliefs.robot_position(belief)
     np.testing.assert_allclose(laid.particles.mean_x[robot], x, atol=1e-6)
@@ -180,10 +180,10 @@ def test_maps_are_laid_over_each_other_at_the_robot() -> None:
     # What is first seen now is at one place from the robot, but not in the map.
     cone = by_hand.observation(np.array([1.0, 0.0, 0.0]), [(by_hand.CONE, 3.0, 0.0)])
     belief, _ = look(jax.random.key(2), belief, cone, numbers(heading_noise=0.1))
-    one, laid = belief.particles, beliefs.about_robot(belief).particles
+    one, laid = belief.particles, beliefs.align_on_robot(belief).particles
     assert np.std(one.mean_y[1]) > 0.2
     assert np.std(laid.mean_y[1]) < 1e-5
-    pose = beliefs.in_map(belief, belief.last_pose)
+    pose = beliefs.to_map_frame(belief, belief.last_pose)
     np.testing.assert_allclose(pose[:2], [x, y], atol=1e-6)
     np.testing.assert_allclose(pose[2], beliefs.mean_drift(belief), atol=1e-6)
 
@@ -203,7 +203,7 @@ def test_words_are_grounded_by_where_each_drift_has_looked(is_sparse: bool) -> N
     keys, everyone = jax.random.split(jax.random.key(2), 2), jnp.ones((2, 64), bool)
     given = keys, by_hand.stack(lanes), by_hand.repeat(by_hand.NULL, 2), everyone, by_hand.params()
     particles, found = ground_lanes(*given, is_sparse=is_sparse)
-    led = np.asarray(beliefs.is_led(belief))
+    led = np.asarray(beliefs.is_active(belief))
     x, log_weight = np.asarray(particles.hypothesis_x[:, 0]), np.asarray(found)
     for lane, is_near_seen in enumerate((led, ~led)):
         assert (x[lane, is_near_seen] >= 5.0).all()

@@ -36,7 +36,7 @@ def look(one, kind, x, is_detection, specification, growth, exposure):
     log_missed, _, existence = update.log_absence(
         after, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.1), specification, OPEN.view
     )
-    log_exposed, existence = counts.exposed(existence, exposure)
+    log_exposed, existence = counts.lower_existence(existence, exposure)
     return replace(after, existence=existence), grounded.log_weight + log_missed + log_exposed
 
 

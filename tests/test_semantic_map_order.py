@@ -8,13 +8,13 @@ import pytest
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
 from jaxlangnav.relations import (
     SIDE_CONCENTRATION,
-    anywhere,
     default_params,
+    density_of,
     is_on_side,
-    law_of,
     log_density_of,
     prepare,
     robot_frame,
+    without_range,
 )
 from jaxlangnav.semantic_map.coverage import unexplored
 from jaxlangnav.semantic_map.params import default_map_params
@@ -32,17 +32,17 @@ MODEL, PARAMS = prepare(default_params()), default_map_params()
 
 def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0, 0.0),) * 2):
     """Build the arguments of ``log_rank`` but for the places: an order among the known cones."""
-    kind = jnp.array([CONE, ROBOT])
+    types = jnp.array([CONE, ROBOT])
     said = Query(
         mention=jnp.array([0, 1]),
-        kind=kind,
+        types=types,
         relation=jnp.int32(relation),
         rank=jnp.int32(rank),
         other=jnp.int32(NONE),
-        is_order=jnp.asarray(rank > 0),
-        is_anywhere=jnp.asarray(rank > 0),
+        is_ordinal=jnp.asarray(rank > 0),
+        is_rangeless=jnp.asarray(rank > 0),
         sides=jnp.array([*sides, *[NONE] * (3 - len(sides))], jnp.int32),
-        law=law_of(MODEL, relation),
+        pdf=density_of(MODEL, relation),
         viewer=jnp.zeros(3),
         excluded=jnp.zeros(2, jnp.int32),
     )
@@ -150,17 +150,17 @@ def test_a_side_is_normalised_over_directions():
     for distance in (0.5, 20.0):
         x, y = distance * jnp.cos(angle), distance * jnp.sin(angle)
         for side, ahead in ((FRONT, 0), (LEFT, 180)):
-            law = anywhere(law_of(MODEL, side), yes, no, jnp.log(50.0))
+            law = without_range(density_of(MODEL, side), yes, no, jnp.log(50.0))
             weight = 50.0 * np.exp(np.asarray(log_density_of(law, x, y, frame)))
             np.testing.assert_allclose(weight.mean(), 1.0, rtol=1e-3)
             ratio = weight[ahead] / weight[ahead + 360]
             np.testing.assert_allclose(np.log(ratio), 2 * SIDE_CONCENTRATION, rtol=1e-3)
     # An order alone says nothing of the side, and what is neither stays as it was.
     for relation in (NEAR, LEFT):
-        law = anywhere(law_of(MODEL, relation), no, yes, jnp.log(50.0))
+        law = without_range(density_of(MODEL, relation), no, yes, jnp.log(50.0))
         np.testing.assert_allclose(log_density_of(law, x, y, frame), -np.log(50.0), rtol=1e-5)
-        same = anywhere(law_of(MODEL, relation), no, no, jnp.log(50.0))
-        jax.tree.map(np.testing.assert_array_equal, same, law_of(MODEL, relation))
+        same = without_range(density_of(MODEL, relation), no, no, jnp.log(50.0))
+        jax.tree.map(np.testing.assert_array_equal, same, density_of(MODEL, relation))
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])

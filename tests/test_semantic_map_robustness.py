@@ -178,11 +178,11 @@ def test_no_words() -> None:
 # ---------------------------------------------------------------- looks that cannot be
 
 GOOD = by_hand.observation(POSE, [(CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2)])
-SOUND = jax.jit(lambda belief, look, far: gating.gate(belief, gating.Look(look, far)))
+SOUND = jax.jit(lambda belief, look, far: gating.gate(belief, gating.GatedStep(look, far)))
 FAR = jnp.float32(1.5)
 
 
-def judge(look, belief=None, farthest=FAR) -> gating.Look:
+def judge(look, belief=None, farthest=FAR) -> gating.GatedStep:
     return SOUND(belief or by_hand.begin((5.0, 0.0, 0.0)), look, farthest)[1]
 
 

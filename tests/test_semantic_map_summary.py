@@ -78,7 +78,7 @@ def test_world_of_a_particle_by_hand() -> None:
 
 # ---------------------------------------------------------------- what nobody has spoken of
 
-REMEMBER, PROMOTE = jax.jit(objects.remember_bystanders), jax.jit(objects.promote)
+REMEMBER, PROMOTE = jax.jit(objects.add_bystanders), jax.jit(objects.exchange)
 HERE = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1e-4))
 
 
@@ -92,7 +92,7 @@ def see(known, *things):
 
 
 def test_one_thing_seen_often_is_one_thing_placed_better() -> None:
-    known, lost = see(objects.nobody(4), (CAR, 1.0, 0.0), (CAR, 2.5, 0.0), (CONE, 1.0, 0.1))
+    known, lost = see(objects.no_bystanders(4), (CAR, 1.0, 0.0), (CAR, 2.5, 0.0), (CONE, 1.0, 0.1))
     first = known.variance[0]
     for _ in range(3):
         known, lost = see(known, (CAR, 1.2, 0.0))
@@ -104,21 +104,21 @@ def test_one_thing_seen_often_is_one_thing_placed_better() -> None:
 
 def test_what_finds_no_room_is_counted() -> None:
     things = [(CAR, 1.0, 0.0), (CAR, -1.0, 0.0), (CAR, 0.0, 2.0)]
-    known, lost = see(objects.nobody(2), *things)
+    known, lost = see(objects.no_bystanders(2), *things)
     assert int(lost) == 1
     np.testing.assert_array_equal(known.object_type, [CAR, CAR])
 
 
 def test_observation_is_parted_by_what_the_task_speaks_of() -> None:
     look = by_hand.observation(np.zeros(3), [(CAR, 1.0, 0.0), (CONE, 1.0, 1.0)])
-    ours, others = objects.part(jax.tree.map(jnp.asarray, look), spoken(CONE))
+    ours, others = objects.split_by_type(jax.tree.map(jnp.asarray, look), spoken(CONE))
     np.testing.assert_array_equal(ours.is_detection[:2], [False, True])
     np.testing.assert_array_equal(others.is_detection[:2], [True, False])
 
 
 def test_another_sentence_exchanges_what_is_spoken_of() -> None:
     belief = by_hand.with_objects(by_hand.begin(), [(HYDRANT, 3.0, 1.0), (CONE, 2.0, 0.0)])
-    known, _ = see(objects.nobody(4), (CAR, 1.0, 1.0), (CAR, -1.0, 0.0))
+    known, _ = see(objects.no_bystanders(4), (CAR, 1.0, 1.0), (CAR, -1.0, 0.0))
     told = spoken(CAR, CONE)
     after, listed = PROMOTE(belief.particles, known, told, belief.log_weight, True)
     np.testing.assert_array_equal(after.object_type[:3, 0], [CAR, CONE, CAR])
@@ -134,7 +134,7 @@ def test_another_sentence_exchanges_what_is_spoken_of() -> None:
 
 def test_nothing_is_exchanged_until_something_is_said() -> None:
     belief = by_hand.with_objects(by_hand.begin(), [(HYDRANT, 3.0, 1.0)])
-    known, _ = see(objects.nobody(4), (CAR, 1.0, 1.0))
+    known, _ = see(objects.no_bystanders(4), (CAR, 1.0, 1.0))
     after, listed = PROMOTE(belief.particles, known, spoken(CAR), belief.log_weight, False)
     jax.tree.map(np.testing.assert_array_equal, (after, listed), (belief.particles, known))
 

@@ -12,7 +12,7 @@ from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.latency import Tour, first_sight
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import update
-from jaxlangnav.semantic_map.coverage import cell_centres, look, unexplored
+from jaxlangnav.semantic_map.coverage import add_view, cell_centres, unexplored
 from jaxlangnav.terrain import OPEN, Eye, OpenField, StraightLines, Terrain
 from jaxlangnav.terrain.geodesic import CLEARANCE, Geodesic, geodesic
 from jaxlangnav.terrain.view import NEVER, Stretch, eye_of
@@ -30,7 +30,7 @@ SHARE = jax.jit(lambda view, eye, x, y, softness: view.share(eye, x, y, softness
 METRES = jax.jit(lambda ways, *places: ways.metres(*places))
 VALUES, WITHIN = jax.jit(qmdp.values), jax.jit(qmdp.mass_within)
 FIRST_SIGHT, ABSENCE = jax.jit(first_sight), jax.jit(update.log_absence)
-LOOK, NEXT_PLACE = jax.jit(look), jax.jit(lambda ways, *places: ways.next_place(*places))
+LOOK, NEXT_PLACE = jax.jit(add_view), jax.jit(lambda ways, *places: ways.next_place(*places))
 ALONG = jax.jit(lambda view, *stretch: view.first_sight(*stretch))
 
 

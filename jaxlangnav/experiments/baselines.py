@@ -28,7 +28,7 @@ from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.graph import frontiers
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look, unexplored
+from jaxlangnav.semantic_map.coverage import Coverage, add_view, log_miss_at, unexplored
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world import simulator
@@ -127,7 +127,7 @@ def _notice(explorer: Explorer, observation: Observation, figure_type: Array) ->
     eye = eye_of(pose[0], pose[1], pose[2], sensor)
     return replace(
         explorer,
-        coverage=look(explorer.coverage, eye, sensor, OPEN.view),
+        coverage=add_view(explorer.coverage, eye, sensor, OPEN.view),
         target=jnp.where(is_seen, jnp.stack([x[nearest], y[nearest]]), explorer.target),
         has_target=explorer.has_target | is_seen,
     )

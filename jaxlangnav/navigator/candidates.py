@@ -12,7 +12,7 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.navigator.records import NavigatorState
 from jaxlangnav.planner.termination import missing_types
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.belief import in_map
+from jaxlangnav.semantic_map.belief import to_map_frame
 
 _ORDINALS = ("FIRST", "SECOND", "THIRD", "FOURTH", "FIFTH", "SIXTH")
 _PLACES: dict[Wording | None, int] = {Wording[name]: n for n, name in enumerate(_ORDINALS)}
@@ -20,7 +20,7 @@ _PLACES |= {Wording.NEAREST: 0, Wording.FARTHEST: -1, Wording.LAST: -1}
 _LEAST_MENTIONED = 1e-3  # probability of a reading below which its types are left out
 _LEAST = 0.01  # goal probability below which a thing is no candidate for a question
 
-_in_map = jax.jit(in_map)
+_in_map = jax.jit(to_map_frame)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -42,7 +42,7 @@ from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, has_ope
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause_behaviors
-from jaxlangnav.semantic_map.belief import about_robot, robot_position
+from jaxlangnav.semantic_map.belief import align_on_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.proposal.relation_query import Utterances
 from jaxlangnav.terrain import OPEN, POSITIONS, Eye, SensorModel, Terrain
@@ -227,7 +227,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     behavior = dialogue.as_answered(behavior, particles, talk)
     behavior = dialogue.pinned(behavior, particles, readings.mention_type, talk.words, clause)
     behavior = dialogue.avoided(behavior, particles, readings.mention_type, talk.words)
-    belief = about_robot(replace(state.belief, particles=dialogue.focus(particles, talk.words)))
+    belief = align_on_robot(replace(state.belief, particles=dialogue.focus(particles, talk.words)))
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot = robot_position(belief)

@@ -17,7 +17,7 @@ from jaxlangnav.messages import NONE, Status, UtteranceContext
 from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.planner.blocked import start_progress
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.belief import in_map
+from jaxlangnav.semantic_map.belief import to_map_frame
 from jaxlangnav.semantic_map.gating import is_pose
 
 CLOSER, CLOSEST = 0.5, 0.25
@@ -77,7 +77,7 @@ def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: How) -> Nav
     """
     belief, talk = state.belief, state.talk
     pose = jnp.where(is_pose(pose, belief.coverage.area), pose, belief.last_pose)
-    pose = in_map(belief, pose)
+    pose = to_map_frame(belief, pose)
     heard = replace(
         state,
         belief=replace(belief, must_ground=jnp.asarray(True)),

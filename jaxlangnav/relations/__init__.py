@@ -5,16 +5,16 @@
 
 from jaxlangnav.relations.density import (
     SIDE_CONCENTRATION as SIDE_CONCENTRATION,
-    Law as Law,
+    Density as Density,
     RelationModel as RelationModel,
-    anywhere as anywhere,
-    law_of as law_of,
+    density_of as density_of,
     log_density as log_density,
     log_density_in_frame as log_density_in_frame,
     log_density_of as log_density_of,
     prepare as prepare,
-    sample_law as sample_law,
+    sample_pdf as sample_pdf,
     sample_polar as sample_polar,
+    without_range as without_range,
 )
 from jaxlangnav.relations.strength import (
     degree as degree,

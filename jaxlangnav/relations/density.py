@@ -43,8 +43,8 @@ class RelationModel:
 
 
 @pytree
-class Law:
-    """The density of one relation, or of each particle's: numbers picked from the model."""
+class Density:
+    """Density parameters of one relation, or of one per particle, looked up in the model."""
 
     log_distance: Array  # f32[...]
     log_distance_sd: Array  # f32[...]
@@ -52,7 +52,7 @@ class Law:
     axis_lateral: Array  # f32[...]
     concentration: Array  # f32[...]
     log_constant: Array  # f32[...]
-    has_range: Array  # f32[...] 1, or 0 where how far counts for nothing: a side, an order
+    has_range: Array  # f32[...] 1, or 0 where distance does not count: a side, a rank
 
 
 def prepare(params: RelationParams) -> RelationModel:
@@ -63,8 +63,8 @@ def prepare(params: RelationParams) -> RelationModel:
     # The angle is symmetric: tabulate |Δ| by its survival function, summed from the far tail so
     # that float32 keeps the rare large angles, at equal steps of a standard normal's quantile.
     angles = jnp.linspace(0.0, jnp.pi, 2049, dtype=jnp.float32)
-    density = jnp.exp(params.concentration[:, None] * (jnp.cos(angles)[None, :] - 1.0))
-    steps = 0.5 * (density[:, 1:] + density[:, :-1])
+    unnormalised = jnp.exp(params.concentration[:, None] * (jnp.cos(angles)[None, :] - 1.0))
+    steps = 0.5 * (unnormalised[:, 1:] + unnormalised[:, :-1])
     survival = jnp.cumsum(steps[:, ::-1], axis=1)[:, ::-1]
     log_survival = jnp.log(survival) - jnp.log(survival[:, :1])
     levels = jnp.log(2.0) + jax.scipy.stats.norm.logcdf(
@@ -87,36 +87,36 @@ def prepare(params: RelationParams) -> RelationModel:
     )
 
 
-def law_of(model: RelationModel, relation: ArrayLike) -> Law:
-    """Look up the numbers f32[...] of relations by index, i32[...]."""
-    names = [field.name for field in dataclasses.fields(Law) if field.name != "has_range"]
-    # One gather for all, of which the slope is one scatter.
-    numbers = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(ROW)[relation]]
-    values = dict(zip(names, jnp.unstack(numbers), strict=True))
-    return Law(**values, has_range=jnp.ones_like(values["log_distance"]))
+def density_of(model: RelationModel, relation: ArrayLike) -> Density:
+    """Look up the density parameters f32[...] of relations by index, i32[...]."""
+    names = [field.name for field in dataclasses.fields(Density) if field.name != "has_range"]
+    # A single gather, whose gradient is a single scatter.
+    fields = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(ROW)[relation]]
+    fields = dict(zip(names, jnp.unstack(fields), strict=True))
+    return Density(**fields, has_range=jnp.ones_like(fields["log_distance"]))
 
 
-def anywhere(law: Law, is_side: Array, is_order: Array, log_area: Array) -> Law:
-    """Say where, but not how far: a side of the robot ("on your left"), or an order alone.
+def without_range(pdf: Density, is_side: Array, is_ordinal: Array, log_area: Array) -> Density:
+    """Drop the range of sides of the robot ("on your left") and of ranks; only direction counts.
 
-        f = 1 / A · e^κ(cos Δ − 1) / (I₀(κ) e^−κ) of a side,   f = 1 / A of an order
+        f = 1 / A · e^κ(cos Δ − 1) / (I₀(κ) e^−κ) of a side,   f = 1 / A of a rank
 
-    Limits: over all directions f is 1 / A on average; neither side nor order leaves the law as is.
+    Limits: over all directions f is 1 / A on average; neither side nor rank leaves f as it is.
 
     Args:
-        law: of the relation, leaves f32[...].
+        pdf: of the relation, leaves f32[...].
         is_side: bool[...].
-        is_order: bool[...], nowhere a side as well.
+        is_ordinal: bool[...], a rank ("the second"); never a side as well.
         log_area: f32[], log square metres of the area A.
     """
-    kappa = jnp.where(is_side, SIDE_CONCENTRATION, jnp.where(is_order, 0.0, law.concentration))
+    kappa = jnp.where(is_side, SIDE_CONCENTRATION, jnp.where(is_ordinal, 0.0, pdf.concentration))
     log_flat = -log_area - jnp.log(jax.scipy.special.i0e(kappa))
-    is_anywhere = is_side | is_order
+    is_rangeless = is_side | is_ordinal
     return replace(
-        law,
+        pdf,
         concentration=kappa,
-        log_constant=jnp.where(is_anywhere, log_flat, law.log_constant),
-        has_range=jnp.where(is_anywhere, 0.0, law.has_range),
+        log_constant=jnp.where(is_rangeless, log_flat, pdf.log_constant),
+        has_range=jnp.where(is_rangeless, 0.0, pdf.has_range),
     )
 
 
@@ -128,19 +128,19 @@ def log_density(
     frame: ReferenceFrame,
 ) -> Array:
     """Evaluate ``log_density_of`` for a relation by its index, i32[]."""
-    return log_density_of(law_of(model, relation), offset_x, offset_y, frame)
+    return log_density_of(density_of(model, relation), offset_x, offset_y, frame)
 
 
-def log_density_of(law: Law, offset_x: Array, offset_y: Array, frame: ReferenceFrame) -> Array:
-    """Evaluate how likely a relation places its figure at an offset from the landmark.
+def log_density_of(pdf: Density, offset_x: Array, offset_y: Array, frame: ReferenceFrame) -> Array:
+    """Evaluate a relation's log-density of its figure at an offset from the landmark.
 
         log f = c − 2 log r − (log r − μ)² / 2σ² + κ (cos Δ − 1)
 
-    Limits: κ = 0 depends on the distance alone; r → 0 and r → ∞ give −∞ smoothly; what says
-    nothing of how far (``anywhere``) has the direction alone.
+    Limits: κ = 0 depends on the distance alone; r → 0 and r → ∞ give −∞ smoothly; without a
+    range (``without_range``) only the direction counts.
 
     Args:
-        law: of the relation, f32[] or f32[P], P the last axis of the offset.
+        pdf: of the relation, f32[] or f32[P], P the last axis of the offset.
         offset_x: f32[...], figure minus landmark, metres, map frame.
         offset_y: f32[...], metres.
         frame: directions, broadcastable to the offset.
@@ -149,47 +149,47 @@ def log_density_of(law: Law, offset_x: Array, offset_y: Array, frame: ReferenceF
         f32[...], per square metre.
     """
     along, lateral = to_frame(frame, offset_x, offset_y)
-    return _log_density(law, along, lateral, offset_x * offset_x + offset_y * offset_y + 1e-6)
+    return _log_density(pdf, along, lateral, offset_x * offset_x + offset_y * offset_y + 1e-6)
 
 
-def log_density_in_frame(law: Law, along: Array, lateral: Array) -> Array:
+def log_density_in_frame(pdf: Density, along: Array, lateral: Array) -> Array:
     """Evaluate ``log_density_of`` at an offset in frame coordinates, f32[...] metres each."""
-    return _log_density(law, along, lateral, along * along + lateral * lateral + 1e-6)
+    return _log_density(pdf, along, lateral, along * along + lateral * lateral + 1e-6)
 
 
-def _log_density(law: Law, along: Array, lateral: Array, squared: Array) -> Array:
-    law = jax.tree.map(lambda leaf: prepend_axes(leaf, squared.ndim), law)
+def _log_density(pdf: Density, along: Array, lateral: Array, squared: Array) -> Array:
+    pdf = jax.tree.map(lambda leaf: prepend_axes(leaf, squared.ndim), pdf)
     log_distance = 0.5 * jnp.log(squared)
-    cosine = (along * law.axis_along + lateral * law.axis_lateral) * jax.lax.rsqrt(squared)
-    standard = (log_distance - law.log_distance) / law.log_distance_sd
+    cosine = (along * pdf.axis_along + lateral * pdf.axis_lateral) * jax.lax.rsqrt(squared)
+    standard = (log_distance - pdf.log_distance) / pdf.log_distance_sd
     log_range = -2.0 * log_distance - 0.5 * standard * standard
-    return law.log_constant + law.has_range * log_range + law.concentration * (cosine - 1.0)
+    return pdf.log_constant + pdf.has_range * log_range + pdf.concentration * (cosine - 1.0)
 
 
 def sample_polar(
     model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
 ) -> tuple[Array, Array]:
-    """Draw f32[...] along and lateral of a relation, by standard normal draws f32[...].
+    """Draw offsets of a relation, f32[...] along and lateral, from standard normals f32[...].
 
     In metres, in the frame of ``log_density``.
     """
-    return sample_law(law_of(model, relation), model, relation, distance_normal, angle_normal)
+    return sample_pdf(density_of(model, relation), model, relation, distance_normal, angle_normal)
 
 
-def sample_law(
-    law: Law, model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
+def sample_pdf(
+    pdf: Density, model: RelationModel, relation: ArrayLike, normal_r: Array, normal_angle: Array
 ) -> tuple[Array, Array]:
-    """Draw as ``sample_polar`` does, from a law looked up before; where it has a range."""
-    law = jax.tree.map(lambda leaf: prepend_axes(leaf, distance_normal.ndim), law)
-    distance = jnp.exp(law.log_distance + law.log_distance_sd * distance_normal)
-    position = jnp.minimum(jnp.abs(angle_normal), MAX_NORMAL) * (NUM_QUANTILES / MAX_NORMAL)
+    """Draw as ``sample_polar`` does, from a density looked up before, which must have a range."""
+    pdf = jax.tree.map(lambda leaf: prepend_axes(leaf, normal_r.ndim), pdf)
+    distance = jnp.exp(pdf.log_distance + pdf.log_distance_sd * normal_r)
+    position = jnp.minimum(jnp.abs(normal_angle), MAX_NORMAL) * (NUM_QUANTILES / MAX_NORMAL)
     lower = jnp.clip(position.astype(jnp.int32), 0, NUM_QUANTILES - 1)
     fraction = position - lower
     table = model.angle_quantile.reshape(-1)
     cell = jnp.asarray(ROW)[relation] * (NUM_QUANTILES + 1) + lower
     angle = table[cell] * (1.0 - fraction) + table[cell + 1] * fraction
-    angle = jnp.where(angle_normal < 0.0, -angle, angle)
+    angle = jnp.where(normal_angle < 0.0, -angle, angle)
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    along = distance * (law.axis_along * cosine - law.axis_lateral * sine)
-    lateral = distance * (law.axis_lateral * cosine + law.axis_along * sine)
+    along = distance * (pdf.axis_along * cosine - pdf.axis_lateral * sine)
+    lateral = distance * (pdf.axis_lateral * cosine + pdf.axis_along * sine)
     return along, lateral

@@ -14,7 +14,7 @@ from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
     ReferenceFrame,
     RelationParams,
-    law_of,
+    density_of,
     log_density_of,
     prepare,
     robot_frame,
@@ -102,6 +102,6 @@ def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Arra
     by_viewer = _in_frame(pairs, pairs.viewer)
     by_robot = _in_frame(pairs, pairs.robot)
     undirected = replace(params, concentration=jnp.zeros_like(params.concentration))
-    directed, ring = (law_of(prepare(one), pairs.relation) for one in (params, undirected))
+    directed, ring = (density_of(prepare(one), pairs.relation) for one in (params, undirected))
     meant = ((directed, by_viewer), (directed, by_robot), (ring, by_viewer))
     return jnp.stack([log_density_of(law, *seen) for law, seen in meant], axis=1)

@@ -18,11 +18,11 @@ from jaxlangnav.inputs.object_types import label_of, merge_types
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import append_axes, prepend_axes
-from jaxlangnav.semantic_map.counts import made_likelier
+from jaxlangnav.semantic_map.counts import raise_existence
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.terrain import POSITIONS, SensorModel
 
-LOG_SURPRISE = -30.0
+MIN_LOG_NEW = -30.0
 """Least log-weight of a detection where nothing can be: surprised, never dead."""
 
 
@@ -210,6 +210,6 @@ def _weigh(
     log_any = jnp.logaddexp(log_more, jnp.logaddexp(log_false, of_others))
     is_real = jnp.exp(log_more - log_any)
     if_held = jnp.where(existence > 0.0, jnp.exp(log_real - log_own), is_real)
-    others_if_new = jnp.where(is_counted, made_likelier(held, growth, is_real[0]), existence)
+    others_if_new = jnp.where(is_counted, raise_existence(held, growth, is_real[0]), existence)
     log_held = jnp.where(may_be, log_existing + log_own, -jnp.inf)
     return jnp.concatenate([log_held, log_any]), (if_held, others_if_new)

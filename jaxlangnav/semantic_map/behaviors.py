@@ -33,7 +33,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import (
     LANDMARK,
     Query,
     build_queries,
-    queries_of,
+    pick_queries,
 )
 
 _BLOCK = 8  # topologies whose behavior is inferred at a time
@@ -138,7 +138,7 @@ def filter_untyped_goals(
 
     def look_up(given: tuple[Array, SemanticMap, Readings, UtteranceContext]) -> Array:
         _, held, words, how = given
-        queries = queries_of(build_queries(words, how, relations, jnp.float32(0.0)), held.reading)
+        queries = pick_queries(build_queries(words, how, relations, jnp.float32(0.0)), held.reading)
         return _misplaced(held, queries)
 
     nowhere = jnp.zeros_like(particles.mean_x[:num_objects])
@@ -167,7 +167,7 @@ def _misplaced(particles: SemanticMap, queries: Query) -> Array:
         landmark_x = jnp.where(query.is_by_object, lookup(x, landmark), viewer_x)
         landmark_y = jnp.where(query.is_by_object, lookup(y, landmark), viewer_y)
         at = (one[None] for one in (lookup(x, figure), lookup(y, figure), landmark_x, landmark_y))
-        is_out = is_anything(query.kind[FIGURE]) & ~query.holds(*at)[0]
+        is_out = is_anything(query.types[FIGURE]) & ~query.holds(*at)[0]
         return is_out[None] & (slots == lookup(particles.referent, figure)[None])
 
     is_out = jax.lax.map(of_one, queries)

@@ -33,12 +33,12 @@ class ParticleBelief:
     # far, relative to a constant per detection; what new groundings of the words add is left out
 
 
-def is_led(belief: ParticleBelief) -> Array:
+def is_active(belief: ParticleBelief) -> Array:
     """Tell which particles drift as the robot goes by, bool[P]: all where nothing is steady."""
     return belief.particles.drift[1] * belief.bias_sign >= 0.0
 
 
-def fix(belief: ParticleBelief, is_chosen: Array) -> tuple[Array, Array, Array]:
+def mean_robot_pose(belief: ParticleBelief, is_chosen: Array) -> tuple[Array, Array, Array]:
     """Compute where some particles, bool[P], have the robot on average; meaningless of none.
 
     f32[] each: x and y, metres, map frame, and radians that the true heading exceeds odometry's by.
@@ -56,7 +56,7 @@ def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
     Of particles of either steady drift, over those of the one that the robot goes by.
     """
     if belief.particles.drift.shape[0]:
-        return fix(belief, is_led(belief))[:2]
+        return mean_robot_pose(belief, is_active(belief))[:2]
     weight, particles = jnp.exp(belief.log_weight), belief.particles
     robot = particles.object_type.shape[0]
     return jnp.sum(weight * particles.mean_x[robot]), jnp.sum(weight * particles.mean_y[robot])
@@ -66,10 +66,10 @@ def mean_drift(belief: ParticleBelief) -> Array | None:
     """Compute by how much the true heading exceeds odometry's, f32[] radians; None: a compass."""
     if belief.particles.drift.shape[0] == 0:
         return None
-    return fix(belief, is_led(belief))[2]
+    return mean_robot_pose(belief, is_active(belief))[2]
 
 
-def in_map(belief: ParticleBelief, pose: Array) -> Array:
+def to_map_frame(belief: ParticleBelief, pose: Array) -> Array:
     """Take a dead-reckoned pose f32[3] to the map frame; as it was where a compass guides."""
     drift = mean_drift(belief)
     if drift is None:
@@ -80,7 +80,7 @@ def in_map(belief: ParticleBelief, pose: Array) -> Array:
     return jnp.stack([robot_x + x, robot_y + y, pose[2] + drift])
 
 
-def about_robot(belief: ParticleBelief) -> ParticleBelief:
+def align_on_robot(belief: ParticleBelief) -> ParticleBelief:
     """Move and turn the particles' maps so that the robot has one pose in all of them.
 
     Drifted apart, what they agree on, which is where things are from the robot, is in none of

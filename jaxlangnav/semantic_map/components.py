@@ -1,7 +1,7 @@
-"""What the filter's step is given beyond the paper: components of the model (section 3.2; ours).
+"""Components: additions to the paper's filter step, as hooks (section 3.2; ours).
 
-A component changes belief and look before the particles move (``admit``), after they have been
-updated (``keep``), and after they have been resampled (``settle``). Without any the step is the
+A component changes belief and observation before the motion update (``admit``), after the
+measurement update (``keep``), and after resampling (``settle``). Without any the step is the
 paper's. Existence and counts are factors of eq. 7b and 8 (``association``, ``counts``).
 """
 
@@ -12,64 +12,64 @@ import jax.numpy as jnp
 
 from jaxlangnav.messages import Fault
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift, robot_position
-from jaxlangnav.semantic_map.gating import Look, gate
+from jaxlangnav.semantic_map.belief import ParticleBelief, is_active, mean_drift, robot_position
+from jaxlangnav.semantic_map.gating import GatedStep, gate
 from jaxlangnav.semantic_map.heading_bias import switch_bias_hypothesis
 from jaxlangnav.semantic_map.motion import with_drift
-from jaxlangnav.semantic_map.unreferenced_objects import part, promote, remember_bystanders
+from jaxlangnav.semantic_map.unreferenced_objects import add_bystanders, exchange, split_by_type
 
-Change = Callable[[ParticleBelief, Look], tuple[ParticleBelief, Look]]
+Change = Callable[[ParticleBelief, GatedStep], tuple[ParticleBelief, GatedStep]]
 
 
 class Component(NamedTuple):
-    """One addition to the paper's filter: what it does to a step; nothing where it is silent."""
+    """One addition to the paper's filter step: three hooks, each the identity by default."""
 
-    admit: Change = lambda belief, look: (belief, look)
-    keep: Change = lambda belief, look: (belief, look)
+    admit: Change = lambda belief, gated: (belief, gated)
+    keep: Change = lambda belief, gated: (belief, gated)
     settle: Callable[[ParticleBelief], ParticleBelief] = lambda belief: belief
 
 
-def _revive(belief: ParticleBelief, look: Look) -> tuple[ParticleBelief, Look]:
-    """Make weights that are none equal, and say so."""
+def _reset_weights(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
+    """Reset weights to uniform where all are zero or one is not finite, and flag the fault."""
     log_weight = belief.log_weight
     is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
     log_weight = jnp.where(is_alive, log_weight, -jnp.log(float(log_weight.shape[0])))
-    fault = look.fault | jnp.where(is_alive, 0, int(Fault.WEIGHTS))
-    return replace(belief, log_weight=log_weight), look._replace(fault=fault)
+    fault = gated.fault | jnp.where(is_alive, 0, int(Fault.WEIGHTS))
+    return replace(belief, log_weight=log_weight), gated._replace(fault=fault)
 
 
-def _part(belief: ParticleBelief, look: Look) -> tuple[ParticleBelief, Look]:
-    """Part what the particles hold from bystanders, in the map and in what is seen now."""
-    known, spoken = belief.bystanders, look.spoken
-    if spoken is None or known.x.shape[0] == 0 or not belief.sensor_model.is_located:
-        return belief, look
-    held = promote(belief.particles, known, spoken, belief.log_weight, belief.must_ground)
-    ours, others = part(look.observation, spoken)
-    belief = replace(belief, particles=held[0], bystanders=held[1])
-    return belief, look._replace(observation=ours, others=others)
+def _split(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
+    """Split unreferenced objects (bystanders) from the particles' own, in map and detections."""
+    bystanders, spoken = belief.bystanders, gated.spoken
+    if spoken is None or bystanders.x.shape[0] == 0 or not belief.sensor_model.is_located:
+        return belief, gated
+    parted = exchange(belief.particles, bystanders, spoken, belief.log_weight, belief.must_ground)
+    named, others = split_by_type(gated.observation, spoken)
+    belief = replace(belief, particles=parted[0], bystanders=parted[1])
+    return belief, gated._replace(observation=named, others=others)
 
 
-def _remember(belief: ParticleBelief, look: Look) -> tuple[ParticleBelief, Look]:
-    """Remember bystanders that are seen, and count those that found no room."""
-    if look.others is None:
-        return belief, look
+def _add_bystanders(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
+    """Add the detected unreferenced objects to their list; count those that do not fit."""
+    if gated.others is None:
+        return belief, gated
     weight, particles = jnp.exp(belief.log_weight), belief.particles
-    here, spread = robot_position(belief), particles.covariance[-1, -1]
+    mean, variance = robot_position(belief), particles.covariance[-1, -1]
     if mean_drift(belief) is not None:
-        weight = jnp.where(is_led(belief), weight, 0.0)
+        weight = jnp.where(is_active(belief), weight, 0.0)
         weight = weight / jnp.maximum(jnp.sum(weight), 1e-30)
-        apart = (particles.mean_x[-1] - here[0]) ** 2 + (particles.mean_y[-1] - here[1]) ** 2
-        spread = spread + 0.5 * apart
-    robot = *here, jnp.sum(weight * spread)
-    seen = with_drift(belief, look.others)
-    known, num_lost = remember_bystanders(belief.bystanders, seen, robot)
-    return replace(belief, bystanders=known), look._replace(num_lost=num_lost)
+        squared = (particles.mean_x[-1] - mean[0]) ** 2 + (particles.mean_y[-1] - mean[1]) ** 2
+        variance = variance + 0.5 * squared
+    robot = *mean, jnp.sum(weight * variance)
+    seen = with_drift(belief, gated.others)
+    updated, num_lost = add_bystanders(belief.bystanders, seen, robot)
+    return replace(belief, bystanders=updated), gated._replace(num_lost=num_lost)
 
 
 COMPONENTS = (
     Component(admit=gate),
-    Component(admit=_revive),
-    Component(admit=_part, keep=_remember),
+    Component(admit=_reset_weights),
+    Component(admit=_split, keep=_add_bystanders),
     Component(settle=switch_bias_hypothesis),
 )
-"""Gating, weights that died, unreferenced objects, and the sign of a steady heading bias."""
+"""Gating, weight reset, unreferenced objects, and the sign of a constant heading bias."""

@@ -16,7 +16,7 @@ n counts the things of all of them, seen in T times the area: s is T s.
 
 What was detected may not exist (``association.ClutterOdds``): of things that exist with
 probabilities r, n is their sum, and what tells of their number tells of each of them
-(``made_likelier``, ``exposed``). That the r of two things hang together is not kept.
+(``raise_existence``, ``lower_existence``). That the r of two things hang together is not kept.
 
 Limits: κ → 0 leaves the fixed expectation α; r = 1 for all is as without doubt.
 """
@@ -28,7 +28,7 @@ from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.params import MapParams
 
 
-def share_unseen(coverage: Coverage) -> Array:
+def unseen_frac(coverage: Coverage) -> Array:
     """Compute the share u = 1 − s of the area that no look has shown, f32[]."""
     return jnp.mean(jnp.exp(coverage.log_miss))
 
@@ -58,7 +58,7 @@ def log_exposure(unseen: Array, *, params: MapParams, num_pooled: Array | None =
     return jnp.log1p(clumping * (1.0 - unseen))
 
 
-def made_likelier(existence: Array, growth: Array | float, is_real: Array | float) -> Array:
+def raise_existence(existence: Array, growth: Array | float, is_real: Array | float) -> Array:
     """Raise the probabilities of things of a type to exist by one more of them that is detected.
 
         r_i' = r_i (1 + ρ g (1 − r_i) / (1 + g Σ_j r_j)),   g = κ / α
@@ -71,7 +71,7 @@ def made_likelier(existence: Array, growth: Array | float, is_real: Array | floa
     return existence * (1.0 + jnp.asarray(gain)[None] * (1.0 - existence))
 
 
-def exposed(existence: Array, log_exposure: Array) -> tuple[Array, Array]:
+def lower_existence(existence: Array, log_exposure: Array) -> tuple[Array, Array]:
     """Hold against things that may not exist that more of the area shows no more of them.
 
         log Π_i (1 − r_i + r_i q),   r_i' = r_i q / (1 − r_i + r_i q),   q = (1 + κ s) / (1 + κ s')

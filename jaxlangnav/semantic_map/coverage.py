@@ -55,7 +55,7 @@ def area_size(coverage: Coverage) -> Array:
     return side_x * side_y
 
 
-def look(
+def add_view(
     coverage: Coverage, eye: Eye, sensor: SensorParams, view: View, model: SensorModel = POSITIONS
 ) -> Coverage:
     """Enter one look of an eye, f32[]: the log-probability of silence is added to every cell."""

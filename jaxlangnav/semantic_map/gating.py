@@ -1,12 +1,12 @@
-"""Gating: an observation that cannot be is left out (section 3.2; fail safe).
+"""Gating: reject an observation with an impossible field (section 3.2; fail safe).
 
-Every field is held against what it can be, as one impossible number would poison every particle.
-Where one is out of its law the whole look is left out, as whoever reports it may err in the rest,
-too: the filter takes the step of a robot that has stood still with its eyes shut.
+Every field is checked against its bounds, as one impossible number would spoil every particle.
+If one is out of bounds the whole observation is rejected, as the rest may be wrong, too: the
+filter takes the step of a robot that has stood still and detects nothing.
 
-A pose that is farther from the last one than the robot can have gone is doubted at first. Where the
-next look stands by it, it is taken over, and all of the jump that motion does not explain becomes
-doubt of where the robot is. Both looks are said to be at fault.
+A pose farther from the last one than the robot can have gone is rejected at first. If the next
+observation repeats it, it is accepted, and the part of the jump that motion does not explain is
+added to the variance of the robot's position. Both observations are flagged as faulty.
 """
 
 from collections.abc import Sequence
@@ -28,80 +28,80 @@ from jaxlangnav.terrain.view import beyond
 
 AREA_SIDES = (0.1, 1e4)
 """Metres, shortest and longest side of an operating area."""
-MOST_TURNED = 1e4
-"""Radians of a heading, either way: float32 is a milliradian coarse there."""
+MAX_HEADING = 1e4
+"""Radians, bound of a heading, either sign: the resolution of float32 there is a milliradian."""
 
 
 def _is_between(value: Array, low: Array | float, high: Array | float) -> Array:
-    """Tell where a value lies between two bounds; NaN lies nowhere."""
+    """Test whether values lie between two bounds, inclusive; NaN does not."""
     return (value >= low) & (value <= high)
 
 
 def is_area(area: Array) -> Array:
-    """Tell whether an operating area f32[4] is one, bool[]."""
+    """Test whether an operating area f32[4] is valid, bool[]."""
     low, high = area[::2], area[1::2]
-    is_near = _is_between(area, -FARTHEST, FARTHEST)
-    return jnp.all(is_near) & jnp.all(_is_between(high - low, *AREA_SIDES))
+    is_in_range = _is_between(area, -FARTHEST, FARTHEST)
+    return jnp.all(is_in_range) & jnp.all(_is_between(high - low, *AREA_SIDES))
 
 
 def is_pose(pose: Array, area: Array) -> Array:
-    """Tell whether a pose f32[3] lies in an area or no farther from it than it is wide, bool[]."""
+    """Test whether a pose f32[3] lies in an area or no farther from it than its size, bool[]."""
     low, high = area[::2], area[1::2]
     margin = jnp.sum(high - low)
-    is_here = jnp.all(_is_between(pose[:2], low - margin, high + margin))
-    return is_here & _is_between(pose[2], -MOST_TURNED, MOST_TURNED)
+    is_in_area = jnp.all(_is_between(pose[:2], low - margin, high + margin))
+    return is_in_area & _is_between(pose[2], -MAX_HEADING, MAX_HEADING)
 
 
 def check_place(pose: Sequence[float], area: Sequence[float]) -> None:
-    """Refuse an operating area or a start pose that cannot be with a ValueError (host only)."""
+    """Raise a ValueError if the operating area or the start pose is invalid (host only)."""
     with np.errstate(over="ignore"):
-        bounds, start = (jnp.asarray(np.array(one, float), jnp.float32) for one in (area, pose))
-    # An area that was laid about a pose that cannot be is not to blame.
-    is_posed = start.shape == (3,) and bool(jnp.all(jnp.isfinite(start)))
-    if is_posed and (bounds.shape != (4,) or not is_area(bounds)):
+        bounds, start = (jnp.asarray(np.array(v, float), jnp.float32) for v in (area, pose))
+    # An area centred on an invalid pose is not to blame.
+    is_finite = start.shape == (3,) and bool(jnp.all(jnp.isfinite(start)))
+    if is_finite and (bounds.shape != (4,) or not is_area(bounds)):
         raise ValueError(
             f"area is {tuple(area)}, but must be (x_min, x_max, y_min, y_max) with x_min < x_max "
             f"and y_min < y_max, in metres, sides of {AREA_SIDES[0]:g} to {AREA_SIDES[1]:g} m, "
             f"all within {FARTHEST:g} m of the map's origin"
         )
-    if not is_posed or not is_pose(start, bounds):
+    if not is_finite or not is_pose(start, bounds):
         raise ValueError(
             f"pose is {tuple(pose)}, but must be (x, y, heading), finite, in metres and radians, "
             f"in the area {tuple(area)} or near it: move the area to where the robot is"
         )
 
 
-def sound_place(pose: Array, area: Array) -> tuple[Array, Array, Array]:
-    """Put something harmless in place of a start pose f32[3] or an area f32[4] that cannot be.
+def valid_start(pose: Array, area: Array) -> tuple[Array, Array, Array]:
+    """Replace an invalid start pose f32[3] or area f32[4] by a harmless default.
 
-    Pose and area, and bool[], whether both are as they were given.
+    Returns pose and area, and bool[], whether both were valid.
     """
     has_area = is_area(area)
     area = jnp.where(has_area, area, jnp.array([-1.0, 1.0, -1.0, 1.0], jnp.float32))
     has_pose = is_pose(pose, area)
-    middle = jnp.stack([area[0] + area[1], area[2] + area[3], jnp.zeros_like(area[0])]) / 2.0
-    return jnp.where(has_pose, pose, middle), area, has_area & has_pose
+    centre = jnp.stack([area[0] + area[1], area[2] + area[3], jnp.zeros_like(area[0])]) / 2.0
+    return jnp.where(has_pose, pose, centre), area, has_area & has_pose
 
 
-class Look(NamedTuple):
-    """An observation on its way through a step of the filter, and what is believed of it."""
+class GatedStep(NamedTuple):
+    """An observation on its way through a filter step, with the results of gating."""
 
-    observation: Observation  # as it came; then what the particles are updated by
+    observation: Observation  # as reported; after gating, what the particles are updated with
     farthest: Array | None = None  # f32[] metres the robot can have gone since; None: anywhere
     spoken: Array | None = None  # bool[T] types that the task speaks of; None: all
-    fault: Array | int = 0  # i32[] bits of Fault; 0 for a sound look
-    is_jump: Array | bool = False  # bool[] motion does not explain the pose, which is taken over
+    fault: Array | int = 0  # i32[] bits of Fault; 0 for a valid observation
+    is_jump: Array | bool = False  # bool[] motion does not explain the pose, which is accepted
     others: Observation | None = None  # detections of types that the task does not speak of
-    num_lost: Array | int = 0  # i32[] of those, how many found no room
+    num_lost: Array | int = 0  # i32[] number of those that did not fit into their list
 
 
 def _is_sensor(sensor: SensorParams) -> Array:
-    """Tell whether the detector's specification is one, bool[]."""
+    """Test whether the detector's specification is valid, bool[]."""
     return (
         _is_between(sensor.range_max, *RANGES)
         & _is_between(sensor.field_of_view, *VIEWS)
         & _is_between(sensor.detection_probability, 0.0, 1.0)
-        # What errs by more than it sees far tells nothing.
+        # Noise above the range would carry no information.
         & _is_between(sensor.noise, 0.0, sensor.range_max)
         & _is_between(sensor.false_detections, 0.0, MOST_FALSE)
         & _is_between(sensor.mislabelled, 0.0, MOST_WRONG)
@@ -109,8 +109,8 @@ def _is_sensor(sensor: SensorParams) -> Array:
 
 
 def _is_detectable(observation: Observation, num_types: Array) -> Array:
-    """Tell which detections the detector can have made, bool[D]."""
-    sensor, metres = observation.sensor, observation.detection_range
+    """Test which detections are possible for this detector, bool[D]."""
+    sensor, distance = observation.sensor, observation.detection_range
     bearing = observation.detection_bearing
     slack = DEVIATIONS * sensor.noise + MIN_NOISE
     code = observation.detection_attribute
@@ -118,64 +118,64 @@ def _is_detectable(observation: Observation, num_types: Array) -> Array:
         _is_between(observation.detection_type, 0, num_types - 1)
         & (True if code is None else _is_between(code, 0, 2**ATTRIBUTE_BITS - 1))
         & _is_between(bearing, -TURNS, TURNS)
-        & (metres >= 0.0)
-        & (beyond(metres, bearing, sensor.range_max, sensor.field_of_view) <= slack)
+        & (distance >= 0.0)
+        & (beyond(distance, bearing, sensor.range_max, sensor.field_of_view) <= slack)
     )
 
 
-def _is_contradiction(observation: Observation, is_seen: Array) -> Array:
-    """Tell whether two of the detections bool[D] are of one place, whatever they are of, bool[]."""
+def _is_coincident(observation: Observation, is_valid: Array) -> Array:
+    """Test whether two of the detections bool[D] coincide, of whatever types, bool[]."""
     x = observation.detection_range * jnp.cos(observation.detection_bearing)
     y = observation.detection_range * jnp.sin(observation.detection_bearing)
     squared = (x[:, None] - x[None]) ** 2 + (y[:, None] - y[None]) ** 2
-    is_pair = is_seen[:, None] & is_seen[None] & ~np.eye(x.shape[0], dtype=bool)
+    is_pair = is_valid[:, None] & is_valid[None] & ~np.eye(x.shape[0], dtype=bool)
     return jnp.any(is_pair & (squared < MIN_NOISE**2))
 
 
-def _is_within(pose: Array, other: Array, metres: Array) -> Array:
-    """Tell whether two poses f32[3] are no farther apart than so many metres, bool[]."""
-    span = pose[:2] - other[:2]
-    return jnp.sum(span * span) <= metres * metres
+def _is_within(pose: Array, other: Array, distance: Array) -> Array:
+    """Test whether two poses f32[3] are at most a distance f32[] in metres apart, bool[]."""
+    offset = pose[:2] - other[:2]
+    return jnp.sum(offset * offset) <= distance * distance
 
 
-def gate(belief: ParticleBelief, look: Look) -> tuple[ParticleBelief, Look]:
-    """Hold every field of an observation, which may be anything, against what it can be.
+def gate(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
+    """Gate an observation: check every field, reject it if one is impossible, record the fault.
 
-    What is believed, all finite: as it came, or from the last pose, eyes shut; and what is wrong.
+    The result is finite: as reported, or, if rejected, nothing detected from the last pose.
     """
-    observation, farthest = look.observation, look.farthest
+    observation, farthest = gated.observation, gated.farthest
     pose, last = observation.pose, belief.last_pose
     has_pose = is_pose(pose, belief.coverage.area)
-    is_far = is_steady = jnp.asarray(False)
+    is_jumped = is_repeated = jnp.asarray(False)
     if farthest is not None:
-        is_far = has_pose & ~_is_within(pose, last, farthest)
-        is_steady = _is_within(pose, belief.reported_pose, farthest)
-    has_sensor, given = _is_sensor(observation.sensor), observation.is_detection
-    # What a detector cannot detect is not known of one that cannot be.
-    is_odd = given & has_sensor & ~_is_detectable(observation, belief.num_types)
-    raised = {
+        is_jumped = has_pose & ~_is_within(pose, last, farthest)
+        is_repeated = _is_within(pose, belief.reported_pose, farthest)
+    has_sensor, detected = _is_sensor(observation.sensor), observation.is_detection
+    # Detections can be checked only against a valid specification.
+    is_invalid = detected & has_sensor & ~_is_detectable(observation, belief.num_types)
+    faults = {
         Fault.PLACE: ~belief.is_placed,
         Fault.POSE: ~has_pose,
-        Fault.JUMP: is_far,
+        Fault.JUMP: is_jumped,
         Fault.SENSOR: ~has_sensor,
-        Fault.DETECTION: jnp.any(is_odd),
-        Fault.CONTRADICTION: _is_contradiction(observation, given & has_sensor & ~is_odd),
+        Fault.DETECTION: jnp.any(is_invalid),
+        Fault.CONTRADICTION: _is_coincident(observation, detected & has_sensor & ~is_invalid),
     }
-    fault = sum((jnp.where(is_up, int(bit), 0) for bit, is_up in raised.items()), jnp.int32(0))
-    is_sound = fault == 0
-    is_jump = (fault == int(Fault.JUMP)) & is_steady
-    is_seen = given & is_sound
-    shut = replace(default_sensor(), detection_probability=jnp.float32(0.0))
-    sensor = jax.tree.map(partial(jnp.where, is_sound), observation.sensor, shut)
-    believed = replace(
+    fault = sum((jnp.where(is_set, int(bit), 0) for bit, is_set in faults.items()), jnp.int32(0))
+    is_valid = fault == 0
+    is_jump = (fault == int(Fault.JUMP)) & is_repeated
+    is_used = detected & is_valid
+    blind = replace(default_sensor(), detection_probability=jnp.float32(0.0))
+    sensor = jax.tree.map(partial(jnp.where, is_valid), observation.sensor, blind)
+    accepted = replace(
         observation,
-        pose=jnp.where(is_sound | is_jump, pose, last),
-        detection_type=jnp.where(is_seen, observation.detection_type, NONE),
-        detection_range=jnp.where(is_seen, observation.detection_range, 0.0),
-        detection_bearing=jnp.where(is_seen, observation.detection_bearing, 0.0),
-        is_detection=is_seen,
+        pose=jnp.where(is_valid | is_jump, pose, last),
+        detection_type=jnp.where(is_used, observation.detection_type, NONE),
+        detection_range=jnp.where(is_used, observation.detection_range, 0.0),
+        detection_bearing=jnp.where(is_used, observation.detection_bearing, 0.0),
+        is_detection=is_used,
         sensor=sensor,
     )
     reported = jnp.where(has_pose, pose, belief.reported_pose)
-    look = look._replace(observation=believed, fault=fault, is_jump=is_jump)
-    return replace(belief, reported_pose=reported), look
+    gated = gated._replace(observation=accepted, fault=fault, is_jump=is_jump)
+    return replace(belief, reported_pose=reported), gated

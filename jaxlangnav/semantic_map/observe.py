@@ -20,16 +20,16 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association
 from jaxlangnav.semantic_map.association import Association
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
-from jaxlangnav.semantic_map.counts import exposed, log_expected, log_exposure, share_unseen
+from jaxlangnav.semantic_map.counts import log_expected, log_exposure, lower_existence, unseen_frac
 from jaxlangnav.semantic_map.coverage import area_size
-from jaxlangnav.semantic_map.heading_bias import log_missed, look_around
+from jaxlangnav.semantic_map.heading_bias import log_miss_at_offset, update_coverage
 from jaxlangnav.semantic_map.motion import headings, with_drift
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 from jaxlangnav.semantic_map.update import condition, log_absence
 from jaxlangnav.terrain.view import rotated
 
-LEAST_DOUBT = 1e-2
+MIN_ABSENT_PROB = 1e-2
 """Least probability that what has been detected is not there: things are taken away."""
 
 
@@ -79,12 +79,12 @@ def observe(
     )
     held = condition(believed, grounded, sensor, model)
     # Some doubt is left of all that is held.
-    existence = jnp.minimum(held.existence, 1.0 - LEAST_DOUBT)
+    existence = jnp.minimum(held.existence, 1.0 - MIN_ABSENT_PROB)
     belief = replace(belief, particles=replace(held, existence=existence))
     exposed_by = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
-    before = exposed_by(share_unseen(belief.coverage))
-    coverage, alternate_miss = look_around(belief, observation, sensor)
-    exposure = exposed_by(share_unseen(coverage)) - before
+    before = exposed_by(unseen_frac(belief.coverage))
+    coverage, alternate_miss = update_coverage(belief, observation, sensor)
+    exposure = exposed_by(unseen_frac(coverage)) - before
     belief = replace(belief, coverage=coverage, alternate_miss=alternate_miss)
     heading, softness = headings(belief, observation.pose[2]), 2.5 * params.kernel + 1e-3
     log_objects, log_hypotheses, existence = log_absence(
@@ -117,7 +117,7 @@ def _detections(
     metres = model.draw_range(uniform, observation.detection_range, sensor)
     bearing = append_axes(observation.pose[2] + observation.detection_bearing, metres.ndim)
     offset_x, offset_y = metres * jnp.cos(bearing), metres * jnp.sin(bearing)
-    unseen, nobody = share_unseen(belief.coverage), jnp.float32(0.0)
+    unseen, nobody = unseen_frac(belief.coverage), jnp.float32(0.0)
     log_density = log_expected(nobody, unseen, params=params, num_pooled=num_pooled)
     log_density = log_density - jnp.log(area_size(belief.coverage)) + model.log_volume(sensor)
     drift = mean_drift(belief)
@@ -125,13 +125,13 @@ def _detections(
         own = (belief.particles.drift[:1] - drift)[None]
         offset_x, offset_y = (append_axes(offset, 3) for offset in (offset_x, offset_y))
         offset_x, offset_y = rotated(offset_x, offset_y, own)
-    log_unseen = log_missed(belief, offset_x, offset_y)
+    log_unseen = log_miss_at_offset(belief, offset_x, offset_y)
     kinds, attributes = observation.detection_type, observation.detection_attribute
     return association.Detections(
         object_type=kinds if attributes is None else kind_of(kinds, attributes),
         offset_x=offset_x,
         offset_y=offset_y,
-        log_new=log_density + jnp.maximum(log_unseen, association.LOG_SURPRISE),
+        log_new=log_density + jnp.maximum(log_unseen, association.MIN_LOG_NEW),
         is_detection=observation.is_detection,
     )
 
@@ -147,14 +147,14 @@ def _counted(
     log_meant = exposure * jnp.sum(is_meant, axis=0)
     if existence.shape[0] == 0:
         return belief, -exposure * jnp.sum(particles.is_observed, axis=0), log_meant, None
-    log_exposed, existence = exposed(existence, exposure)
+    log_exposed, existence = lower_existence(existence, exposure)
     log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
     log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
     particles, is_lost = prune_objects(replace(particles, existence=existence))
     return replace(belief, particles=particles), log_exposed, log_meant, is_lost
 
 
-LEAST_EXISTENCE, LEAST_WORTH = 1e-4, 0.02
+MIN_EXISTENCE, MIN_EXISTENCE_FULL = 1e-4, 0.02
 """Probability below which a thing that was detected is forgotten; and where hardly a slot is free.
 A thing forgotten too soon would have to be detected more often than it can be."""
 _SPARE_SLOTS = 2  # kept free, if need be, by forgetting what is least likely to exist
@@ -168,7 +168,7 @@ def prune_objects(particles: SemanticMap) -> tuple[SemanticMap, Array]:
     is_crowded = jnp.sum(is_taken) > is_taken.shape[0] - _SPARE_SLOTS
     least = jnp.argmin(jnp.where(is_taken, likeliest, jnp.inf))
     is_least = (jnp.arange(is_taken.shape[0])[:, None] == least) & is_crowded
-    limit = jnp.where(is_least, LEAST_WORTH, LEAST_EXISTENCE)
+    limit = jnp.where(is_least, MIN_EXISTENCE_FULL, MIN_EXISTENCE)
     is_gone = is_held & (likeliest < limit)
     is_lost = jnp.any(is_gone & particles.is_meant, axis=0)
     # Most looks empty none.

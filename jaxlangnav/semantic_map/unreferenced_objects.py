@@ -2,7 +2,7 @@
 
 The ways to ground a relation grow with the square of the things that a particle holds. So things of
 types that the task does not name are kept in one list for all particles. Where a later sentence
-names their type they are entered into every particle (``promote``), and what it speaks of no more
+names their type they are entered into every particle (``exchange``), and what it speaks of no more
 goes back to the list.
 
 Limits: a list of no room (B = 0) is never looked at, and everything seen enters the particles.
@@ -37,27 +37,27 @@ class Bystanders:
         return self.object_type != NONE
 
 
-def nobody(number: int) -> Bystanders:
+def no_bystanders(number: int) -> Bystanders:
     """Build an empty list with room for ``number`` things."""
     zero = jnp.zeros(number, jnp.float32)
     return Bystanders(object_type=jnp.full(number, NONE, jnp.int32), x=zero, y=zero, variance=zero)
 
 
-def is_spoken_of(object_type: Array, spoken: Array) -> Array:
+def is_named_type(object_type: Array, spoken: Array) -> Array:
     """Tell of which types i32[...] the task speaks, bool[...]; of nothing it does not."""
     label = label_of(object_type)
     return (label >= 0) & jnp.take(spoken, jnp.maximum(label, 0), mode="clip")
 
 
-def part(observation: Observation, spoken: Array) -> tuple[Observation, Observation]:
+def split_by_type(observation: Observation, spoken: Array) -> tuple[Observation, Observation]:
     """Part what is seen into what the task speaks of, bool[T], and all else."""
-    is_of_task = is_spoken_of(observation.detection_type, spoken)
+    is_of_task = is_named_type(observation.detection_type, spoken)
     seen = observation.is_detection
     ours = replace(observation, is_detection=seen & is_of_task)
     return ours, replace(observation, is_detection=seen & ~is_of_task)
 
 
-def remember_bystanders(
+def add_bystanders(
     known: Bystanders, observation: Observation, robot: tuple[Array, Array, Array]
 ) -> tuple[Bystanders, Array]:
     """Enter what is seen: a thing that is known is placed better, another one is added.
@@ -106,7 +106,7 @@ def _enter(known: Bystanders, seen: Bystanders) -> tuple[Bystanders, Array]:
 _Both = tuple[SemanticMap, Bystanders]
 
 
-def promote(
+def exchange(
     particles: SemanticMap, known: Bystanders, spoken: Array, log_weight: Array, is_told: Array
 ) -> tuple[SemanticMap, Bystanders]:
     """Exchange things between particles and list, where another sentence has been heard.
@@ -129,17 +129,17 @@ def promote(
         held, known = both
         leaves = held.object_type, held.mean_x, held.mean_y, jnp.diagonal(held.covariance).T
         kind, x, y, spread = (select_row(one, slot)[likeliest] for one in leaves)
-        kind = jnp.where(is_spoken_of(kind, spoken), NONE, kind)
+        kind = jnp.where(is_named_type(kind, spoken), NONE, kind)
         thing = Bystanders(object_type=kind, x=x, y=y, variance=spread)
         return held, _enter(known, thing)[0]
 
     def put_away(_: Array, both: _Both) -> _Both:
         held, known = both
-        return clear(held, held.is_observed & ~is_spoken_of(held.object_type, spoken)), known
+        return clear(held, held.is_observed & ~is_named_type(held.object_type, spoken)), known
 
     def bring_in(_: Array, both: _Both) -> _Both:
         held, known = both
-        is_meant = is_spoken_of(known.object_type, spoken)
+        is_meant = is_named_type(known.object_type, spoken)
         chosen = jnp.argmax(is_meant)
         is_there = jnp.any(is_meant) & jnp.any(held.object_type == NONE)
         is_taken = (jnp.arange(known.x.shape[0]) == chosen) & is_there
@@ -150,7 +150,7 @@ def promote(
     rounds = jnp.where(is_told, num_objects, 0)
     both = jax.lax.fori_loop(0, rounds, put_aside, (particles, known))
     both = jax.lax.fori_loop(0, jnp.where(is_told, 1, 0), put_away, both)
-    rounds = jnp.where(is_told, jnp.sum(is_spoken_of(known.object_type, spoken)), 0)
+    rounds = jnp.where(is_told, jnp.sum(is_named_type(known.object_type, spoken)), 0)
     return jax.lax.fori_loop(0, rounds, bring_in, both)
 
 

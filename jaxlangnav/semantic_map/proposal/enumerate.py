@@ -1,11 +1,11 @@
 """Enumerate groundings of a relation: observed objects paired, unseen ones sampled (eq. 7a).
 
-The ways are counted through, and both what a way *is* and what it *means* are laid out by the same
-two functions, ``_of_figures`` and ``_of_landmarks``:
+The W proposals are rows of a table; both their positions and their slots (``proposal_layout``) are
+laid out by the same two functions, ``_figure_rows`` and ``_landmark_rows``:
 
-    the relation holds     both ends known · figure new, at each landmark · landmark new, at each
-                           figure · both new
-    it says nothing        figure new, anywhere · landmark new, anywhere · both new, anywhere
+    the relation holds     both ends candidates · figure new, at each landmark · landmark new, at
+                           each figure · both new
+    it does not hold       figure new, anywhere · landmark new, anywhere · both new, anywhere
 
 Shapes are those of one particle; with many, the particle axis is last ("...").
 """
@@ -25,7 +25,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Qu
 
 
 class Pairs(NamedTuple):
-    """Places of figures and of their landmarks, metres, map frame."""
+    """Positions of figures and of their landmarks, metres, map frame."""
 
     x: Array  # f32[W, ...]
     y: Array  # f32[W, ...]
@@ -34,88 +34,88 @@ class Pairs(NamedTuple):
 
 
 class Proposals(NamedTuple):
-    """The W ways to ground a relation, and how what is new in them was drawn."""
+    """The W proposed groundings of a relation, with the draws of their new objects."""
 
     pairs: Pairs
-    new_x: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...] metres, what was drawn for the relation
+    new_x: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...] metres, positions drawn for new objects
     new_y: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...]
     log_drawn: Array  # f32[O + 1, ...] log-density with which a new landmark was drawn, 1/m²
 
     @property
-    def told(self) -> Pairs:
-        """The pairs of the ways in which the relation holds."""
+    def related(self) -> Pairs:
+        """The pairs of the proposals in which the relation holds."""
         size = (self.new_x.shape[0] - NUM_UNSEEN) // 2
         return Pairs(*(leaf[: size * size + self.new_x.shape[0]] for leaf in self.pairs))
 
 
-def _of_figures(known: Array, new: Array, unseen: Array) -> Array:
-    """Lay out the figures of all ways, [W, ...]: candidates, new ones, those anywhere."""
-    size, rest = known.shape[0], known.shape[1:]
-    each = jnp.broadcast_to(known[:, None], (size, size, *rest)).reshape(-1, *rest)
-    free = jnp.broadcast_to(unseen[:1], known.shape)
-    return jnp.concatenate([each, new[:size], known, new[2 * size :], free, known, unseen[:1]])
+def _figure_rows(cand: Array, new: Array, unseen: Array) -> Array:
+    """Lay out the figures of all proposals, [W, ...]: candidates, new ones, those anywhere."""
+    size, rest = cand.shape[0], cand.shape[1:]
+    pairs = jnp.broadcast_to(cand[:, None], (size, size, *rest)).reshape(-1, *rest)
+    free = jnp.broadcast_to(unseen[:1], cand.shape)
+    return jnp.concatenate([pairs, new[:size], cand, new[2 * size :], free, cand, unseen[:1]])
 
 
-def _of_landmarks(known: Array, new: Array, unseen: Array) -> Array:
-    """Lay out the landmarks of all ways, [W, ...]; arguments as for ``_of_figures``."""
-    size, rest = known.shape[0], known.shape[1:]
-    each = jnp.broadcast_to(known[None], (size, size, *rest)).reshape(-1, *rest)
-    free = jnp.broadcast_to(unseen[1:2], known.shape)
-    return jnp.concatenate([each, known, new[size : 2 * size], unseen, known, free, unseen[1:2]])
+def _landmark_rows(cand: Array, new: Array, unseen: Array) -> Array:
+    """Lay out the landmarks of all proposals, [W, ...]; arguments as for ``_figure_rows``."""
+    size, rest = cand.shape[0], cand.shape[1:]
+    pairs = jnp.broadcast_to(cand[None], (size, size, *rest)).reshape(-1, *rest)
+    free = jnp.broadcast_to(unseen[1:2], cand.shape)
+    return jnp.concatenate([pairs, cand, new[size : 2 * size], unseen, cand, free, unseen[1:2]])
 
 
-def _of_new(figure: Array, landmark: Array, figure_of_pair: Array, size: int) -> Array:
-    """Lay out what is new in the ways told: figures, landmarks, the figures of new pairs."""
-    parts = (figure, size), (landmark, size), (figure_of_pair, NUM_UNSEEN)
+def _new_rows(figure: Array, landmark: Array, pair_figure: Array, size: int) -> Array:
+    """Lay out new objects where the relation holds: figures, landmarks, figures of new pairs."""
+    parts = (figure, size), (landmark, size), (pair_figure, NUM_UNSEEN)
     return jnp.concatenate(
-        [jnp.broadcast_to(part, (number, *part.shape[1:])) for part, number in parts]
+        [jnp.broadcast_to(part, (count, *part.shape[1:])) for part, count in parts]
     )
 
 
 @functools.cache
 def proposal_layout(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tell what each way stands for, with O slots for objects.
+    """Return the meaning of each proposal, with O slots for objects.
 
-    i32[2, W], the observed slot that each end is; NONE where it is new or decided already; and
-    bool[2, W], whether the end hangs on the other, having been drawn there or being said of it.
+    i32[2, W], the observed slot of each end; NONE where it is new or grounded earlier; and
+    bool[2, W], whether the end is anchored to the other, by the relation or by being drawn there.
     """
     with jax.ensure_compile_time_eval():
         slots = jnp.append(jnp.arange(num_objects), NONE)
         new = jnp.full(2 * slots.size + NUM_UNSEEN, NONE)
-        figure = _of_figures(slots, new, new[:NUM_UNSEEN])
-        landmark = _of_landmarks(slots, new, new[:NUM_UNSEEN])
-        is_told = jnp.arange(figure.size) < slots.size**2 + new.size
-        no = jnp.zeros(slots.size, bool)
-        is_drawn = _of_landmarks(no, new == NONE, no[:NUM_UNSEEN])
-        return np.stack([figure, landmark], dtype=np.int32), np.stack([is_told, is_drawn])
+        figure = _figure_rows(slots, new, new[:NUM_UNSEEN])
+        landmark = _landmark_rows(slots, new, new[:NUM_UNSEEN])
+        is_related = jnp.arange(figure.size) < slots.size**2 + new.size
+        false = jnp.zeros(slots.size, bool)
+        is_drawn = _landmark_rows(false, new == NONE, false[:NUM_UNSEEN])
+        return np.stack([figure, landmark], dtype=np.int32), np.stack([is_related, is_drawn])
 
 
 def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) -> Proposals:
-    """Pair what is known, and draw what is new: from the relation, and anywhere unseen."""
+    """Pair candidates; draw new objects from the relation's density and from the unseen area."""
     size = ends.x.shape[1]
     along, lateral, log_drawn = query.draw(draws.distance, draws.angle, model)
-    at_x = _of_new(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
-    at_y = _of_new(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
+    at_x = _new_rows(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
+    at_y = _new_rows(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
 
-    def of_ends(values: Array) -> Array:
-        # A landmark is drawn backwards from its figure, in a frame that is not its own: the weight
-        # makes up for it.
-        return _of_new(values[:1], -values[1:], values[:1], size)
+    def directed(values: Array) -> Array:
+        # A landmark is drawn backwards from its figure, in the figure's frame; the importance
+        # weight corrects for it.
+        return _new_rows(values[:1], -values[1:], values[:1], size)
 
-    def instead(unseen: Array, told: Array) -> Array:
-        # Of an order or a side, the figure of a new landmark takes the next place's draw.
-        anywhere = _of_new(unseen[:1], unseen[1:2], unseen[::-1], size)
-        return jnp.where(query.is_anywhere[None], anywhere, told)
+    def unless_rangeless(unseen: Array, related: Array) -> Array:
+        # For a rank or a side, a new landmark takes the draw after its figure's.
+        anywhere = _new_rows(unseen[:1], unseen[1:2], unseen[::-1], size)
+        return jnp.where(query.is_rangeless[None], anywhere, related)
 
-    offset_x, offset_y, log_unit = query.offset(at_x, at_y, of_ends(along), of_ends(lateral))
-    new_x = instead(draws.unseen_x, at_x + offset_x)
-    new_y = instead(draws.unseen_y, at_y + offset_y)
+    offset_x, offset_y, log_unit = query.offset(at_x, at_y, directed(along), directed(lateral))
+    new_x = unless_rangeless(draws.unseen_x, at_x + offset_x)
+    new_y = unless_rangeless(draws.unseen_y, at_y + offset_y)
     return Proposals(
         pairs=Pairs(
-            x=_of_figures(ends.x[FIGURE], new_x, draws.unseen_x),
-            y=_of_figures(ends.y[FIGURE], new_y, draws.unseen_y),
-            landmark_x=_of_landmarks(ends.x[LANDMARK], new_x, draws.unseen_x),
-            landmark_y=_of_landmarks(ends.y[LANDMARK], new_y, draws.unseen_y),
+            x=_figure_rows(ends.x[FIGURE], new_x, draws.unseen_x),
+            y=_figure_rows(ends.y[FIGURE], new_y, draws.unseen_y),
+            landmark_x=_landmark_rows(ends.x[LANDMARK], new_x, draws.unseen_x),
+            landmark_y=_landmark_rows(ends.y[LANDMARK], new_y, draws.unseen_y),
         ),
         new_x=new_x,
         new_y=new_y,

@@ -1,13 +1,12 @@
-"""Ranks: "nearest", "the second", "leftmost" (section 3.2, beyond the paper).
+"""Likelihood of ranks: "nearest", "the second", "leftmost" (section 3.2, beyond the paper).
 
-"Nearest to the car" says where its figure is, and that no other seen thing of its type is nearer.
-"The second", "the leftmost", "the farthest" and, of the robot, "the nearest" are orders, which say
-nothing of how far: only which of their type come before. What comes before may be unseen, so a
-figure with too few seen things before it is worth as much as unseen ones there are expected:
-λ A u = α u for each, of which the share that would come before counts. "The second" needs one
-before it; "the nearest" needs another one after it, or nobody would say so. Who says "the third"
-speaks of three, and who says "the leftmost" of two: until so many have been seen, each unseen one
-that is needed is there for sure.
+"Nearest to the car" gives the figure a distance, and no other observed object of its type is
+nearer. "The second", "the leftmost", "the farthest" and "the nearest" to the robot are ordinal:
+no distance, only which objects of the type come before. Those may be unseen, so each missing
+predecessor of a figure contributes the expected number of unseen objects, λ A u = α u, times the
+fraction of them that would come before. "The second" needs one object before it; "the nearest"
+needs another after it, or the word would be idle. "The third" presupposes three objects, and "the
+leftmost" two: until that many have been observed, each unseen one that is needed surely exists.
 """
 
 import functools
@@ -27,10 +26,10 @@ from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplo
 from jaxlangnav.semantic_map.proposal.enumerate import Pairs
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
 
-_TIE = 1e-3  # metres within which a seen thing is the figure itself
-_LEAST_BEFORE, _LEAST_AFTER = 0.01, 0.1
-"""Share of the unseen that may come before, and after, where neither of few draws does."""
-_OFF_SIDE = 1e-3  # weight of a figure that is not on the side where it is said to be
+_TIE = 1e-3  # metres within which an observed object is the figure itself
+_MIN_BEFORE, _MIN_AFTER = 0.01, 0.1
+"""Least fraction of the unseen that comes before, and after: draws may have none of either."""
+_OFF_SIDE = 1e-3  # weight of a figure that is not on the stated side
 
 
 def log_rank(
@@ -43,97 +42,96 @@ def log_rank(
     params: MapParams,
     num_known: int = 0,
 ) -> Array:
-    """Weigh figures at places by how well they fit their rank.
+    """Compute the log-likelihood of a rank ("the second") for figures at given positions.
 
     "The nearest cone on your left" is compared with the cones on the left alone. The first
-    ``num_known``² pairs are of so many figures, each with the landmarks of the first so many pairs
-    behind them: what depends on these alone is worked out once.
+    ``num_known``² pairs combine that many figures with the landmarks of the ``num_known`` pairs
+    after them: terms of the landmarks alone are computed once.
 
-    Limits: with all seen, the one of that rank has 0 and the others nearly −∞; 0 where no rank is
-    meant.
+    Limits: if all is observed, the object of that rank has 0, the others nearly −∞; 0 if no rank.
     """
-    is_nearest = (query.rank > 0) & ~query.is_order
+    is_nearest = (query.rank > 0) & ~query.is_ordinal
     softness = params.superlative_softness
     log_nearest = skip_unless_any(
-        is_nearest, lambda here: -_excess(query, here, seen, num_known) / softness, pairs
+        is_nearest, lambda args: -_excess(query, args, seen, num_known) / softness, pairs
     )
-    # Orders cost more than all the rest.
+    # Ordinal ranks are expensive to evaluate.
     log_order = skip_unless_any(
-        query.is_order, lambda here: _log_order(query, here, seen, draws, scene, params), pairs
+        query.is_ordinal, lambda args: _log_ordinal(query, args, seen, draws, scene, params), pairs
     )
     return log_nearest + log_order
 
 
 def _excess(query: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
-    """Measure by how many metres a seen rival is nearer, f32[n, ...]; "farthest" is an order."""
+    """Compute by how many metres an observed rival is nearer, f32[n, ...], at least 0."""
     dx, dy = pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y
-    own = dx * dx + dy * dy + 1e-9
+    dist2 = dx * dx + dy * dy + 1e-9
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
-    x, y = insert_axes(seen.x, own.ndim + 1), insert_axes(seen.y, own.ndim + 1)
-    is_rival = insert_axes(_is_rival(seen, query), own.ndim + 1)
-    away_x, away_y = x - at_x[None], y - at_y[None]
-    squared = away_x * away_x + away_y * away_y + 1e-9  # [O, landmarks, ...]
-    # The thing nearest to the cone is not the cone.
-    is_any = prepend_axes(is_anything(query.kind[FIGURE]), squared.ndim)
-    is_landmark = is_any & (squared < _TIE**2)
-    best = jnp.min(jnp.where(is_rival & ~is_landmark, squared, jnp.inf), axis=0)
-    best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
-    return jnp.sqrt(own) - jnp.sqrt(best)
+    x, y = insert_axes(seen.x, dist2.ndim + 1), insert_axes(seen.y, dist2.ndim + 1)
+    is_rival = insert_axes(_is_rival(seen, query), dist2.ndim + 1)
+    rival_dx, rival_dy = x - at_x[None], y - at_y[None]
+    rival2 = rival_dx * rival_dx + rival_dy * rival_dy + 1e-9  # [O, landmarks, ...]
+    # The object nearest to the cone is not the cone itself.
+    is_any = prepend_axes(is_anything(query.types[FIGURE]), rival2.ndim)
+    is_landmark = is_any & (rival2 < _TIE**2)
+    nearest = jnp.min(jnp.where(is_rival & ~is_landmark, rival2, jnp.inf), axis=0)
+    nearest = jnp.minimum(dist2, jnp.concatenate([*[nearest[:num_known]] * num_known, nearest]))
+    return jnp.sqrt(dist2) - jnp.sqrt(nearest)
 
 
-def _log_order(
+def _log_ordinal(
     query: Query, pairs: Pairs, seen: Observed, draws: Draws, scene: Unexplored, params: MapParams
 ) -> Array:
-    """Weigh figures by an order, which counts what is unseen."""
+    """Compute the log-likelihood of an ordinal rank, with expected unseen objects counted."""
     num_seen, num_others = seen.x.shape[0], seen.x.shape[0] + draws.unseen_x.shape[0]
     x = jnp.concatenate([seen.x, draws.unseen_x, pairs.x])
     y = jnp.concatenate([seen.y, draws.unseen_y, pairs.y])
-    viewer_x, viewer_y, heading = (prepend_axes(one, x.ndim) for one in jnp.unstack(query.viewer))
+    viewer_x, viewer_y, heading = (prepend_axes(v, x.ndim) for v in jnp.unstack(query.viewer))
     robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
     side = insert_axes(query.sides, x.ndim + 1)
     is_on_sides = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)
-    is_where_said = functools.reduce(jnp.logical_and, jnp.unstack(is_on_sides))
-    own = _merit(query, pairs, pairs.x[None], pairs.y[None])[0]
-    others = (insert_axes(part[:num_others], own.ndim + 1) for part in (x, y))
-    merit, counts = _merit(query, pairs, *others), insert_axes(is_where_said, own.ndim + 1)
-    rival, unseen = merit[:num_seen], merit[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
-    is_kind, rank = _is_rival(seen, query), query.rank[None]
-    is_rival = counts[:num_seen] & insert_axes(is_kind, rival.ndim)
-    meant = value_of_rank(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
-    excess = jnp.maximum(own - meant, 0.0)
+    is_on_all_sides = functools.reduce(jnp.logical_and, jnp.unstack(is_on_sides))
+    score = _score(query, pairs, pairs.x[None], pairs.y[None])[0]
+    others = (insert_axes(part[:num_others], score.ndim + 1) for part in (x, y))
+    scores, in_scope = _score(query, pairs, *others), insert_axes(is_on_all_sides, score.ndim + 1)
+    rival, unseen = scores[:num_seen], scores[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
+    type_matches, rank = _is_rival(seen, query), query.rank[None]
+    is_rival = in_scope[:num_seen] & insert_axes(type_matches, rival.ndim)
+    target = value_of_rank(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
+    excess = jnp.maximum(score - target, 0.0)
 
-    before = jnp.sum(is_rival & (rival < own[None] - _TIE), axis=0)
-    is_alone = ~jnp.any(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0) & (rank == 1)
-    lacking = jnp.maximum(rank - 1 - before, 0)
-    is_counted = is_kind if scene.num_pooled is None else seen.object_type != NONE
+    before = jnp.sum(is_rival & (rival < score[None] - _TIE), axis=0)
+    is_alone = ~jnp.any(is_rival & (jnp.abs(rival - score[None]) > _TIE), axis=0) & (rank == 1)
+    missing = jnp.maximum(rank - 1 - before, 0)
+    is_counted = type_matches if scene.num_pooled is None else seen.object_type != NONE
     others = jnp.maximum(jnp.sum(is_counted, axis=0) - 1, 0)
     num_pooled = None if scene.num_pooled is None else prepend_axes(scene.num_pooled, others.ndim)
-    unseen_share = jnp.exp(prepend_axes(scene.log_unseen, others.ndim))
-    log_more = log_expected(others, unseen_share, params=params, num_pooled=num_pooled)
-    log_unseen = prepend_axes(scene.log_unseen, own.ndim)
-    is_seen = jnp.any(is_rival & (jnp.abs(rival - own[None]) <= _TIE), axis=0)
-    number = jnp.sum(is_rival, axis=0) + jnp.where(is_seen, 0, 1)
-    log_new = prepend_axes(log_more, own.ndim) + log_unseen
-    log_new = jnp.where(number < jnp.maximum(rank, 2), jnp.maximum(log_new, 0.0), log_new)
+    unseen_frac = jnp.exp(prepend_axes(scene.log_unseen, others.ndim))
+    log_more = log_expected(others, unseen_frac, params=params, num_pooled=num_pooled)
+    log_unseen = prepend_axes(scene.log_unseen, score.ndim)
+    is_observed = jnp.any(is_rival & (jnp.abs(rival - score[None]) <= _TIE), axis=0)
+    num_rivals = jnp.sum(is_rival, axis=0) + jnp.where(is_observed, 0, 1)
+    log_new = prepend_axes(log_more, score.ndim) + log_unseen
+    log_new = jnp.where(num_rivals < jnp.maximum(rank, 2), jnp.maximum(log_new, 0.0), log_new)
 
-    def log_there(is_there: Array, least: float) -> Array:
-        share = jnp.mean(counts[num_seen:num_others] & is_there, axis=0)
-        return log_new + jnp.log(jnp.maximum(share, least))
+    def log_exists(is_ahead: Array, floor: float) -> Array:
+        frac = jnp.mean(in_scope[num_seen:num_others] & is_ahead, axis=0)
+        return log_new + jnp.log(jnp.maximum(frac, floor))
 
-    price = jnp.where(lacking > 0, lacking * log_there(unseen < own[None], _LEAST_BEFORE), 0.0)
-    price = price + jnp.where(is_alone, log_there(unseen > own[None], _LEAST_AFTER), 0.0)
-    price = price + jnp.where(is_where_said[num_others:], 0.0, jnp.log(_OFF_SIDE))
-    return price - excess / params.superlative_softness
+    total = jnp.where(missing > 0, missing * log_exists(unseen < score[None], _MIN_BEFORE), 0.0)
+    total = total + jnp.where(is_alone, log_exists(unseen > score[None], _MIN_AFTER), 0.0)
+    total = total + jnp.where(is_on_all_sides[num_others:], 0.0, jnp.log(_OFF_SIDE))
+    return total - excess / params.superlative_softness
 
 
 def _is_rival(seen: Observed, query: Query) -> Array:
-    """Tell what figures are compared with: of their type, and likelier there than not."""
-    is_kind = is_type(seen.object_type, query.kind[FIGURE][None])
-    return is_kind if seen.existence is None else is_kind & (seen.existence > 0.5)
+    """Mark the objects that a figure is compared with: of its type and probably existing."""
+    type_matches = is_type(seen.object_type, query.types[FIGURE][None])
+    return type_matches if seen.existence is None else type_matches & (seen.existence > 0.5)
 
 
-def _merit(query: Query, pairs: Pairs, x: Array, y: Array) -> Array:
-    """Measure places [k, n, ...] along the order of n landmarks, smaller is earlier."""
+def _score(query: Query, pairs: Pairs, x: Array, y: Array) -> Array:
+    """Compute the rank order's key of positions [k, n, ...] for n landmarks, smaller is earlier."""
     dx, dy = x - pairs.landmark_x[None], y - pairs.landmark_y[None]
     robot = robot_frame(prepend_axes(query.viewer[2], dx.ndim))
     distance = jnp.sqrt(dx * dx + dy * dy + 1e-9)

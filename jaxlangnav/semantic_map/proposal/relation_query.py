@@ -1,8 +1,8 @@
-"""One relation of an utterance in the reading that a particle believes (section 3.2, eq. 7a).
+"""Relation queries: one relation of the reading that a particle has drawn (section 3.2, eq. 7a).
 
-A relation places a figure against a landmark. Both are its *ends*: of any leaf [2, ...] the first
-entry is the figure's, the second the landmark's. What lies between two landmarks has two relations:
-to a particle the first says that its landmark exists, and the second is seen from there.
+A relation locates a figure with respect to a landmark. Both are its *ends*: of any leaf [2, ...]
+the first entry is the figure's, the second the landmark's. "Between" has two relations, one per
+landmark: the first asserts that its landmark exists, the second has its position as the viewer.
 
 Shapes are those of one particle; with many, the particle axis is last ("...").
 """
@@ -19,20 +19,20 @@ from jaxlangnav.numerics.batching import lookup, pack, prepend_axes, skip_unless
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
     SIDES,
-    Law,
+    Density,
     ReferenceFrame,
     RelationModel,
-    anywhere,
     between,
+    density_of,
     is_so,
-    law_of,
     log_density_in_frame,
     log_density_of,
     robot_frame,
-    sample_law,
+    sample_pdf,
     to_frame,
     to_map,
     viewer_frame,
+    without_range,
 )
 from jaxlangnav.semantic_map.params import MapParams
 
@@ -40,19 +40,19 @@ FIGURE, LANDMARK = 0, 1
 
 
 class Query(NamedTuple):
-    """One relation of the reading that a particle believes."""
+    """One relation of the reading that a particle has drawn."""
 
     mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
-    kind: Array  # i32[2, ...] their kinds; ROBOT; NONE
+    types: Array  # i32[2, ...] their object types; ROBOT; NONE
     relation: Array  # i32[...] index; NONE where the figure merely exists
-    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; 0 where none is meant
-    other: Array  # i32[...] mention of the other landmark of "between", grounded by then; NONE
-    is_order: Array  # bool[...] "the second", "farthest": a rank that says nothing of how far
-    is_anywhere: Array  # bool[...] an order or "on your left": however far
-    sides: Array  # i32[J, ...] of an order: where else its figure is said to be; NONE
-    law: Law  # leaves f32[...]
-    viewer: Array  # f32[3, ...] x, y, heading of the robot as it heard the relation; map frame
-    excluded: Array  # i32[2, ...] observed slots that the ends are not: bit s is slot s
+    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; 0 without a rank
+    other: Array  # i32[...] mention of the other landmark of "between", grounded before; NONE
+    is_ordinal: Array  # bool[...] "the second", "farthest": a rank without a distance
+    is_rangeless: Array  # bool[...] ordinal or "on your left": at any distance
+    sides: Array  # i32[J, ...] of an ordinal rank: the side relations of its figure; NONE
+    pdf: Density  # leaves f32[...]
+    viewer: Array  # f32[3, ...] x, y, heading of the robot at the time of utterance; map frame
+    excluded: Array  # i32[2, ...] observed slots excluded for the ends: bit s is slot s
 
     @property
     def is_between(self) -> Array:
@@ -62,7 +62,7 @@ class Query(NamedTuple):
     @property
     def is_by_robot(self) -> Array:
         """Whether the landmark is the robot itself, bool[...]."""
-        return self.kind[LANDMARK] == ROBOT
+        return self.types[LANDMARK] == ROBOT
 
     @property
     def is_by_object(self) -> Array:
@@ -70,74 +70,73 @@ class Query(NamedTuple):
         return (self.mention[LANDMARK] != NONE) & ~self.is_by_robot
 
     def frame(self, x: Array, y: Array) -> ReferenceFrame:
-        """Build the frame in which a relation to landmarks at f32[n, ...] metres is meant.
+        """Build the frame of reference of a relation to landmarks at f32[n, ...] metres.
 
-        It is the viewer's frame, or the robot's own where the robot is the landmark.
+        It is the viewer's frame, or the robot's intrinsic one where the robot is the landmark.
         """
         viewer_x, viewer_y, heading = (prepend_axes(v, x.ndim) for v in jnp.unstack(self.viewer))
         is_by_robot = prepend_axes(self.is_by_robot, x.ndim)
         return jax.tree.map(
-            lambda own, seen: jnp.where(is_by_robot, own, seen),
+            lambda robot, viewer: jnp.where(is_by_robot, robot, viewer),
             robot_frame(heading),
             viewer_frame(viewer_x, viewer_y, x, y),
         )
 
     def log_density(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
-        """Evaluate how likely figures are placed against landmarks, each in its own frame.
+        """Evaluate the relation's log-density of figures, each in the frame of its landmark.
 
-        Places are f32[n, ...] metres, map frame; f32[n, ...], log of the density per square metre.
+        Positions are f32[n, ...] metres, map frame; f32[n, ...], log-density per square metre.
         """
         frame = self.frame(landmark_x, landmark_y)
-        log_one = log_density_of(self.law, x - landmark_x, y - landmark_y, frame)
+        log_single = log_density_of(self.pdf, x - landmark_x, y - landmark_y, frame)
 
-        def of_two(places: tuple[Array, ...]) -> Array:
+        def log_between(places: tuple[Array, ...]) -> Array:
             x, y, landmark_x, landmark_y = places
             other = self.viewer[0][None], self.viewer[1][None]
             return between.log_density((x, y), (landmark_x, landmark_y), other)
 
-        log_two = skip_unless_any(self.is_between, of_two, (x, y, landmark_x, landmark_y))
-        return jnp.where(self.is_between[None], log_two, log_one)
+        log_pair = skip_unless_any(self.is_between, log_between, (x, y, landmark_x, landmark_y))
+        return jnp.where(self.is_between[None], log_pair, log_single)
 
     def holds(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
-        """Tell whether people would say it of figures at places, bool[n, ...]; see ``log_density``.
+        """Test whether the relation holds for figures, bool[n, ...]; see ``log_density``.
 
-        Limits: what merely exists, or has a rank, holds anywhere.
+        Limits: without a relation, or with a rank, it holds anywhere.
         """
         frame, dx, dy = self.frame(landmark_x, landmark_y), x - landmark_x, y - landmark_y
         along, lateral = to_frame(frame, dx, dy)
-        relation, has_range = jnp.maximum(self.relation, 0)[None], self.law.has_range[None] > 0.0
-        of_one = is_so(relation, along, lateral, has_range=has_range)
+        relation, has_range = jnp.maximum(self.relation, 0)[None], self.pdf.has_range[None] > 0.0
+        is_single = is_so(relation, along, lateral, has_range=has_range)
         other = self.viewer[0][None], self.viewer[1][None]
-        of_two = between.lies_between((x, y), (landmark_x, landmark_y), other)
-        says_where = (self.relation != NONE) & (self.rank <= 0)
-        return jnp.where(self.is_between[None], of_two, of_one) | ~says_where[None]
+        is_between = between.lies_between((x, y), (landmark_x, landmark_y), other)
+        has_position = (self.relation != NONE) & (self.rank <= 0)
+        return jnp.where(self.is_between[None], is_between, is_single) | ~has_position[None]
 
     def draw(
         self, distance: Array, angle: Array, model: RelationModel
     ) -> tuple[Array, Array, Array]:
-        """Draw a new figure against its landmark, and a new landmark against its figure.
+        """Draw a new figure relative to its landmark, and a new landmark relative to its figure.
 
-        Of standard normal draws f32[2, ...] it makes along and lateral in the frame, f32[2, ...]
-        from landmark to figure, and the log-density of the landmark's draw, f32[1, ...]; in the
-        units of ``offset``.
+        From standard normals f32[2, ...]: along and lateral offset from landmark to figure in the
+        frame, f32[2, ...], and log-density of the landmark, f32[1, ...]; in units of ``offset``.
         """
         relation = jnp.maximum(self.relation, 0)[None]
-        along, lateral = sample_law(self.law, model, relation, distance, angle)
-        log_drawn = log_density_in_frame(self.law, along[LANDMARK:], lateral[LANDMARK:])
-        of_one, of_two = (along, lateral, log_drawn), between.sample(distance, angle)
-        is_two = self.is_between[None]
-        return jax.tree.map(lambda two, one: jnp.where(is_two, two, one), of_two, of_one)
+        along, lateral = sample_pdf(self.pdf, model, relation, distance, angle)
+        log_drawn = log_density_in_frame(self.pdf, along[LANDMARK:], lateral[LANDMARK:])
+        single, pair = (along, lateral, log_drawn), between.sample(distance, angle)
+        is_between = self.is_between[None]
+        return jax.tree.map(lambda a, b: jnp.where(is_between, b, a), single, pair)
 
     def offset(
         self, x: Array, y: Array, along: Array, lateral: Array
     ) -> tuple[Array, Array, Array]:
-        """Turn what was drawn, f32[n, ...] units, into map axes: metres, and log m² a square unit.
+        """Rotate drawn offsets, f32[n, ...] units, into map axes: metres, and log m² per unit².
 
-        The unit is a metre; of what lies between two landmarks it is the way from the other one. x
-        and y are the places that it was drawn against, metres, map frame.
+        The unit is a metre; for "between" it is the distance from the other landmark. x and y are
+        the positions that the offsets are relative to, metres, map frame.
         """
-        way_x, way_y = x - self.viewer[0][None], y - self.viewer[1][None]
-        squared = way_x * way_x + way_y * way_y + 1e-6
+        base_x, base_y = x - self.viewer[0][None], y - self.viewer[1][None]
+        squared = base_x * base_x + base_y * base_y + 1e-6
         squared = jnp.where(self.is_between[None], squared, 1.0)
         unit = jnp.sqrt(squared)
         offset_x, offset_y = to_map(self.frame(x, y), along, lateral)
@@ -145,7 +144,7 @@ class Query(NamedTuple):
 
 
 def current_context(readings: Readings, viewer: Array) -> UtteranceContext:
-    """Build the context of a sentence heard at f32[3]: all said from there, nothing ruled out."""
+    """Build the context of an utterance heard at pose f32[3], with no objects excluded."""
     return UtteranceContext(
         viewer=jnp.broadcast_to(viewer, (*readings.relation.shape, 3)),
         excluded=jnp.zeros_like(readings.mention_type),
@@ -155,99 +154,102 @@ def current_context(readings: Readings, viewer: Array) -> UtteranceContext:
 def build_queries(
     readings: Readings, context: UtteranceContext, model: RelationModel, log_area: Array
 ) -> Query:
-    """Look up all relations of K readings, leaves [J, ..., K], in an area of f32[] log m²."""
-    say = jax.vmap(_say, in_axes=(0, 0, None, None), out_axes=-1)
-    return say(readings, context, model, log_area)
+    """Build the queries of all relations of K readings, leaves [J, ..., K]; area in log m²."""
+    build = jax.vmap(_build_query, in_axes=(0, 0, None, None), out_axes=-1)
+    return build(readings, context, model, log_area)
 
 
 @pytree
 class Utterances:
-    """What has been said, and by what it is understood."""
+    """Utterances with the context and parameters of their interpretation."""
 
     readings: Readings  # K readings of M mentions
-    context: UtteranceContext  # from where they were said
+    context: UtteranceContext  # poses at which they were heard
     params: MapParams  # relations, ε
 
 
 def log_viewer_density(spoken: Utterances, log_area: Array, x: Array, y: Array) -> Array:
-    """Evaluate where relations to the robot put mentions, as eq. 7a weighs new places.
+    """Evaluate the log-density of mentions given their relations to the robot (eq. 7a).
 
-    "The hydrant on your left" hangs on nothing observed, and yet is not anywhere alike. Of the
-    relations r that place a mention against the robot, with densities f_r,
+    "The hydrant on your left" has no observed anchor, and yet is not uniformly distributed. For
+    the relations r of a mention to the robot, with densities f_r,
 
         log f(x) A = Σ_r log[(1 − ε) A f_r(x) + ε]
 
-    f32[C, M, K], for places f32[C], metres, map frame. Limits: 0 of a mention that nothing places
-    so, or by an order alone: as likely anywhere.
+    f32[C, M, K], for positions f32[C], metres, map frame. Limits: 0 (uniform) without any such r.
     """
-    readings, misleading = spoken.readings, spoken.params.misleading
-    number, mentions = readings.figure.shape[0], np.arange(readings.mention_type.shape[1])
-    at = tuple(jnp.broadcast_to(one[:, None], (x.shape[0], number)) for one in (x, y))
+    readings, error_rate = spoken.readings, spoken.params.misleading
+    num_readings, mentions = readings.figure.shape[0], np.arange(readings.mention_type.shape[1])
+    positions = tuple(jnp.broadcast_to(v[:, None], (x.shape[0], num_readings)) for v in (x, y))
 
-    def of_relation(one: Query) -> Array:
-        viewer = (jnp.broadcast_to(place[None], at[0].shape) for place in one.viewer[:2])
-        log_holds = one.log_density(*at, *viewer) + log_area
-        log_ratio = jnp.logaddexp(jnp.log1p(-misleading) + log_holds, jnp.log(misleading))
-        is_placed = one.is_by_robot & ~one.is_order & (one.relation != NONE)
-        is_figure = (one.mention[FIGURE][None] == mentions[:, None]) & is_placed[None]
+    def of_relation(query: Query) -> Array:
+        viewer = (jnp.broadcast_to(v[None], positions[0].shape) for v in query.viewer[:2])
+        log_holds = query.log_density(*positions, *viewer) + log_area
+        log_ratio = jnp.logaddexp(jnp.log1p(-error_rate) + log_holds, jnp.log(error_rate))
+        applies = query.is_by_robot & ~query.is_ordinal & (query.relation != NONE)
+        is_figure = (query.mention[FIGURE][None] == mentions[:, None]) & applies[None]
         return jnp.where(is_figure[None], log_ratio[:, None], 0.0)
 
     queries = build_queries(readings, spoken.context, spoken.params.relations, log_area)
     return jnp.sum(jax.lax.map(of_relation, queries), axis=0)
 
 
-def queries_of(queries: Query, reading: Array) -> Query:
-    """Look up what particles hear that believe the readings i32[P]: leaves [J, ..., P]."""
+def pick_queries(queries: Query, reading: Array) -> Query:
+    """Select the queries of each particle's reading, i32[P]: leaves [J, ..., P]."""
     rows = pack(queries).T[..., None]
     return unpack(lookup(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), queries)
 
 
-def _paired(one: Readings) -> tuple[Readings, Array]:
-    """Take the first relation of each "between" for the existence of its landmark.
+def _split_between(reading: Readings) -> tuple[Readings, Array]:
+    """Split each "between": its first relation asserts only that its landmark exists.
 
-    The second then has the other landmark's place to be understood by, i32[J]; NONE elsewhere.
+    The second gets that mention as its other landmark, i32[J]; NONE elsewhere.
     """
-    is_between = one.relation == BETWEEN
-    is_alike = (one.figure[:, None] == one.figure[None]) & is_between[:, None] & is_between[None]
-    number = one.figure.shape[0]
-    is_earlier = is_alike & np.tri(number, k=-1, dtype=bool)
-    # A figure may have been said to lie between one pair, and between another.
-    last = jnp.max(jnp.where(is_earlier, np.arange(number)[None], 0), axis=1)
-    is_second = is_between & (jnp.sum(is_earlier, axis=1) % 2 == 1)
-    other = jnp.where(is_second, one.landmark[last], NONE)
-    is_first = is_between & ~is_second
+    is_between = reading.relation == BETWEEN
+    same = (
+        (reading.figure[:, None] == reading.figure[None]) & is_between[:, None] & is_between[None]
+    )
+    num_relations = reading.figure.shape[0]
+    is_earlier = same & np.tri(num_relations, k=-1, dtype=bool)
+    # A figure may have several "between" relations, each with two landmarks.
+    last = jnp.max(jnp.where(is_earlier, np.arange(num_relations)[None], 0), axis=1)
+    second = is_between & (jnp.sum(is_earlier, axis=1) % 2 == 1)
+    other = jnp.where(second, reading.landmark[last], NONE)
+    first = is_between & ~second
     return replace(
-        one,
-        figure=jnp.where(is_first, one.landmark, one.figure),
-        relation=jnp.where(is_first, NONE, one.relation),
-        landmark=jnp.where(is_first, NONE, one.landmark),
+        reading,
+        figure=jnp.where(first, reading.landmark, reading.figure),
+        relation=jnp.where(first, NONE, reading.relation),
+        landmark=jnp.where(first, NONE, reading.landmark),
     ), other
 
 
-def _say(one: Readings, context: UtteranceContext, model: RelationModel, log_area: Array) -> Query:
-    """Gather all that a reading says, leaves [J, ...]."""
-    one, other = _paired(one)
-    mention = jnp.stack([one.figure, one.landmark], axis=1)
-    kind = jnp.where(mention == NONE, NONE, one.mention_type[mention])
-    is_told, is_by_robot = one.relation != NONE, kind[:, LANDMARK] == ROBOT
-    rank = jnp.where(is_told, one.rank, 0)
-    # Who says "farthest" speaks of several, and not of one that is merely far.
-    is_order = (rank > 1) | ((rank == 1) & (is_by_robot | (one.relation == FAR)))
-    side = jnp.where(is_by_robot & (rank == 0), one.relation, NONE)
+def _build_query(
+    reading: Readings, context: UtteranceContext, model: RelationModel, log_area: Array
+) -> Query:
+    """Build the queries of one reading's relations, leaves [J, ...]."""
+    reading, other = _split_between(reading)
+    mention = jnp.stack([reading.figure, reading.landmark], axis=1)
+    types = jnp.where(mention == NONE, NONE, reading.mention_type[mention])
+    is_related, is_by_robot = reading.relation != NONE, types[:, LANDMARK] == ROBOT
+    rank = jnp.where(is_related, reading.rank, 0)
+    # "Farthest" ranks several objects; it does not mean one that is merely far.
+    is_ordinal = (rank > 1) | ((rank == 1) & (is_by_robot | (reading.relation == FAR)))
+    side = jnp.where(is_by_robot & (rank == 0), reading.relation, NONE)
     is_side = jnp.any(side[:, None] == jnp.asarray(SIDES)[None], axis=1)
-    # One figure's sides come from all the relations it has with the robot.
-    is_alike = (one.figure[:, None] == one.figure[None]) & is_order[:, None]
-    law = law_of(model, jnp.maximum(one.relation, 0))
+    # A figure's sides come from all its relations to the robot.
+    same_figure = (reading.figure[:, None] == reading.figure[None]) & is_ordinal[:, None]
+    pdf = density_of(model, jnp.maximum(reading.relation, 0))
     return Query(
         mention=mention,
-        kind=kind,
-        relation=one.relation,
+        types=types,
+        relation=reading.relation,
         rank=rank,
         other=other,
-        is_order=is_order,
-        is_anywhere=is_order | is_side,
-        sides=jnp.where(is_alike, side[None], NONE),
-        law=anywhere(law, is_side, is_order, log_area),
+        is_ordinal=is_ordinal,
+        is_rangeless=is_ordinal | is_side,
+        sides=jnp.where(same_figure, side[None], NONE),
+        pdf=without_range(pdf, is_side, is_ordinal, log_area),
         viewer=context.viewer,
         excluded=jnp.where(mention == NONE, 0, context.excluded[mention]),
     )

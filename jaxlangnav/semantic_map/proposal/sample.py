@@ -2,22 +2,22 @@
 
 Each annotated relation samples its figure and landmark jointly from the observed objects or from
 new ones under a Dirichlet-process prior, and the metric constraint of a new one from the
-relation's likelihood. The prior behind it: every thing mentioned exists once, anywhere in the
-operating area A or where a relation places it; further objects of each type are scattered at a
-density λ = α / A, with α as expected after what has been seen (``counts``). Against "all observed
-objects are bystanders", the groundings weigh
+relation's likelihood. The prior: every object mentioned exists once, anywhere in the operating
+area A or where a relation locates it; further objects of each type have a Poisson density
+λ = α / A, with α the posterior expected count (``counts``). Relative to "no observed object is
+mentioned", the groundings have weights
 
     both observed     f(x_f − x_l) A / α²          figure new      E_f[m] / α
     landmark new      E_f[m] / α                   both new        u E_f[m]
 
-(f the relation's density, m the probability of having missed something, u its mean over A), and
-with no relation 1/α against u: the Dirichlet process, with "new" scaled by what is unexplored.
-Expectations are taken by sampling the place itself from a density q, so that it weighs f m / q and
-the total is an unbiased estimate of the evidence of the sentence given the observed map.
+(f the relation's density, m the probability of having missed an object, u its mean over A), and
+with no relation 1/α against u: the Dirichlet process, with "new" scaled by the unseen fraction.
+Expectations are estimated by sampling the position from a density q, with weight f m / q, so the
+total is an unbiased estimate of the evidence of the sentence given the observed map.
 
-People err and mislead: with probability ε a relation says nothing about where its figure is, and
-f is (1 − ε) times the relation's density plus ε / A. Without this the robot searches for ever for
-a hydrant "in front of the cone" that stands behind it.
+Annotations may be wrong: with probability ε a relation does not constrain its figure, so f is
+(1 − ε) times the relation's density plus ε / A. Without this the robot would search forever for a
+hydrant "in front of the cone" that is behind it.
 
 Everything takes one particle, or all of them with the particle axis last ("..." in shapes).
 """
@@ -46,9 +46,9 @@ from jaxlangnav.semantic_map.proposal.enumerate import Proposals, proposal_layou
 from jaxlangnav.semantic_map.proposal.ranks import log_rank
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query
 
-_LOG_FLOOR = -60.0
+_MIN_LOG_TOTAL = -60.0
 PLURAL = 10.0
-"""Who says "the second" or "the rightmost" speaks of several: so much likelier is an unseen one."""
+"""Odds factor of an unseen figure with a rank: "the second", "the rightmost" imply several."""
 
 
 def ground_relation(
@@ -64,148 +64,149 @@ def ground_relation(
 
     The grounding is unchanged where the reading has no such relation.
     """
-    # What other mentions refer to already is nothing that is called by no type.
+    # The referent of another mention cannot also be the referent of an untyped one.
     bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
-    taken = jax.lax.reduce_or(bits, axes=(0,))[None]
-    excluded = query.excluded | jnp.where(is_anything(query.kind), taken, 0)
-    query = materialize(_from_other(query._replace(excluded=excluded), grounding))
+    used = jax.lax.reduce_or(bits, axes=(0,))[None]
+    excluded = query.excluded | jnp.where(is_anything(query.types), used, 0)
+    query = materialize(_view_from_other(query._replace(excluded=excluded), grounding))
     ends = list_candidates(seen, query, grounding, scene, params=params)
-    ways = materialize(propose(query, ends, draws, params.relations))
+    proposals = materialize(propose(query, ends, draws, params.relations))
     num_known = ends.x.shape[1]
-    rank = log_rank(query, ways.told, seen, draws, scene, params=params, num_known=num_known)
-    log_weight = _weigh(query, ends, ways, rank, scene, params.misleading)
+    pairs = proposals.related
+    rank = log_rank(query, pairs, seen, draws, scene, params=params, num_known=num_known)
+    log_weight = _log_weights(query, ends, proposals, rank, scene, params.misleading)
     choice, log_total = categorical.draw(log_weight, draws.choice)
-    # One thing of each chain of relations has the uniform prior over the area: a figure grounded
-    # earlier that is now placed against the robot gives its share back.
-    is_placed = ~ends.is_open[FIGURE] & ~query.is_by_object
+    # One object of each chain of relations has the uniform prior over the area: for a figure
+    # grounded earlier and now related to the robot that prior is divided out.
+    by_robot = ~ends.is_open[FIGURE] & ~query.is_by_object
     both_open = ends.is_open[FIGURE] & ends.is_open[LANDMARK]
-    log_root = jnp.where(both_open, -scene.log_area, jnp.where(is_placed, scene.log_area, 0.0))
-    log_total = jnp.maximum(log_total + log_root, _LOG_FLOOR)
-    # Where no grounding is possible (a drawn figure fell outside the area), the words stay a
-    # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
-    choice = jnp.where(log_total <= _LOG_FLOOR, log_weight.shape[0] - 1, choice)
-    return _enter(grounding, query, ends, ways, choice, log_total)
+    log_root = jnp.where(both_open, -scene.log_area, jnp.where(by_robot, scene.log_area, 0.0))
+    log_total = jnp.maximum(log_total + log_root, _MIN_LOG_TOTAL)
+    # If no grounding is possible (a figure drawn outside the area), keep a hypothesis of negligible
+    # weight in the unexplored area.
+    choice = jnp.where(log_total <= _MIN_LOG_TOTAL, log_weight.shape[0] - 1, choice)
+    return _update_grounding(grounding, query, ends, proposals, choice, log_total)
 
 
-def _from_other(query: Query, grounding: Grounding) -> Query:
-    """See what lies between two landmarks from the other one, which is neither of the ends."""
+def _view_from_other(query: Query, grounding: Grounding) -> Query:
+    """For "between", make the other landmark the viewer and exclude it as an end."""
     table = jnp.stack([grounding.x, grounding.y, grounding.slot.astype(jnp.float32)], axis=1)
     other = lookup(table, jnp.broadcast_to(query.other, table.shape[1:]))
     slot = jnp.where(query.is_between, other[2], NONE).astype(jnp.int32)
-    taken = jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))
+    excluded = jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))
     return query._replace(
-        # In which direction the speaker looked counts for nothing then.
+        # The speaker's heading is irrelevant then.
         viewer=jnp.where(query.is_between[None], other, query.viewer),
-        excluded=query.excluded | taken[None],
+        excluded=query.excluded | excluded[None],
     )
 
 
-def _log_prior_known(ends: Candidates) -> Array:
-    """Give pairs of known ends their prior, f32[(O + 1)², ...]; nothing is its own landmark."""
+def _log_pair_prior(ends: Candidates) -> Array:
+    """Compute the log-prior of pairs of candidates, f32[(O + 1)², ...]; −∞ for equal ends."""
     size = ends.x.shape[1]
     log_prior = ends.log_prior[FIGURE][:, None] + ends.log_prior[LANDMARK][None]
     is_both = np.arange(size) < size - 1
     is_both = append_axes(jnp.asarray(is_both[:, None] & is_both[None]), log_prior.ndim)
-    room = ((0, 1), (0, 1), *((0, 0),) * (log_prior.ndim - 2))
-    log_prior = log_prior + jnp.where(is_both, jnp.pad(ends.log_alike, room), 0.0)
-    # The last candidates are places decided earlier, not objects.
-    is_same = jnp.asarray(np.diag(np.arange(size) < size - 1))
-    log_prior = jnp.where(append_axes(is_same, log_prior.ndim), -jnp.inf, log_prior)
+    padding = ((0, 1), (0, 1), *((0, 0),) * (log_prior.ndim - 2))
+    log_prior = log_prior + jnp.where(is_both, jnp.pad(ends.log_pair_gain, padding), 0.0)
+    # The last candidates are earlier groundings, not objects.
+    same_slot = jnp.asarray(np.diag(np.arange(size) < size - 1))
+    log_prior = jnp.where(append_axes(same_slot, log_prior.ndim), -jnp.inf, log_prior)
     return log_prior.reshape(size * size, *log_prior.shape[2:])
 
 
-def _weigh(
+def _log_weights(
     query: Query,
     ends: Candidates,
-    ways: Proposals,
+    proposals: Proposals,
     log_rank: Array,
     scene: Unexplored,
-    misleading: Array,
+    error_rate: Array,
 ) -> Array:
-    """Weigh all ways to ground a relation: prior · f m / q, f32[W, ...] log-weights."""
-    size, ndim = ends.x.shape[1], ways.new_x.ndim
-    known, new = slice(size * size), slice(size * size, None)
+    """Compute the log-weights of all proposals for a relation: prior · f m / q, f32[W, ...]."""
+    size, ndim = ends.x.shape[1], proposals.new_x.ndim
+    old, new = slice(size * size), slice(size * size, None)
     log_area, log_unseen = prepend_axes(scene.log_area, ndim), prepend_axes(scene.log_unseen, ndim)
-    log_density = query.log_density(*ways.told)
-    is_told = (query.relation != NONE)[None]
-    log_holds = jnp.where(is_told, jnp.log1p(-misleading), -jnp.inf) + log_rank
-    log_misleads = jnp.where(is_told, jnp.log(misleading), 0.0)
-    log_known = jnp.logaddexp(log_holds[known] + log_density[known], log_misleads - log_area)
+    log_density = query.log_density(*proposals.related)
+    is_related = (query.relation != NONE)[None]
+    log_holds = jnp.where(is_related, jnp.log1p(-error_rate), -jnp.inf) + log_rank
+    log_fails = jnp.where(is_related, jnp.log(error_rate), 0.0)
+    log_old = jnp.logaddexp(log_holds[old] + log_density[old], log_fails - log_area)
 
-    # One end new: the other's prior. Both: the landmark is uniform over the area, its share of
-    # what is unexplored times A for the root of the chain.
+    # One end new: the other's prior. Both: the landmark is uniform over the area, u times A for
+    # the root of the chain.
     log_other = jnp.where(ends.is_open[:, None], ends.log_prior[::-1], -jnp.inf)
     log_other = log_other.reshape(2 * size, *log_other.shape[2:])
     is_open = (ends.is_open[FIGURE] & ends.is_open[LANDMARK])[None]
     log_both = jnp.where(is_open, log_unseen + log_area, -jnp.inf)
-    log_each = [log_both - jnp.log(float(NUM_UNSEEN))] * NUM_UNSEEN
-    log_new = _log_new(query, ways, log_density[new], scene) + log_holds[new]
-    # That the relation says nothing is weighed in every particle and not drawn: a draw in twenty
-    # leaves what it alone explains to two or three particles, which soon die out.
-    log_free = log_misleads + log_unseen
-    log_known = log_known + _log_prior_known(ends)
-    log_new = log_new + jnp.concatenate([log_other, *log_each])
-    log_free = log_free + jnp.concatenate([log_other, log_both])
-    return jnp.concatenate([log_known, log_new, log_free])
+    log_pairs = [log_both - jnp.log(float(NUM_UNSEEN))] * NUM_UNSEEN
+    log_new = _log_new(query, proposals, log_density[new], scene) + log_holds[new]
+    # An invalid relation is enumerated in every particle, not sampled: one draw in twenty would
+    # leave that hypothesis to two or three particles, which are soon lost.
+    log_anywhere = log_fails + log_unseen
+    log_old = log_old + _log_pair_prior(ends)
+    log_new = log_new + jnp.concatenate([log_other, *log_pairs])
+    log_anywhere = log_anywhere + jnp.concatenate([log_other, log_both])
+    return jnp.concatenate([log_old, log_new, log_anywhere])
 
 
-def _log_new(query: Query, ways: Proposals, log_density: Array, scene: Unexplored) -> Array:
-    """Compute log f m / q of what was drawn for the relation, f32[2 (O + 1) + NUM_UNSEEN, ...]."""
-    log_miss = log_miss_at(scene.coverage, ways.new_x, ways.new_y, scene.first_row)
+def _log_new(query: Query, proposals: Proposals, log_density: Array, scene: Unexplored) -> Array:
+    """Compute log f m / q of the new objects drawn, f32[2 (O + 1) + NUM_UNSEEN, ...]."""
+    log_miss = log_miss_at(scene.coverage, proposals.new_x, proposals.new_y, scene.first_row)
     # A new figure was drawn from f; a landmark from its figure's frame, not from its own.
     size = (log_miss.shape[0] - NUM_UNSEEN) // 2
-    log_ratio = log_density[size : 2 * size] - ways.log_drawn
+    log_ratio = log_density[size : 2 * size] - proposals.log_drawn
     log_landmark = log_miss[size : 2 * size] + log_ratio
     log_drawn = jnp.concatenate([log_miss[:size], log_landmark, log_miss[2 * size :]])
-    # Drawn from all that is unseen, q is m / u A.
+    # For draws from the unseen area, q is m / u A.
     log_anywhere = log_density + prepend_axes(scene.log_unseen + scene.log_area, log_miss.ndim)
-    # There are several of the figures, not of what they are placed against.
+    # A rank implies several objects like its figure, not like the landmark.
     row = append_axes(jnp.arange(log_miss.shape[0]), log_miss.ndim)
-    is_plural = query.is_order[None] & ((row < size) | (row >= 2 * size))
+    is_plural = query.is_ordinal[None] & ((row < size) | (row >= 2 * size))
     log_anywhere = log_anywhere + jnp.where(is_plural, jnp.log(PLURAL), 0.0)
-    return jnp.where(query.is_anywhere[None], log_anywhere, log_drawn)
+    return jnp.where(query.is_rangeless[None], log_anywhere, log_drawn)
 
 
-def _enter(
+def _update_grounding(
     grounding: Grounding,
     query: Query,
     ends: Candidates,
-    ways: Proposals,
+    proposals: Proposals,
     choice: Array,
     log_total: Array,
 ) -> Grounding:
-    """Enter the chosen figure and landmark; ends decided earlier stay."""
+    """Write the sampled figure and landmark into the grounding; earlier ends stay."""
     num_objects = ends.x.shape[1] - 1
-    slots, hangs = proposal_layout(num_objects)
+    slots, anchoring = proposal_layout(num_objects)
     slot = jnp.where(ends.is_open, jnp.asarray(slots)[:, choice], ends.earlier.slot)
     inherited = jnp.where(ends.is_open, NONE, ends.earlier.root)
     root = jnp.where(slot == NONE, inherited, slot)
-    place = jnp.where(slot == NONE, num_objects + query.mention, slot)
-    # What an order is about may be anywhere unseen: it lies at its landmark no more than elsewhere.
-    is_hung = jnp.asarray(hangs)[:, choice] & (query.is_by_object & ~query.is_order)[None]
+    node = jnp.where(slot == NONE, num_objects + query.mention, slot)
+    # The figure of an ordinal rank may be anywhere unseen: it is not anchored to its landmark.
+    is_anchored = jnp.asarray(anchoring)[:, choice] & (query.is_by_object & ~query.is_ordinal)[None]
     x, y, landmark_x, landmark_y = (
-        jnp.take_along_axis(leaf, choice[None], axis=0)[0] for leaf in ways.pairs
+        jnp.take_along_axis(leaf, choice[None], axis=0)[0] for leaf in proposals.pairs
     )
-    after = (
+    chosen = (
         slot,
         jnp.stack([x, landmark_x]),
         jnp.stack([y, landmark_y]),
-        jnp.where(is_hung, place[::-1], NONE),
-        jnp.where(is_hung, root[::-1], NONE),
+        jnp.where(is_anchored, node[::-1], NONE),
+        jnp.where(is_anchored, root[::-1], NONE),
         jnp.ones_like(ends.is_open),
     )
     is_valid = query.mention[FIGURE] != NONE
-    is_decided = ends.is_open & is_valid[None]
-    entered_by = jnp.where(is_decided & (query.kind >= 0), query.mention, NONE)
+    is_changed = ends.is_open & is_valid[None]
+    changed = jnp.where(is_changed & (query.types >= 0), query.mention, NONE)
     mentions = append_axes(jnp.arange(grounding.slot.shape[0]), query.mention.ndim)
-    is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
-    # Of each mention, i32[M, ...]: 2 decided now as the figure, 1 as the landmark, or 0.
+    is_figure, is_landmark = (mentions == changed[end][None] for end in (FIGURE, LANDMARK))
+    # For each mention, i32[M, ...]: 2 if grounded now as the figure, 1 as the landmark, or 0.
     source = jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))
 
-    def put(old: Array, new: Array) -> Array:
-        of_end = (jnp.broadcast_to(new[end : end + 1], old.shape) for end in (LANDMARK, FIGURE))
-        return jax.lax.select_n(source, old, *of_end)
+    def merge(old: Array, new: Array) -> Array:
+        new_ends = (jnp.broadcast_to(new[end : end + 1], old.shape) for end in (LANDMARK, FIGURE))
+        return jax.lax.select_n(source, old, *new_ends)
 
     log_weight = grounding.log_weight + jnp.where(is_valid, log_total, 0.0)
-    entered = [put(old, new) for old, new in zip(grounding[:-1], after, strict=True)]
-    return Grounding(*entered, log_weight=log_weight)
+    fields = [merge(old, new) for old, new in zip(grounding[:-1], chosen, strict=True)]
+    return Grounding(*fields, log_weight=log_weight)

@@ -1,10 +1,9 @@
 """Re-ground the utterance where a hypothesis was refuted: *rejection control* (eq. 7a and 8).
 
-A particle of weight w below the mean c survives with probability w / c and then weighs c; otherwise
-the map of an ancestor drawn by weight and a fresh draw from the posterior of the sentence given
-that map take its place, with weight c. Both kinds are properly weighted for the same target, so the
-mixture is too; and when every hypothesis is refuted all are replaced, which is how the filter
-revives.
+A particle of weight w below the mean c survives with probability w / c and then has weight c;
+otherwise it is replaced, with weight c, by the map of an ancestor drawn by weight and a fresh draw
+from the posterior of the sentence given that map. Both are properly weighted for the same target,
+so the mixture is too; when every hypothesis is refuted all are replaced, so the filter recovers.
 """
 
 from collections.abc import Callable
@@ -24,18 +23,18 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.observe import MeasurementUpdate
 from jaxlangnav.semantic_map.particle import SemanticMap
 
-_ASKED = 16  # particles that ground the words at every step, to tell the mean of the evidence
+_PROBE_STEP = 16  # particles grounded anew at every step, to estimate the mean evidence
 
 
 class Regrounded(NamedTuple):
-    """Particles with words grounded anew where need was, and their weights."""
+    """Particles after re-grounding, and their weights."""
 
     particles: SemanticMap  # leaves [..., P]
     weight: Array  # f32[P] normalised
     is_fresh: Array  # bool[P] drew a new grounding
     log_total: Array  # f32[] log-likelihood of the observation
     log_language: Array  # f32[] log p(words | observed map), estimated
-    is_dead: Array  # bool[] all weights had died and were made uniform
+    is_dead: Array  # bool[] all weights were zero and were reset to uniform
 
 
 def reground(
@@ -43,52 +42,52 @@ def reground(
     uniform: Array,
     belief: ParticleBelief,
     readings: Readings,
-    weighed: MeasurementUpdate,
+    update: MeasurementUpdate,
     ground: Callable[..., tuple[SemanticMap, Array]],
 ) -> Regrounded:
-    """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
+    """Re-ground the words where the hypothesis was refuted or an object of their types is new.
 
-    Belief and weights are those of ``observe``; ``uniform`` f32[2, P] decides who is kept, and
-    whose map the others take; ``ground`` is ``ground_words`` with all but key, belief and readings.
+    Belief and weights are those of ``observe``; ``uniform`` f32[2, P] decides who survives, and the
+    ancestors of the others; ``ground`` is ``ground_words`` with all but key, belief and readings.
     """
-    number, particles = belief.log_weight.shape[0], belief.particles
-    # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
-    log_map = belief.log_weight + weighed.log_map
+    num_particles, particles = belief.log_weight.shape[0], belief.particles
+    # A forced draw has the weight of the particle's map alone, without its hypotheses.
+    log_map = belief.log_weight + update.log_map
     (kept_weight, map_weight), log_totals, are_dead = categorical.log_normalize(
-        jnp.stack([log_map + weighed.log_hypotheses, log_map])
+        jnp.stack([log_map + update.log_hypotheses, log_map])
     )
-    # Words that speak of a type or an attribute newly seen are grounded anew, too.
-    new_type = jnp.where(weighed.is_other, label_of(particles.object_type), -3)
-    kinds = readings.mention_type.reshape(-1)
-    is_named = jnp.any(label_of(kinds)[:, None, None] == new_type[None], axis=(0, 1))
-    is_named = is_named | (jnp.any(is_anything(kinds)) & jnp.any(new_type >= 0, axis=0))
-    must_ground = belief.must_ground | is_named
+    # Words that name a newly observed type or attribute are grounded anew, too.
+    new_type = jnp.where(update.is_other, label_of(particles.object_type), -3)
+    types = readings.mention_type.reshape(-1)
+    is_new_type = jnp.any(label_of(types)[:, None, None] == new_type[None], axis=(0, 1))
+    is_new_type = is_new_type | (jnp.any(is_anything(types)) & jnp.any(new_type >= 0, axis=0))
+    must_ground = belief.must_ground | is_new_type
     keep_uniform, ancestor_uniform = uniform
-    is_fresh = must_ground | (keep_uniform > kept_weight * number)
-    is_fresh = is_fresh if weighed.is_lost is None else is_fresh | weighed.is_lost
-    # A refuted particle is replaced as a whole: it takes over the map of a particle drawn by
-    # weight, so that a wrong map dies out, and then grounds the words in it.
+    is_fresh = must_ground | (keep_uniform > kept_weight * num_particles)
+    is_fresh = is_fresh if update.is_lost is None else is_fresh | update.is_lost
+    # A refuted particle is replaced as a whole: it copies the map of a particle drawn by weight,
+    # so that a wrong map is lost, and then grounds the words in it.
     ancestors = independent(kept_weight, ancestor_uniform)
-    ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(number))
-    is_asked = is_fresh | (jnp.arange(number) % max(1, number // _ASKED) == 0)
+    ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(num_particles))
+    is_needed = is_fresh | (jnp.arange(num_particles) % max(1, num_particles // _PROBE_STEP) == 0)
     belief = replace(belief, particles=take(particles, ancestors))
-    fresh, log_language = ground(key, belief, readings, is_asked=is_asked)
-    # Fresh groundings weigh by the evidence of the words against its mean.
-    num_asked = jnp.sum(is_asked).astype(jnp.float32)
-    share, log_evidence, _ = categorical.log_normalize(log_language)
-    language = jnp.clip(share * num_asked, 1e-6, 50.0)
-    fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
-    weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
+    fresh, log_language = ground(key, belief, readings, is_asked=is_needed)
+    # Fresh groundings have the evidence of the words relative to its mean as weight.
+    num_needed = jnp.sum(is_needed).astype(jnp.float32)
+    frac, log_evidence, _ = categorical.log_normalize(log_language)
+    language = jnp.clip(frac * num_needed, 1e-6, 50.0)
+    fresh_weight = jnp.where(must_ground, map_weight, 1.0 / num_particles) * language
+    weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / num_particles))
 
-    def renewed(new: Array, old: Array) -> Array:
-        # What is not grounded is the same in both.
+    def merge(new: Array, old: Array) -> Array:
+        # Leaves without groundings are the same object in both.
         return old if new is old else jnp.where(is_fresh, new, old)
 
     return Regrounded(
-        particles=jax.tree.map(renewed, fresh, belief.particles),
+        particles=jax.tree.map(merge, fresh, belief.particles),
         weight=weight / jnp.sum(weight),
         is_fresh=is_fresh,
         log_total=log_totals[0],
-        log_language=log_evidence - jnp.log(num_asked),
+        log_language=log_evidence - jnp.log(num_needed),
         is_dead=are_dead[0],
     )

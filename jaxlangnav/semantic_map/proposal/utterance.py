@@ -1,7 +1,7 @@
-"""Ground an utterance in particles: draw a reading and what its words refer to (eq. 7a).
+"""Ground an utterance in particles: sample a reading and its referents (eq. 7a).
 
 Plain ``vmap`` would ground the words in every particle of every lane. Instead the particles whose
-hypothesis was refuted, few at most steps, are gathered across the batch into chunks of fixed size.
+hypothesis was refuted, usually few, are gathered across the batch into chunks of fixed size.
 """
 
 import functools
@@ -19,9 +19,9 @@ from jaxlangnav.messages import NONE, Readings, UtteranceContext
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import pack, select_row, take, unpack
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift
+from jaxlangnav.semantic_map.belief import ParticleBelief, is_active, mean_drift
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, sample_unseen
-from jaxlangnav.semantic_map.heading_bias import both_ways
+from jaxlangnav.semantic_map.heading_bias import stack_coverage
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.proposal.candidates import (
@@ -30,128 +30,128 @@ from jaxlangnav.semantic_map.proposal.candidates import (
     Grounding,
     Observed,
     Unexplored,
-    nothing_grounded,
+    empty_grounding,
 )
 from jaxlangnav.semantic_map.proposal.relation_query import (
     FIGURE,
     Query,
     build_queries,
     current_context,
-    queries_of,
+    pick_queries,
 )
 from jaxlangnav.semantic_map.proposal.sample import ground_relation
 
-_PIECES, _LEAST_PIECE = 8, 256
-"""Pieces in which the particles of all lanes are grounded, and the least size of one."""
+_NUM_CHUNKS, _MIN_CHUNK = 8, 256
+"""Number of chunks in which the particles of all lanes are grounded, and least size of one."""
 
-_STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
-"""Steps of additive recurrences, fractions of roots of 5, 2, 3, 7: together they fill the cube."""
-Own = tuple[Observed, Draws, Array]
-"""What each particle has seen, leaves [J, ..., P] of what is drawn, and its reading, i32[P]."""
+_RECURRENCES = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
+"""Steps of additive recurrences, fractional parts of √5, √2, √3, √7: jointly low-discrepancy."""
+Inputs = tuple[Observed, Draws, Array]
+"""Observed objects of each particle, random draws, leaves [J, ..., P], and its reading, i32[P]."""
 
 
-def _unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple[Unexplored, Array]:
-    """Draw places that are unseen, f32[2, n]; with a steady drift f32[2, n, P], by its own sign."""
+def _draw_unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple[Unexplored, Array]:
+    """Draw unseen points, f32[2, n]; with a heading bias f32[2, n, P], by the particle's sign."""
     coverage, log_area = belief.coverage, jnp.log(area_size(belief.coverage))
     x, y, log_unseen = sample_unseen(coverage, uniform, jitter)
-    places = jnp.stack([x, y])
+    points = jnp.stack([x, y])
     if mean_drift(belief) is None:
-        return Unexplored(coverage, jnp.int32(0), log_area, log_unseen), places
-    stacked, rows = both_ways(belief)
-    is_ours = is_led(belief)
-    other = replace(coverage, log_miss=belief.alternate_miss)
-    x, y, log_other = sample_unseen(other, uniform, jitter)
-    places = jnp.where(is_ours, places[..., None], jnp.stack([x, y])[..., None])
-    log_unseen = jnp.where(is_ours, log_unseen, log_other)
-    return Unexplored(stacked, rows, log_area, log_unseen), places
+        return Unexplored(coverage, jnp.int32(0), log_area, log_unseen), points
+    stacked, first_row = stack_coverage(belief)
+    active = is_active(belief)
+    other_map = replace(coverage, log_miss=belief.alternate_miss)
+    x, y, log_other = sample_unseen(other_map, uniform, jitter)
+    points = jnp.where(active, points[..., None], jnp.stack([x, y])[..., None])
+    log_unseen = jnp.where(active, log_unseen, log_other)
+    return Unexplored(stacked, first_row, log_area, log_unseen), points
 
 
-def _draw_places(
+def _draw_randoms(
     key: Array, belief: ParticleBelief, num_relations: int
 ) -> tuple[Array, Draws, Unexplored]:
     """Draw the random numbers of all particles and relations.
 
-    f32[P] that decides which reading a particle takes; leaves [J, ...]; what is unexplored.
+    f32[P], which selects the reading; draws, leaves [J, ...]; the unexplored area.
     """
-    number = belief.log_weight.shape[0]
-    pool = NUM_UNSEEN * number
+    count = belief.log_weight.shape[0]
+    pool = NUM_UNSEEN * count
     reading_key, draws_key = jax.random.split(key)
     pool_key, loop_key = jax.random.split(draws_key)
     index = np.arange(num_relations)
-    keys = jax.vmap(lambda one: jax.random.split(jax.random.fold_in(loop_key, one)))(index)
-    keys_of_all = jnp.concatenate([jnp.stack([reading_key, pool_key]), keys[:, 0]])
-    uniforms = batching.uniforms(keys_of_all, max(2 * NUM_UNSEEN, 5) * number)
-    comb = uniforms[1, : 2 * pool].reshape(2, pool)
-    scene, places = _unseen(belief, comb[0, 0], comb)
-    steps = jnp.asarray(_STEPS[index % len(_STEPS)])
-    of_all = jax.vmap(_of_relation, in_axes=(0, 0, 0, None))
-    return uniforms[0, :number], of_all(uniforms[2:], keys[:, 1], steps, places), scene
+    keys = jax.vmap(lambda j: jax.random.split(jax.random.fold_in(loop_key, j)))(index)
+    all_keys = jnp.concatenate([jnp.stack([reading_key, pool_key]), keys[:, 0]])
+    uniforms = batching.uniforms(all_keys, max(2 * NUM_UNSEEN, 5) * count)
+    jitter = uniforms[1, : 2 * pool].reshape(2, pool)
+    scene, points = _draw_unseen(belief, jitter[0, 0], jitter)
+    steps = jnp.asarray(_RECURRENCES[index % len(_RECURRENCES)])
+    draw_all = jax.vmap(_relation_draws, in_axes=(0, 0, 0, None))
+    return uniforms[0, :count], draw_all(uniforms[2:], keys[:, 1], steps, points), scene
 
 
-def _of_relation(uniform: Array, shuffle_key: Array, step: Array, places: Array) -> Draws:
+def _relation_draws(uniform: Array, shuffle_key: Array, step: Array, points: Array) -> Draws:
     """Draw the random numbers of one relation, for all particles; leaves [..., P]."""
-    pool = places.shape[1]
-    number = pool // NUM_UNSEEN
-    stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
-    # Which place of the comb goes to which particle is random: a fixed assignment would tie
-    # particles to regions. Each row is dealt over the whole comb.
-    dealt = NUM_UNSEEN * (stride * np.arange(number) % number) + np.arange(NUM_UNSEEN)[:, None]
-    start = jax.random.randint(shuffle_key, (), 0, pool)
-    chosen = jax.lax.rem(start + dealt.astype(np.int32), pool)
-    unit = batching.between(uniform[: 5 * number], 1e-6, 1.0 - 1e-6).reshape(5, number)
+    pool = points.shape[1]
+    count = pool // NUM_UNSEEN
+    stride = next(k for k in range(int(0.618 * count), 0, -1) if math.gcd(k, count) == 1)
+    # The assignment of points to particles is shifted at random: a fixed one would tie particles
+    # to regions. Each row is spread over the whole pool.
+    assigned = NUM_UNSEEN * (stride * np.arange(count) % count) + np.arange(NUM_UNSEEN)[:, None]
+    shift = jax.random.randint(shuffle_key, (), 0, pool)
+    chosen = jax.lax.rem(shift + assigned.astype(np.int32), pool)
+    unit = batching.between(uniform[: 5 * count], 1e-6, 1.0 - 1e-6).reshape(5, count)
     normal = jax.scipy.special.ndtri(unit[:4])
-    own = chosen if places.ndim == 2 else (chosen, np.arange(number))
+    pick = chosen if points.ndim == 2 else (chosen, np.arange(count))
     return Draws(
         distance=normal[:2],
         angle=normal[2:],
-        # Evenly spread over the particles: what they choose stays for the episode, and with it the
-        # error of independent draws. Each relation has a step of its own, or what a particle
-        # chooses for one would tell what it chooses for the next.
-        choice=jax.lax.rem(unit[4, 0] + step * np.arange(number, dtype=np.float32), 1.0),
-        unseen_x=places[0][own],
-        unseen_y=places[1][own],
+        # Evenly spread over the particles: the choices last for the episode, and so would the
+        # sampling error of independent draws. Each relation has its own step, or the choices for
+        # different relations would be correlated.
+        choice=jax.lax.rem(unit[4, 0] + step * np.arange(count, dtype=np.float32), 1.0),
+        unseen_x=points[0][pick],
+        unseen_y=points[1][pick],
     )
 
 
 def _ground(
-    num_mentions: int, own: Own, query: Query, scene: Unexplored, params: MapParams
+    num_mentions: int, inputs: Inputs, query: Query, scene: Unexplored, params: MapParams
 ) -> Grounding:
-    """Ground the words of particles, relation by relation; of what is said leaves [J, ..., P]."""
-    seen, draws, _ = own
+    """Ground the words in particles, relation by relation; queries have leaves [J, ..., P]."""
+    seen, draws, _ = inputs
     num_relations = jnp.max(jnp.sum(query.mention[:, FIGURE] != NONE, axis=0))
 
     def body(index: Array, grounding: Grounding) -> Grounding:
-        one, drawn = select_row((query, draws), index)
-        return ground_relation(seen, one, grounding, drawn, scene, params=params)
+        query_j, draws_j = select_row((query, draws), index)
+        return ground_relation(seen, query_j, grounding, draws_j, scene, params=params)
 
-    nothing = nothing_grounded(num_mentions, *query.relation.shape[1:])
-    return jax.lax.fori_loop(0, num_relations, body, nothing)
+    start = empty_grounding(num_mentions, *query.relation.shape[1:])
+    return jax.lax.fori_loop(0, num_relations, body, start)
 
 
 @functools.cache
 def _ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
-    """Build ``_ground`` of all particles, with a rule of its own for ``vmap`` over lanes."""
+    """Build ``_ground`` of all particles, with a custom ``vmap`` rule for a batch of lanes."""
 
-    def dense(own: Own, queries: Query, *numbers: Any) -> Grounding:
-        return _ground(num_mentions, own, queries_of(queries, own[2]), *numbers)
+    def dense(inputs: Inputs, queries: Query, *rest: Any) -> Grounding:
+        return _ground(num_mentions, inputs, pick_queries(queries, inputs[2]), *rest)
 
     @custom_vmap
-    def ground(is_asked: Array, *arguments: Any) -> Grounding:
-        return dense(*arguments)  # of one lane all are grounded
+    def ground(is_asked: Array, *args: Any) -> Grounding:
+        return dense(*args)  # a single lane grounds all its particles
 
-    def rule(num_lanes: int, is_batched: Any, *arguments: Any) -> tuple[Grounding, Grounding]:
+    def rule(num_lanes: int, is_batched: Any, *args: Any) -> tuple[Grounding, Grounding]:
         if any(jax.tree.leaves(is_batched[-1])):
-            # Each lane with numbers of its own: rare, and not worth gathering them too.
+            # Parameters that differ between lanes: rare, and not worth gathering them too.
             axes = jax.tree.map(lambda has_lanes: 0 if has_lanes else None, tuple(is_batched[1:]))
-            grounding = jax.vmap(dense, in_axes=axes, axis_size=num_lanes)(*arguments[1:])
+            grounding = jax.vmap(dense, in_axes=axes, axis_size=num_lanes)(*args[1:])
         else:
 
-            def spread(leaf: Array, has_lanes: bool) -> Array:
+            def batch(leaf: Array, has_lanes: bool) -> Array:
                 return leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
 
-            of_lanes = jax.tree.map(spread, arguments[:-1], tuple(is_batched[:-1]))
-            asked, own, queries, scene = of_lanes
-            grounding = _ground_gathered(num_mentions, asked, own, queries, scene, arguments[-1])
+            batched = jax.tree.map(batch, args[:-1], tuple(is_batched[:-1]))
+            is_asked, inputs, queries, scene = batched
+            grounding = _ground_gathered(num_mentions, is_asked, inputs, queries, scene, args[-1])
         return grounding, jax.tree.map(lambda _: True, grounding)
 
     ground.def_vmap(rule)
@@ -161,62 +161,62 @@ def _ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
 def _ground_gathered(
     num_mentions: int,
     is_asked: Array,
-    own: Own,
+    inputs: Inputs,
     queries: Query,
     scene: Unexplored,
     params: MapParams,
 ) -> Grounding:
-    """Gather the particles asked, bool[L, P], ground them piece by piece, put back [L, ..., P]."""
-    num_lanes, number = is_asked.shape
-    size = num_lanes * number
-    piece = min(max(_LEAST_PIECE, -(-size // _PIECES)), size)
-    room = -(-size // piece) * piece
+    """Gather the selected particles, bool[L, P], ground them in chunks, scatter to [L, ..., P]."""
+    num_lanes, count = is_asked.shape
+    size = num_lanes * count
+    chunk = min(max(_MIN_CHUNK, -(-size // _NUM_CHUNKS)), size)
+    padded = -(-size // chunk) * chunk
     asked = is_asked.reshape(size)
-    order = jnp.nonzero(asked, size=room, fill_value=0)[0]
-    side_by_side, all_queries = jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1), (own, queries)
+    order = jnp.nonzero(asked, size=padded, fill_value=0)[0]
+    flat, all_queries = jax.tree.map(
+        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1), (inputs, queries)
     )
-    table, num_readings = pack(side_by_side), queries.relation.shape[-1]
+    table, num_readings = pack(flat), queries.relation.shape[-1]
 
-    def ground_piece(start: Array) -> Array:
-        chosen = jax.lax.dynamic_slice_in_dim(order, start, piece)
-        theirs, lane = unpack(table[:, chosen], side_by_side), chosen // number
-        heard, there = lane * num_readings + theirs[2], _scene_of(scene, chosen, lane)
-        return pack(_ground(num_mentions, theirs, take(all_queries, heard), there, params))
+    def ground_chunk(start: Array) -> Array:
+        idx = jax.lax.dynamic_slice_in_dim(order, start, chunk)
+        part, lane = unpack(table[:, idx], flat), idx // count
+        column, local = lane * num_readings + part[2], _gather_scene(scene, idx, lane)
+        return pack(_ground(num_mentions, part, take(all_queries, column), local, params))
 
-    form = jax.eval_shape(lambda: nothing_grounded(num_mentions, size))
-    rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(form))
-    number_asked = jnp.sum(asked)
+    template = jax.eval_shape(lambda: empty_grounding(num_mentions, size))
+    num_rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(template))
+    num_asked = jnp.sum(asked)
 
     def is_left(carry: tuple[Array, Array]) -> Array:
-        return carry[0] < number_asked
+        return carry[0] < num_asked
 
     def fill(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        start, found = carry
-        found = jax.lax.dynamic_update_slice_in_dim(found, ground_piece(start), start, axis=1)
-        return start + piece, found
+        start, result = carry
+        result = jax.lax.dynamic_update_slice_in_dim(result, ground_chunk(start), start, axis=1)
+        return start + chunk, result
 
-    nothing = jnp.int32(0), jnp.zeros((rows, room), jnp.float32)
-    found = jax.lax.while_loop(is_left, fill, nothing)[1]
-    place = jnp.maximum(jnp.cumsum(asked) - 1, 0)
+    start = jnp.int32(0), jnp.zeros((num_rows, padded), jnp.float32)
+    result = jax.lax.while_loop(is_left, fill, start)[1]
+    rank = jnp.maximum(jnp.cumsum(asked) - 1, 0)
     return jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], num_lanes, number), -2, 0),
-        unpack(found[:, place], form),
+        lambda leaf: jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], num_lanes, count), -2, 0),
+        unpack(result[:, rank], template),
     )
 
 
-def _scene_of(scene: Unexplored, chosen: Array, lane: Array) -> Unexplored:
-    """Tell particles of several lanes, i32[n] of all and i32[n] theirs, in what scene each is."""
+def _gather_scene(scene: Unexplored, idx: Array, lane: Array) -> Unexplored:
+    """Gather each particle's unexplored area, by flat index i32[n] and lane i32[n]."""
     maps, num_cells = scene.coverage.log_miss, scene.coverage.log_miss.shape[-1]
 
-    def own(values: Array) -> Array:
-        return values[lane] if values.ndim == 1 else values.reshape(-1)[chosen]
+    def gather(values: Array) -> Array:
+        return values[lane] if values.ndim == 1 else values.reshape(-1)[idx]
 
     return Unexplored(
         coverage=Coverage(log_miss=maps.reshape(-1, num_cells), area=scene.coverage.area[lane].T),
-        first_row=lane * maps.shape[1] + own(scene.first_row),
+        first_row=lane * maps.shape[1] + gather(scene.first_row),
         log_area=scene.log_area[lane],
-        log_unseen=own(scene.log_unseen),
+        log_unseen=gather(scene.log_unseen),
         num_pooled=None if scene.num_pooled is None else scene.num_pooled[lane],
     )
 
@@ -232,40 +232,40 @@ def ground_words(
     is_sparse: bool = False,
     num_pooled: Array | None = None,
 ) -> tuple[SemanticMap, Array]:
-    """Draw for particles a reading and what its words refer to (eq. 7a).
+    """Sample a reading and its grounding for each particle (eq. 7a).
 
     Args:
         key: random key.
-        belief: the observed map and where the robot has looked.
-        readings: the sentence.
+        belief: the observed map and the coverage map.
+        readings: interpretations of the sentence.
         params: relations, concentration.
-        context: from where relations were said; all from the belief's viewer by default.
-        is_asked: bool[P], the particles whose words are grounded; all by default.
+        context: poses at which relations were heard; all at the belief's viewer by default.
+        is_asked: bool[P], the particles to ground; all by default.
         is_sparse: under ``vmap``, compute only those; no gradient in reverse mode.
-        num_pooled: f32[], types that have one rate of how many there are; None: each its own.
+        num_pooled: f32[], number of types that share one rate (``counts``); None: no sharing.
 
     Returns:
-        Particles with fresh groundings, and f32[P], log of the evidence estimated by each. Of
-        particles that were not asked the groundings mean nothing and the evidence is −∞.
+        Particles with fresh groundings, and f32[P], log of the evidence estimated by each. In
+        particles that were not selected the groundings are undefined and the evidence is −∞.
     """
     particles, num_objects = belief.particles, belief.particles.object_type.shape[0]
-    asked = jnp.ones(belief.log_weight.shape, bool) if is_asked is None else is_asked
-    uniform, draws, scene = _draw_places(key, belief, readings.figure.shape[1])
+    is_asked = jnp.ones(belief.log_weight.shape, bool) if is_asked is None else is_asked
+    uniform, draws, scene = _draw_randoms(key, belief, readings.figure.shape[1])
     scene = scene._replace(num_pooled=num_pooled)
-    share = jnp.cumsum(jnp.exp(readings.log_probability))
-    point = uniform * share[-1]
-    reading = jnp.sum(share[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
+    cumulative = jnp.cumsum(jnp.exp(readings.log_probability))
+    point = uniform * cumulative[-1]
+    reading = jnp.sum(cumulative[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
     seen_x, seen_y = particles.mean_x[:num_objects], particles.mean_y[:num_objects]
     existence = particles.existence if particles.existence.shape[0] else None
-    own = Observed(particles.object_type, seen_x, seen_y, existence), draws, reading
+    inputs = Observed(particles.object_type, seen_x, seen_y, existence), draws, reading
     context = current_context(readings, belief.viewer) if context is None else context
     queries = build_queries(readings, context, params.relations, scene.log_area)
     num_mentions = readings.mention_type.shape[1]
     if is_sparse:
-        grounding = _ground_sparse(num_mentions)(asked, own, queries, scene, params)
+        grounding = _ground_sparse(num_mentions)(is_asked, inputs, queries, scene, params)
     else:
-        grounding = _ground(num_mentions, own, queries_of(queries, reading), scene, params)
-    fresh = replace(
+        grounding = _ground(num_mentions, inputs, pick_queries(queries, reading), scene, params)
+    grounded = replace(
         particles,
         reading=reading,
         referent=grounding.slot,
@@ -275,4 +275,4 @@ def ground_words(
         hypothesis_y=grounding.y,
         is_mentioned=grounding.is_grounded,
     )
-    return fresh, jnp.where(asked, grounding.log_weight, -jnp.inf)
+    return grounded, jnp.where(is_asked, grounding.log_weight, -jnp.inf)
