@@ -35,8 +35,7 @@ def log_miss_at_offset(belief: ParticleBelief, x: Array, y: Array) -> Array:
 
     x and y are f32[D] metres, map axes; f32[D, 1, P] where particles differ, for f32[D, P].
     """
-    if x.ndim > 1:
-        x, y = x[:, 0], y[:, 0]
+    x, y = (x[:, 0], y[:, 0]) if x.ndim > 1 else (x, y)
     if beliefs.mean_drift(belief) is None:
         robot_x, robot_y = beliefs.robot_position(belief)
         return log_miss_at(belief.coverage, robot_x + x, robot_y + y)

@@ -108,10 +108,9 @@ def _log_ordinal(
     num_pooled = None if scene.num_pooled is None else prepend_axes(scene.num_pooled, others.ndim)
     unseen_frac = jnp.exp(prepend_axes(scene.log_unseen, others.ndim))
     log_more = log_expected(others, unseen_frac, params=params, num_pooled=num_pooled)
-    log_unseen = prepend_axes(scene.log_unseen, score.ndim)
     is_observed = jnp.any(is_rival & (jnp.abs(rival - score[None]) <= _TIE), axis=0)
     num_rivals = jnp.sum(is_rival, axis=0) + jnp.where(is_observed, 0, 1)
-    log_new = prepend_axes(log_more, score.ndim) + log_unseen
+    log_new = prepend_axes(log_more, score.ndim) + prepend_axes(scene.log_unseen, score.ndim)
     log_new = jnp.where(num_rivals < jnp.maximum(rank, 2), jnp.maximum(log_new, 0.0), log_new)
 
     def log_exists(is_ahead: Array, floor: float) -> Array:

@@ -124,8 +124,7 @@ class Query(NamedTuple):
         along, lateral = sample_pdf(self.pdf, model, relation, distance, angle)
         log_drawn = log_density_in_frame(self.pdf, along[LANDMARK:], lateral[LANDMARK:])
         single, pair = (along, lateral, log_drawn), between.sample(distance, angle)
-        is_between = self.is_between[None]
-        return jax.tree.map(lambda a, b: jnp.where(is_between, b, a), single, pair)
+        return jax.tree.map(lambda a, b: jnp.where(self.is_between[None], b, a), single, pair)
 
     def offset(
         self, x: Array, y: Array, along: Array, lateral: Array
@@ -205,11 +204,9 @@ def _split_between(reading: Readings) -> tuple[Readings, Array]:
 
     The second gets that mention as its other landmark, i32[J]; NONE elsewhere.
     """
-    is_between = reading.relation == BETWEEN
-    same = (
-        (reading.figure[:, None] == reading.figure[None]) & is_between[:, None] & is_between[None]
-    )
-    num_relations = reading.figure.shape[0]
+    is_between, figure = reading.relation == BETWEEN, reading.figure
+    same = (figure[:, None] == figure[None]) & is_between[:, None] & is_between[None]
+    num_relations = figure.shape[0]
     is_earlier = same & np.tri(num_relations, k=-1, dtype=bool)
     # A figure may have several "between" relations, each with two landmarks.
     last = jnp.max(jnp.where(is_earlier, np.arange(num_relations)[None], 0), axis=1)
@@ -218,7 +215,7 @@ def _split_between(reading: Readings) -> tuple[Readings, Array]:
     first = is_between & ~second
     return replace(
         reading,
-        figure=jnp.where(first, reading.landmark, reading.figure),
+        figure=jnp.where(first, reading.landmark, figure),
         relation=jnp.where(first, NONE, reading.relation),
         landmark=jnp.where(first, NONE, reading.landmark),
     ), other

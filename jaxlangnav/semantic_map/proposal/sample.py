@@ -71,8 +71,7 @@ def ground_relation(
     query = materialize(_view_from_other(query._replace(excluded=excluded), grounding))
     ends = list_candidates(seen, query, grounding, scene, params=params)
     proposals = materialize(propose(query, ends, draws, params.relations))
-    num_known = ends.x.shape[1]
-    pairs = proposals.related
+    pairs, num_known = proposals.related, ends.x.shape[1]
     rank = log_rank(query, pairs, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _log_weights(query, ends, proposals, rank, scene, params.misleading)
     choice, log_total = categorical.draw(log_weight, draws.choice)
