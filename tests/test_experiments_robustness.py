@@ -15,7 +15,7 @@ from jaxlangnav.experiments import conversation, unknowns
 from jaxlangnav.experiments.conversation import CONVERSATION, ROWS, _run_row
 from jaxlangnav.experiments.dialogue import sentence_with
 from jaxlangnav.experiments.experiment import Grid, Options
-from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed
+from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed_targets
 from jaxlangnav.experiments.rows import PRINTED as SPECS, RowSpec, printed_rows
 from jaxlangnav.experiments.scenarios import SAID, SCENARIOS
 from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _turned
@@ -43,7 +43,7 @@ def row(scenario: str, policy: str = "informed", **other: Any) -> dict[str, Any]
 def document(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "rows": rows, "policies": ["informed"], "episodes": 100, "seed": 0, "num_particles": 64,
-        "missed": _missed(rows),
+        "missed": _missed_targets(rows),
         "scenarios": [one.described() for one in SCENARIOS],
     }  # fmt: skip
 

@@ -89,7 +89,7 @@ def test_policies_of_a_row_stand_together() -> None:
         row(policy="known"),
         row(world="1H1C", relation=None, policy="known"),
     ]
-    order = [(one["world"], one["policy"]) for one in paper._beside_paper(document(*rows))]
+    order = [(one["world"], one["policy"]) for one in paper._with_paper(document(*rows))]
     assert order == [(world, of) for world in ("2H1C", "1H1C") for of in ("faithful", "known")]
 
 

@@ -1,4 +1,4 @@
-"""Writing results down: Parquet beside a manifest that says how they were made (section 4.2)."""
+"""Result files: Parquet and JSON with a manifest of their provenance, and a compile timer."""
 
 import dataclasses
 import hashlib
@@ -21,17 +21,17 @@ from jaxlangnav import __version__
 from jaxlangnav.inputs.whole_files import replacing, write_text
 
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
-_RESULTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
-_REPEATS = (
+_OUTPUTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
+_REPRODUCIBILITY = (
     "the same episodes on this kind of device with these versions; a program of another number of "
     "lanes, such as jaxlangnav follow, rounds differently and may rarely decide differently"
 )
-"""How far a repetition is the same, for whoever sets one episode beside a table."""
+"""States which runs are reproducible, for the manifest."""
 _COMPILE_EVENTS = "/jax/core/compile/"
 
 
 def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, Any]:
-    """Say how results were made: settings, versions, device, and the hash of models used."""
+    """Build a manifest: settings, versions, device, and the hash of the models used."""
     device = jax.devices()[0]
     return {
         "settings": dict(settings),
@@ -49,29 +49,29 @@ def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, An
             "cpu": platform.machine(),
             "cores": os.cpu_count(),
         },
-        "repeats": _REPEATS,
+        "repeats": _REPRODUCIBILITY,
     }
 
 
 def write_manifest(document: Mapping[str, Any], path: Path) -> Path:
-    """Write a manifest of JSON's own types; its folder is made."""
+    """Write a manifest of JSON types; creates its folder."""
     return write_text(json_text(document), path)
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """Write a document of JSON's own types for people to read, indented."""
+    """Format a document of JSON types, indented."""
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
 
 def write_experiment(
     folder: Path, name: str, document: Mapping[str, Any], columns: pa.Table, text: str, models: Any
 ) -> list[Path]:
-    """Write an experiment's files, whose names begin with its own.
+    """Write an experiment's files, whose names begin with ``name``.
 
     ``columns`` has one row per episode, ``text`` is the Markdown table, ``models`` the trained
     weights, for their hash; the document's settings go into the manifest.
     """
-    settings = {key: value for key, value in document.items() if key not in _RESULTS}
+    settings = {key: value for key, value in document.items() if key not in _OUTPUTS}
     results = {key: value for key, value in document.items() if key != "files"}
     episodes = folder / f"{name}_episodes.parquet"
     with replacing(episodes) as temporary:
@@ -87,19 +87,19 @@ def write_experiment(
 def pytree_hash(tree: Any) -> str:
     """Hash the arrays of a pytree: names, shapes, types and bytes; SHA-256 in hexadecimal.
 
-    Dataclasses count as trees whether JAX knows them or not. Refuses a leaf whose bytes would
-    differ from run to run.
+    Dataclasses are traversed even if not registered as pytrees. ``ValueError`` for a leaf whose
+    bytes would differ from run to run.
     """
     digest = hashlib.sha256()
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         name = jax.tree_util.keystr(path)
         if dataclasses.is_dataclass(leaf):
-            fields = {one.name: getattr(leaf, one.name) for one in dataclasses.fields(leaf)}
+            fields = {item.name: getattr(leaf, item.name) for item in dataclasses.fields(leaf)}
             digest.update(f"{name}{pytree_hash(fields)}".encode())
             continue
         if isinstance(leaf, set | frozenset):
-            # In an order of its own: that of a set differs from run to run.
-            digest.update(f"{name}{sorted(repr(one) for one in leaf)}".encode())
+            # Sorted: the order of a set differs from run to run.
+            digest.update(f"{name}{sorted(repr(item) for item in leaf)}".encode())
             continue
         array = np.asarray(leaf)
         if array.dtype.hasobject:
@@ -110,14 +110,14 @@ def pytree_hash(tree: Any) -> str:
 
 
 class CompileClock:
-    """Context manager: seconds in which at least one thread traced, lowered or compiled.
+    """Context manager that measures the time in which any thread traced, lowered or compiled.
 
     Nested and parallel compilations count once: ``seconds`` is the length of the union of their
     intervals, so it never exceeds the time that passed.
     """
 
     def __enter__(self) -> Self:
-        """Start the clock: ask JAX to report."""
+        """Start the clock: register a listener with JAX."""
         self.seconds = 0.0
         self._intervals: list[tuple[float, float]] = []
         jax.monitoring.register_event_duration_secs_listener(self._listen)
@@ -126,13 +126,13 @@ class CompileClock:
     def __exit__(self, *_: object) -> None:
         """Stop the clock."""
         jax.monitoring.unregister_event_duration_listener(self._listen)
-        reached = float("-inf")
+        covered = float("-inf")
         for begin, end in sorted(self._intervals):
-            self.seconds += max(0.0, end - max(begin, reached))
-            reached = max(reached, end)
+            self.seconds += max(0.0, end - max(begin, covered))
+            covered = max(covered, end)
 
     def _listen(self, event: str, duration_secs: float, **_: str | int) -> None:
-        """Note when a trace, a lowering or a compilation began and ended."""
+        """Record the interval of a trace, a lowering or a compilation."""
         if event.startswith(_COMPILE_EVENTS):
             now = time.perf_counter()
             self._intervals.append((now - duration_secs, now))

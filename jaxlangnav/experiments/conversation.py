@@ -1,6 +1,6 @@
-"""What a conversation is worth: rows of a person who corrects, answers, states, and errs.
+"""Value of dialogue: episodes with a simulated person who corrects, answers, states and errs.
 
-In the worlds of Table 2; the paper leaves it to future work.
+Runs in the worlds of Table 2; the paper leaves dialogue to future work.
 """
 
 import dataclasses
@@ -25,8 +25,8 @@ _NULL, _BEHIND = "go to the hydrant", "go to the hydrant behind the cone"
 _TRUTH, _FALSEHOOD = "the hydrant is behind the cone", "the hydrant is in front of the cone"
 _SILENT: dict[str, Any] = {"num_corrections": 0, "answers": False}
 _ANSWERS: dict[str, Any] = {"num_corrections": 0}
-COST = 0.1  # what a question costs in the rows that do not vary it
-COSTS = (0.02, 0.05, 0.2, 0.4)  # what it costs in the others
+COST = 0.1  # default cost of a question
+COSTS = (0.02, 0.05, 0.2, 0.4)  # costs of the rows that vary it
 _NOTE = (
     "Corrected way: metres from the first correction to the end over those straight from there to "
     "where the robot may stop, of the successes that were corrected, where the goal had been seen "
@@ -37,7 +37,7 @@ _NOTE = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Dialogue:
-    """A row: where, what is said at first, and who speaks."""
+    """Specification of a row: worlds, initial command and simulated person."""
 
     name: str
     world: str = "2H1C"
@@ -45,7 +45,7 @@ class Dialogue:
     text: str = _NULL
     person: dict[str, Any]
     cost: float = math.inf
-    sees: float = 3.0  # metres
+    sees: float = 3.0  # sensing range, metres
 
 
 ROWS = (
@@ -67,55 +67,55 @@ ROWS = (
     ),
     Dialogue(name="said at first", relation="behind", text=_BEHIND, person=_SILENT),
 )
-"""All rows; those of a world and relation are run in the same worlds."""
+"""All rows; those with the same world and relation share their worlds."""
 
 
 def _run_row(row: Dialogue, options: Options, on_progress: OnProgress | None = None) -> Row:
-    given = row.world, row.relation, 0, row.sees, options.episodes, options.seed
+    cell_args = row.world, row.relation, 0, row.sees, options.episodes, options.seed
     params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))
-    spoken = converse(
-        make_tasks(cell(*given)),
+    result = converse(
+        make_tasks(cell(*cell_args)),
         sentence_with(row.text, _TRUTH, _FALSEHOOD),
         params_of(**row.person),
         params=replace(params, planner=planner),
         config=navigator_config("informed", options.num_particles),
         on_progress=on_progress,
     )
-    is_success = np.asarray(spoken.result.is_success)
-    distance = np.asarray(spoken.result.distance)
-    number, questions = len(is_success), float(np.mean(spoken.num_questions))
-    low, high = wilson_interval(int(is_success.sum()), number)
+    is_success = np.asarray(result.result.is_success)
+    distance = np.asarray(result.result.distance)
+    count, questions = len(is_success), float(np.mean(result.num_questions))
+    lower, upper = wilson_interval(int(is_success.sum()), count)
     cost = row.cost if math.isfinite(row.cost) else None
-    has_way = (np.asarray(spoken.num_corrections) > 0) & is_success
-    ways: Row = {}
-    for name, is_known in (("seen", spoken.is_known), ("unseen", ~spoken.is_known)):
-        which = has_way & is_known
-        straight = float(np.sum(spoken.straight[which]))
-        ratio = float(np.sum(spoken.walked[which])) / straight if straight else None
-        ways |= {f"corrected_way_{name}": ratio, f"corrected_{name}": int(np.sum(which))}
+    is_corrected = (np.asarray(result.num_corrections) > 0) & is_success
+    ratios: Row = {}
+    for name, is_known in (("seen", result.is_known), ("unseen", ~result.is_known)):
+        selected = is_corrected & is_known
+        straight = float(np.sum(result.straight[selected]))
+        ratio = float(np.sum(result.walked[selected])) / straight if straight else None
+        ratios |= {f"corrected_way_{name}": ratio, f"corrected_{name}": int(np.sum(selected))}
     rate = 100.0 * float(np.mean(is_success))
     return {
         "world": row.world,
         "relation": row.relation,
         "said": row.name,
         "question_cost": cost,
-        "episodes": number,
+        "episodes": count,
         "success": rate,
-        "success_low": low,
-        "success_high": high,
+        "success_low": lower,
+        "success_high": upper,
         "distance": float(np.mean(distance)),
         "distance_of_successes": float(np.mean(distance[is_success])) if is_success.any() else None,
         "questions": questions,
-        "corrections": float(np.mean(spoken.num_corrections)),
-        **ways,
+        "corrections": float(np.mean(result.num_corrections)),
+        **ratios,
         "weighted": rate if cost is None else rate - 100.0 * cost * questions,
-        "time_outs": int(np.sum(~np.asarray(spoken.result.is_stopped))),
+        "time_outs": int(np.sum(~np.asarray(result.result.is_stopped))),
     }
 
 
 def run_rows(options: Options, *, on_progress: OnProgress | None = None) -> dict[str, Any]:
-    """Run all rows; of the options episodes, seed, particles and the navigator's numbers count."""
+    """Run all rows; only episodes, seed, particles and params of the options are used."""
     return {
         "experiment": "conversation",
         "episodes": options.episodes,
@@ -125,13 +125,13 @@ def run_rows(options: Options, *, on_progress: OnProgress | None = None) -> dict
     }
 
 
-def _corrected(row: Row, which: str) -> str:
-    """Write a corrected way with the number of episodes that it is of."""
-    ratio = row[f"corrected_way_{which}"]
-    return "" if ratio is None else f"{ratio:.2f} ({row[f'corrected_{which}']})"
+def _format_ratio(row: Row, suffix: str) -> str:
+    """Format the path ratio after a correction, with its number of episodes."""
+    ratio = row[f"corrected_way_{suffix}"]
+    return "" if ratio is None else f"{ratio:.2f} ({row[f'corrected_{suffix}']})"
 
 
-_COLUMNS: TableColumns = (
+_RESULT_COLUMNS: TableColumns = (
     ("world", "{world}"),
     ("drawn for", "{relation}"),
     ("said", "{said}"),
@@ -141,8 +141,8 @@ _COLUMNS: TableColumns = (
     ("walked m", "{distance:.2f}"),
     ("questions", "{questions:.2f}"),
     ("corrections", "{corrections:.2f}"),
-    ("corrected way, seen", lambda row: _corrected(row, "seen")),
-    ("unseen", lambda row: _corrected(row, "unseen")),
+    ("corrected way, seen", lambda row: _format_ratio(row, "seen")),
+    ("unseen", lambda row: _format_ratio(row, "unseen")),
     ("weighted %", "{weighted:.1f}"),
 )  # fmt: skip
 
@@ -150,7 +150,7 @@ _COLUMNS: TableColumns = (
 CONVERSATION = Report(
     title="What a conversation is worth",
     lead="A simulated person who knows the goal corrects, answers and states.",
-    tables=lambda document: [Table.of(document["rows"], _COLUMNS)],
+    tables=lambda document: [Table.of(document["rows"], _RESULT_COLUMNS)],
     notes=lambda _: [_NOTE],
 )
-"""How the rows of ``run_rows`` are told."""
+"""Report of a document of ``run_rows``."""

@@ -1,7 +1,7 @@
-"""Episodes in which a simulated person speaks, many at once: what a conversation is worth.
+"""Batched episodes with a simulated person who corrects, answers and states.
 
-The person (``world.person``) is shown what the robot says of itself and speaks before its
-decisions, through ``speech_acts``; the words of a statement are joined once for all lanes.
+The person (``world.person``) observes the robot's reported state and speaks before its decisions,
+through ``speech_acts``; statements are grounded once for all lanes.
 """
 
 import functools
@@ -26,14 +26,14 @@ from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, say, unspoken
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
-_SPEECH = 31
-"""Folded twice into an episode's key for the person; its steps fold and split it otherwise."""
-LEAST_SHARE = 0.01  # goal probability below which a thing is no candidate of a question
+_KEY_INDEX = 31
+"""Folded twice into an episode's key for the person; steps fold it only once."""
+LEAST_SHARE = 0.01  # goal probability below which an object is no candidate
 
 
 @pytree
 class Sentence:
-    """What is said at first, and may be stated under way."""
+    """The initial command, and statements that may follow during the episode."""
 
     instruction: Instruction  # leaves [1, …], with room for more
     words: Words
@@ -43,7 +43,7 @@ class Sentence:
 
 @pytree
 class Exchange:
-    """How an episode with a person ended."""
+    """Result of an episode with a person."""
 
     result: EpisodeResult
     num_questions: Array  # i32[] answered
@@ -64,8 +64,8 @@ class _Lane:
 
 
 @pytree
-class _Numbers:
-    """What the decisions of a conversation are taken by."""
+class _Params:
+    """Parameters of navigator and person, and the sentences."""
 
     navigator: NavigatorParams
     person: PersonParams
@@ -73,26 +73,27 @@ class _Numbers:
 
 
 def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
-    """Ground a command, joined to a statement that holds in its worlds and one that does not."""
+    """Ground a command, and merge it with a statement that is true in its worlds and a false."""
     model = load_shipped()
-    first = understand(text, model)
-    told = replace(first.instruction, readings=widen(first.instruction.readings, Capacity()))
-    words = first_words(told, first.spoken)
+    command = understand(text, model)
+    base = command.instruction
+    given = replace(base, readings=widen(base.readings, Capacity()))
+    words = first_words(given, command.spoken)
 
-    def joined(statement: str) -> Merged:
-        said = understand(statement, model)
-        new = said.instruction, said.spoken
-        return join(told.readings, words, *new, is_new_task=False, is_asked=False)
+    def merged(statement: str) -> Merged:
+        statement_read = understand(statement, model)
+        args = statement_read.instruction, statement_read.spoken
+        return join(given.readings, words, *args, is_new_task=False, is_asked=False)
 
     return Sentence(
-        instruction=jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], told),
+        instruction=jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], given),
         words=words,
-        truth=joined(truth),
-        falsehood=joined(falsehood),
+        truth=merged(truth),
+        falsehood=merged(falsehood),
     )
 
 
-def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -> NavigatorState:
+def _hear(state: NavigatorState, spoken: Array, slot: Array, sentence: Sentence) -> NavigatorState:
     pose, candidates = state.belief.last_pose, state.talk.candidate > 0.0
     bits = jnp.left_shift(1, jnp.arange(candidates.shape[0]))
     outcomes = {
@@ -102,8 +103,8 @@ def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -
         Says.TRUTH: speech_acts.tell(state, sentence.truth, pose, how=How.INFORM),
         Says.FALSEHOOD: speech_acts.tell(state, sentence.falsehood, pose, how=How.INFORM),
     }
-    for kind, after in outcomes.items():
-        state = jax.tree.map(functools.partial(jnp.where, said == kind), after, state)
+    for act, updated in outcomes.items():
+        state = jax.tree.map(functools.partial(jnp.where, spoken == act), updated, state)
     return state
 
 
@@ -111,32 +112,32 @@ def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
     progress = episode.begin(task, sentence.instruction, config=config)
     navigator = progress.navigator
     talk = replace(navigator.talk, words=sentence.words)
-    nothing, no = jnp.float32(jnp.nan), jnp.asarray(False)
+    nan, false = jnp.float32(jnp.nan), jnp.asarray(False)
     lane = _Lane(
         progress=replace(progress, navigator=replace(navigator, talk=talk)),
         person=unspoken(),
-        is_done=no,
-        said_at=nothing,
-        straight=nothing,
-        is_known=no,
+        is_done=false,
+        said_at=nan,
+        straight=nan,
+        is_known=false,
     )
     return strong(lane)
 
 
-def _advance(lane: _Lane, *, params: _Numbers, config: NavigatorConfig) -> tuple[_Lane, None]:
-    """Let the person speak, run one cycle, and tell whether all is done and said."""
+def _advance(lane: _Lane, *, params: _Params, config: NavigatorConfig) -> tuple[_Lane, None]:
+    """Let the person speak, run one decision cycle, and determine whether both are done."""
     progress, scenario = lane.progress, lane.progress.task.scenario
-    person, said, slot = speak(progress, lane.person, params=params.person)
-    is_first = (said == Says.OTHER) & jnp.isnan(lane.said_at)
+    person, spoken, slot = speak(progress, lane.person, params=params.person)
+    is_first = (spoken == Says.OTHER) & jnp.isnan(lane.said_at)
     left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
-    at = progress.navigator
-    # Whether the robot takes a thing for being where the goal truly is.
-    seen, weight = _seen_of(at, progress.steps), jnp.exp(at.belief.log_weight)[None]
-    is_held = jnp.sum(weight * (at.belief.particles.object_type != NONE), axis=1) > 0.5
-    away = jnp.hypot(seen.x - scenario.goal[0], seen.y - scenario.goal[1])
-    is_known = jnp.any(is_held & (away <= SUCCESS_RADIUS))
-    heard = replace(progress, navigator=_hear(progress.navigator, said, slot, params.sentence))
-    after, _ = episode.advance(heard, params=params.navigator, config=config)
+    state = progress.navigator
+    # Whether the map has an object where the goal truly is.
+    view, weight = _robot_view(state, progress.steps), jnp.exp(state.belief.log_weight)[None]
+    is_object = jnp.sum(weight * (state.belief.particles.object_type != NONE), axis=1) > 0.5
+    distance = jnp.hypot(view.x - scenario.goal[0], view.y - scenario.goal[1])
+    has_seen_goal = jnp.any(is_object & (distance <= SUCCESS_RADIUS))
+    progress = replace(progress, navigator=_hear(state, spoken, slot, params.sentence))
+    after, _ = episode.advance(progress, params=params.navigator, config=config)
     is_waiting = speak(after, person, params=params.person)[0].intends
     lane = _Lane(
         progress=after,
@@ -144,7 +145,7 @@ def _advance(lane: _Lane, *, params: _Numbers, config: NavigatorConfig) -> tuple
         is_done=after.navigator.is_done & ~is_waiting,
         said_at=jnp.where(is_first, progress.world.distance, lane.said_at),
         straight=jnp.where(is_first, left, lane.straight),
-        is_known=jnp.where(is_first, is_known, lane.is_known),
+        is_known=jnp.where(is_first, has_seen_goal, lane.is_known),
     )
     return strong(lane), None
 
@@ -160,7 +161,7 @@ def _finish(lane: _Lane) -> Exchange:
     )
 
 
-_TALK = EpisodeProgram(
+_PROGRAM = EpisodeProgram(
     begin=_begin,
     advance=_advance,
     finish=_finish,
@@ -178,25 +179,25 @@ def converse(
     config: NavigatorConfig,
     on_progress: OnProgress | None = None,
 ) -> Exchange:
-    """Run episodes in which a person speaks; NumPy arrays, leaves [E, …], in the tasks' order."""
-    numbers = _Numbers(navigator=params, person=person, sentence=sentence)
+    """Run episodes with a person; returns NumPy arrays, leaves [E, …], in the tasks' order."""
+    all_params = _Params(navigator=params, person=person, sentence=sentence)
     return run_tasks(
-        tasks, sentence, params=numbers, config=config, on_progress=on_progress, program=_TALK
+        tasks, sentence, params=all_params, config=config, on_progress=on_progress, program=_PROGRAM
     )
 
 
 def speak(
     progress: EpisodeState, person: Person, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
-    """Let a person say something before a decision: person, ``Says`` and slot, i32[] each."""
-    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
-    seen = _seen_of(progress.navigator, progress.steps)
-    return say(key, person, seen, progress.task.scenario, params=params)
+    """Sample the person's speech before a decision: person, ``Says`` and slot, i32[] each."""
+    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _KEY_INDEX), _KEY_INDEX)
+    view = _robot_view(progress.navigator, progress.steps)
+    return say(key, person, view, progress.task.scenario, params=params)
 
 
-def _seen_of(state: NavigatorState, step: Array) -> RobotView:
-    """Gather what the robot says of itself before a decision, i32[], to be shown to a person."""
-    # A robot at an end without a goal goes up to nothing, whatever it went up to before.
+def _robot_view(state: NavigatorState, step: Array) -> RobotView:
+    """Build the robot's state as shown to the person before decision ``step``, i32[]."""
+    # A robot that ended without a goal approaches nothing.
     particles = state.belief.particles
     num_slots = particles.object_type.shape[0]
     weight = jnp.exp(state.belief.log_weight)[None] * (particles.object_type != NONE)
@@ -205,10 +206,10 @@ def _seen_of(state: NavigatorState, step: Array) -> RobotView:
     def mean(values: Array) -> Array:
         return jnp.sum(weight * values[:num_slots], axis=1) / total
 
-    is_at = (state.status == Status.APPROACHING) | (state.status == Status.ARRIVED)
+    is_approaching = (state.status == Status.APPROACHING) | (state.status == Status.ARRIVED)
     return RobotView(
         step=step,
-        aimed=jnp.where(is_at, state.talk.approached, NONE),
+        aimed=jnp.where(is_approaching, state.talk.approached, NONE),
         is_asking=state.status == Status.WHICH_ONE,
         is_candidate=state.talk.candidate >= LEAST_SHARE,
         x=mean(particles.mean_x),

@@ -1,9 +1,9 @@
 """Table 2 and Figure 5 of the paper: success and distance in simulated worlds (section 4.2).
 
-Our rows stand beside the printed ones. The paper gives no geometry, no noise and no field of view:
-worlds and noise are those of ``jaxlangnav.world``. Its further worlds and ranges can be run too.
-Figure 5 states no numbers: where Table 2 prints a row of the same world, relation and range, it is
-in ``paper``.
+Our rows are listed with the printed ones. The paper reports no geometry, noise or field of view:
+worlds and noise are those of ``jaxlangnav.world``. Further worlds and ranges can be run too.
+Figure 5 prints no numbers: where Table 2 has a row of the same world, relation and range, it is in
+``paper``.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 SENSING_RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)  # metres, as in the paper
 CALIBRATION_EPISODES = 32
-"""Episodes of a row in which every step's belief is held against the truth."""
+"""Episodes of a row in which calibration is measured at every step."""
 EXTRA = (
     ("2H2C", 3.0, "null"),
     ("2H2C", 3.0, "behind"),
@@ -33,20 +33,20 @@ EXTRA = (
     ("3H1C", 3.0, "behind"),
     ("3H1C", 5.0, "nearest"),
 )
-"""Rows that the paper does not print: its fourth template, and three objects of one kind."""
+"""Rows not in the paper: its fourth template, and three objects of one type."""
 
 
-def _beside(name: str, form: str) -> Callable[[Row], str]:
-    """Write a record that stands in a row, where there is one."""
+def _format_record(name: str, form: str) -> Callable[[Row], str]:
+    """Return a formatter for a nested record of a row; empty where it is missing."""
     return lambda row: form.format_map(row[name]) if row[name] else ""
 
 
-def _score(name: str, form: str) -> Callable[[Row], str]:
-    """Write a score of calibration; a policy without a belief has none."""
+def _format_score(name: str, form: str) -> Callable[[Row], str]:
+    """Return a formatter for a calibration score; empty for a policy without a belief."""
     return lambda row: "" if row.get(name) is None else format(row[name], form)
 
 
-_WAY = "{distance_mean:.2f} ({distance_sd:.2f})"
+_DISTANCE = "{distance_mean:.2f} ({distance_sd:.2f})"
 _KNOWN = "{known_distance_mean:.2f} ({known_distance_sd:.2f})"
 ROW_COLUMNS: TableColumns = (
     ("World", "{world}"),
@@ -57,16 +57,16 @@ _COLUMNS: TableColumns = (
     *ROW_COLUMNS,
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS),
-    ("paper", _beside("same", "{success_rate:.1f}")),
-    ("Distance m (σ)", _WAY),
-    ("paper (σ)", _beside("same", _WAY)),
+    ("paper", _format_record("same", "{success_rate:.1f}")),
+    ("Distance m (σ)", _DISTANCE),
+    ("paper (σ)", _format_record("same", _DISTANCE)),
     ("Known m (σ)", _KNOWN),
-    ("paper (σ)", _beside("paper", _KNOWN)),
+    ("paper (σ)", _format_record("paper", _KNOWN)),
     ("SPL", "{spl:.2f}"),
     ("Time-outs", timeouts_text),
-    ("ECE", _score("ece", ".3f")),
-    ("Brier", _score("brier", ".3f")),
-    ("90 % region", _score("coverage90", ".0f")),
+    ("ECE", _format_score("ece", ".3f")),
+    ("Brier", _format_score("brier", ".3f")),
+    ("90 % region", _format_score("coverage90", ".0f")),
 )
 _SCREEN: TableColumns = (
     ("\nWorld", "{world}"),
@@ -75,81 +75,81 @@ _SCREEN: TableColumns = (
     ("\nPolicy", "{policy}"),
     ("Success\n%", "{success_rate:.1f}"),
     ("\n95 %", "{success_ci[0]:.0f}-{success_ci[1]:.0f}"),
-    ("paper\n%", _beside("same", "{success_rate:.1f}")),
-    ("Distance\nm (σ)", _WAY),
-    ("paper\nm", _beside("same", "{distance_mean:.2f}")),
+    ("paper\n%", _format_record("same", "{success_rate:.1f}")),
+    ("Distance\nm (σ)", _DISTANCE),
+    ("paper\nm", _format_record("same", "{distance_mean:.2f}")),
     ("Known\nm (σ)", _KNOWN),
     ("\nSPL", "{spl:.2f}"),
     ("Time-\nouts", timeouts_text),
 )
-"""Narrow enough for a terminal of a hundred columns."""
+"""Columns that fit a terminal of 100 characters."""
 
 
-def _beside_paper(document: Document) -> list[Row]:
-    """Set each of our rows beside ``paper``, the printed one; by row, then by policy."""
-    # ``same`` is what it prints for the policy. The paper's method stands beside ours and beside
-    # our reading of it, its known map beside ours; it ran no other.
+def _with_paper(document: Document) -> list[Row]:
+    """Join each of our rows with ``paper``, the printed one; sorted by row, then by policy."""
+    # ``same``: the printed figures of the same policy. The paper's method is compared with both of
+    # our policies, its known map with ours; it has no other.
     printed = {row_key(row): row for row in document.get("paper", [])}
     order = list(dict.fromkeys(row_key(row) for row in document["rows"]))
-    found = []
+    rows = []
     for row in sorted(document["rows"], key=lambda row: order.index(row_key(row))):
-        paper, same = printed.get(row_key(row)), None
+        paper, counterpart = printed.get(row_key(row)), None
         if paper is not None and row["policy"] in POLICIES:
-            same = paper
+            counterpart = paper
         elif paper is not None and row["policy"] == "known":
             names = ("success_rate", "distance_mean", "distance_sd")
-            same = {name: paper[f"known_{name}"] for name in names}
-        found.append(row | {"paper": paper, "same": same})
-    return found
+            counterpart = {name: paper[f"known_{name}"] for name in names}
+        rows.append(row | {"paper": paper, "same": counterpart})
+    return rows
 
 
 def least_distance(bound: Mapping[str, Any]) -> float:
-    """Take the least mean distance, metres, of a policy that succeeds: straight on, 1.5 m short."""
+    """Compute the minimal mean distance, metres, of a success: straight, 1.5 m short."""
     return max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
 def results_table(document: Document, *, fold: str = "") -> Table:
-    """Lay out all lines of a table: every row's policies, then its limits; a row is a block."""
-    limits = {row_key(bound): bound for bound in document.get("bounds", [])}
+    """Build a results table: for each row a line per policy, then a line of limits."""
+    limits = {row_key(limit_row): limit_row for limit_row in document.get("bounds", [])}
     lines: list[list[Sequence[str]]] = [[], []]
-    for key, mine in itertools.groupby(_beside_paper(document), key=row_key):
-        rows = list(mine)
-        for into, columns, distance in zip(lines, (_COLUMNS, _SCREEN), (6, 7), strict=True):
-            into += Table.of(rows, columns).rows
-            if bound := limits.get(key):
-                # What no policy can pass; the distance stands in its column.
-                (named,) = Table.of([bound], ROW_COLUMNS).rows
-                line = [*named, "limit", f"≤ {bound['success']:.0f}"]
+    for key, group in itertools.groupby(_with_paper(document), key=row_key):
+        rows = list(group)
+        for target, columns, distance in zip(lines, (_COLUMNS, _SCREEN), (6, 7), strict=True):
+            target += Table.of(rows, columns).rows
+            if limit_row := limits.get(key):
+                # Bounds for every policy; the distance is in its column.
+                (labels,) = Table.of([limit_row], ROW_COLUMNS).rows
+                line = [*labels, "limit", f"≤ {limit_row['success']:.0f}"]
                 line += [""] * (len(columns) - len(line))
-                line[distance] = f"≥ {least_distance(bound):.2f}"
-                into.append(line)
-    faint = [line[3] == "limit" for line in lines[0]]
-    small = dataclasses.replace(Table.of([], _SCREEN), rows=lines[1])
-    wide = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), faint=faint, fold=fold, screen=small)
+                line[distance] = f"≥ {least_distance(limit_row):.2f}"
+                target.append(line)
+    is_faint = [line[3] == "limit" for line in lines[0]]
+    narrow = dataclasses.replace(Table.of([], _SCREEN), rows=lines[1])
+    wide = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), faint=is_faint, fold=fold, screen=narrow)
     return dataclasses.replace(wide, rows=lines[0])
 
 
 def caption(document: Document) -> list[str]:
-    """Say under what conditions a table was measured, and what its limits are of."""
+    """Describe the experimental conditions of a table, and its limits."""
     noise = document["noise"]
     worlds = document.get("environments", 0)
-    where = f"{worlds} worlds a template in turn" if worlds else "a fresh world each"
+    source = f"{worlds} worlds a template in turn" if worlds else "a fresh world each"
     lines = [
-        f"{document['episodes']} episodes a row, {where}, seed {document['seed']}, "
+        f"{document['episodes']} episodes a row, {source}, seed {document['seed']}, "
         f"{document['num_particles']} particles; every policy has the same worlds and noise.",
         f"Noise: detection {noise['detection_probability']:g}, {noise['detection_noise']:g} m; "
         f"field of view {math.degrees(noise['field_of_view']):.0f}°; odometry "
         f"{100 * noise['odometry_noise']:g} % of the way; {noise['step_length']:g} m a step.",
         "The paper prints neither geometry nor noise; its σ is over about 100 runs.",
     ]
-    invalid, overflows, dead, odd, faults = (
+    invalid, overflows, num_degenerate, contradicted, faults = (
         sum(row[name] for row in document["rows"])
         for name in ("invalid_worlds", "overflows", "degenerate", "contradictions", "faults")
     )
     lines.append(
         f"Worlds that missed their law and are left out: {invalid}; detections without a slot: "
-        f"{overflows}; steps with all weights dead: {dead}, with a look that contradicts the map: "
-        f"{odd}, at which it stood still for what cannot be: {faults}."
+        f"{overflows}; steps with all weights dead: {num_degenerate}, with a look that contradicts "
+        f"the map: {contradicted}, at which it stood still for what cannot be: {faults}."
     )
     if document.get("calibration_episodes"):
         lines.append(
@@ -178,7 +178,7 @@ _DEVIATIONS: TableColumns = (
 
 
 def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
-    """Build the figure: rows by relation, then by range (metres; the paper's if none is given)."""
+    """Build Figure 5: rows by relation, then by range (metres; default: the paper's)."""
     specs = [
         RowSpec(world="2H1C", range=sensing_range, relation=relation)
         for relation in ("behind", "nearest")
@@ -199,7 +199,7 @@ def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
 
 
 def _tables(document: Document, *, fold: str = "") -> list[Table]:
-    """Lay out the results, and how far ``faithful`` lies from the rows that the paper prints."""
+    """Build the results table, and the deviations of ``faithful`` from the printed rows."""
     rows = [
         row
         | {
@@ -207,48 +207,48 @@ def _tables(document: Document, *, fold: str = "") -> list[Table]:
             "success": row["success_rate"] - row["paper"]["success_rate"],
             "distance": row["distance_mean"] - row["paper"]["distance_mean"],
         }
-        for row in _beside_paper(document)
+        for row in _with_paper(document)
         if row["policy"] == "faithful" and row["paper"]
     ]
     return [results_table(document, fold=fold), *([Table.of(rows, _DEVIATIONS)] if rows else [])]
 
 
 def _falls(rows: Sequence[Row]) -> list[Row]:
-    """Find where success falls as the range grows: the intervals of neighbours do not meet."""
+    """Find significant drops of success with range: disjoint intervals of neighbours."""
     names = ("world", "relation", "policy")
     curves: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         curves.setdefault(tuple(row[name] for name in names), []).append(row)
-    found = []
+    falls = []
     for curve in curves.values():
         ordered = sorted(curve, key=lambda row: row["range"])
         for before, after in itertools.pairwise(ordered):
             if after["success_ci"][1] < before["success_ci"][0]:
                 rates = {"from": before["success_rate"], "to": after["success_rate"]}
-                found.append({name: after[name] for name in (*names, "range")} | rates)
-    return found
+                falls.append({name: after[name] for name in (*names, "range")} | rates)
+    return falls
 
 
 def describe_falls(document: Document) -> str:
-    """Say in words where success falls as the range grows, or that it nowhere does."""
+    """Describe where success drops with range, or that it does not."""
     lines = [
-        f"{one['policy']}, {one['world']} {one['relation']}: success falls from "
-        f"{one['from']:.1f} % to {one['to']:.1f} % at {one['range']:g} m."
-        for one in _falls(document["rows"])
+        f"{fall['policy']}, {fall['world']} {fall['relation']}: success falls from "
+        f"{fall['from']:.1f} % to {fall['to']:.1f} % at {fall['range']:g} m."
+        for fall in _falls(document["rows"])
     ]
     return "\n".join(lines) or "Success nowhere falls beyond its intervals as the range grows."
 
 
 def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
-    """Build the table in the paper's order: with ``extra`` rows, or at other ``ranges``, metres."""
+    """Build Table 2 in the paper's order: with ``extra`` rows, or at other ``ranges``, metres."""
     printed = [(row.world, row.range, row.relation) for row in PRINTED]
-    reaches = sorted(set(ranges))
+    radii = sorted(set(ranges))
     specs = tuple(
-        RowSpec(world=world, range=reach, relation=relation)
-        for world, own, relation in [*printed, *(EXTRA if extra else ())]
-        for reach in reaches or [own]
+        RowSpec(world=world, range=radius, relation=relation)
+        for world, printed_range, relation in [*printed, *(EXTRA if extra else ())]
+        for radius in radii or [printed_range]
     )
-    has_curves = len(reaches) > 1
+    has_curves = len(radii) > 1
     return Experiment(
         name="table2",
         title="Table 2: ours beside the paper's",

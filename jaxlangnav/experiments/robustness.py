@@ -1,9 +1,9 @@
-"""Places unlike the paper's: does the robot still arrive, and does it know what it does not know?
+"""Robustness suite: success and calibration in worlds unlike the paper's, with model mismatch.
 
-Nothing of Table 2's law holds in these ``SCENARIOS``. The navigator is that of
-``Navigator.pretrained``: a robot in a place that nobody has prepared. Beside success and ways stand
-how episodes end, whether "this is the goal" is as probable as it says, and what the belief was told
-of its sensors against what was true.
+These ``SCENARIOS`` do not follow the distribution of Table 2's worlds. The navigator is that of
+``Navigator.pretrained``, with its defaults for real environments. Rows report success, distance,
+terminations, calibration of "this is the goal", and the sensor models, true and assumed by the
+filter.
 """
 
 import dataclasses
@@ -24,101 +24,101 @@ from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.planner.config import POLICIES
 
 _MAX_STEPS = 400
-"""Decision cycles until a time-out: an area of 60 × 60 m takes more than the paper's worlds."""
+"""Decision cycles until a time-out; areas of 60 × 60 m need more than the paper's worlds."""
 ECE_TARGET = 0.05
-"""Of "this is the goal", where the belief was told the truth of its sensors and by the sentence."""
-_FOREIGN = "arc"  # the baseline that knows the law of Table 2's worlds, which these are not of
+"""Upper limit of the ECE of "this is the goal", where sensor models and sentence are true."""
+_EXCLUDED = "arc"  # the baseline that knows the distribution of Table 2's worlds
 
 
 def numbers() -> NavigatorParams:
-    """Build the navigator's numbers in places as they are."""
+    """Return the navigator's default parameters for real environments."""
     return Navigator.pretrained().params
 
 
 def _arms(options: Options) -> list[Arm]:
-    """Build the policies, but for the one that knows the law of other worlds."""
-    names = [one for one in check_policies(options.policies) if one != _FOREIGN]
+    """Build the arms of all policies except the one that knows the distribution of other worlds."""
+    names = [name for name in check_policies(options.policies) if name != _EXCLUDED]
     if not names:
-        rest = ", ".join(one for one in POLICY_NAMES if one != _FOREIGN)
+        rest = ", ".join(name for name in POLICY_NAMES if name != _EXCLUDED)
         raise ValueError(
-            f'policy is "{_FOREIGN}", but it sweeps by the law of Table 2\'s worlds, which '
+            f'policy is "{_EXCLUDED}", but it sweeps by the law of Table 2\'s worlds, which '
             f"these are not: choose from {rest}"
         )
     arms = []
     for policy in names:
         arm = Arm(policy=policy, labels={"policy": policy}, max_steps=_MAX_STEPS)
         if policy in POLICIES:
-            usual = Navigator.pretrained(policy)
-            sizes = dataclasses.replace(usual.config.map, num_particles=options.num_particles)
-            config = dataclasses.replace(usual.config, map=sizes)
-            params = usual.params if options.params is None else options.params
+            base = Navigator.pretrained(policy)
+            sizes = dataclasses.replace(base.config.map, num_particles=options.num_particles)
+            config = dataclasses.replace(base.config, map=sizes)
+            params = base.params if options.params is None else options.params
             arm = dataclasses.replace(arm, config=config, params=params, tallied=options.episodes)
         arms.append(arm)
     return arms
 
 
 def _measure(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
-    """Count how valid episodes ended, and judge the row by what is right in its scenario."""
+    """Count the terminations of valid episodes, and compare the row with its targets."""
     valid = np.asarray(results.is_valid)
     ending, success = np.asarray(results.ending)[valid], np.asarray(results.is_success)[valid]
     stopped = np.asarray(results.is_stopped)[valid]
-    named = [int(one) for one in (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE)]
-    mine: Row = {
+    handled = [int(status) for status in (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE)]
+    entries: Row = {
         "elsewhere": int((stopped & (ending == Status.ARRIVED) & ~success).sum()),
         "asks": int((stopped & (ending == Status.WHICH_ONE)).sum()),
-        "other_ends": int((stopped & ~np.isin(ending, named)).sum()),
+        "other_ends": int((stopped & ~np.isin(ending, handled)).sum()),
         "overflow_episodes": int((np.asarray(results.overflow)[valid] > 0).sum()),
     }
     assert isinstance(spec, PlaceSpec)
-    mine |= {"is_told": spec.is_told, "target": None, "is_met": None, "is_calibrated": None}
+    entries |= {"is_told": spec.is_told, "target": None, "is_met": None, "is_calibrated": None}
     if spec.ending == "not_found":
-        right, number = row["not_found"], row["episodes"]
-        low, high = wilson_interval(right, number)
-        rate = 100.0 * right / max(1, number)
-        mine |= {"success_rate": rate, "success_ci": [100.0 * low, 100.0 * high]}
-    row = row | mine
+        num_correct, count = row["not_found"], row["episodes"]
+        lower, upper = wilson_interval(num_correct, count)
+        rate = 100.0 * num_correct / max(1, count)
+        entries |= {"success_rate": rate, "success_ci": [100.0 * lower, 100.0 * upper]}
+    row = row | entries
     # Only ``informed`` has targets.
     if row["policy"] != "informed":
-        return mine
+        return entries
     if spec.target is not None:
-        is_short = spec.longest is None or row["distance_mean"] <= spec.longest
-        is_met = row["success_rate"] >= spec.target and is_short
-        mine |= {"target": spec.target, "longest": spec.longest, "is_met": is_met}
+        is_within = spec.longest is None or row["distance_mean"] <= spec.longest
+        is_met = row["success_rate"] >= spec.target and is_within
+        entries |= {"target": spec.target, "longest": spec.longest, "is_met": is_met}
     if spec.is_told and row["ece"] is not None:
-        mine["is_calibrated"] = row["ece"] <= ECE_TARGET
-    return mine
+        entries["is_calibrated"] = row["ece"] <= ECE_TARGET
+    return entries
 
 
-def _missed(rows: Sequence[Row]) -> list[Row]:
-    found: list[Row] = []
+def _missed_targets(rows: Sequence[Row]) -> list[Row]:
+    missed: list[Row] = []
     for row in rows:
-        name = {"scenario": row["scenario"]}
+        scenario = {"scenario": row["scenario"]}
         if row.get("is_met") is False:
-            way = {"distance": row["distance_mean"], "longest": row.get("longest")}
-            mine = {"what": "success", "is": row["success_rate"], "target": row["target"]}
-            found.append(name | mine | way)
+            distance = {"distance": row["distance_mean"], "longest": row.get("longest")}
+            entry = {"what": "success", "is": row["success_rate"], "target": row["target"]}
+            missed.append(scenario | entry | distance)
         if row.get("is_calibrated") is False:
-            found.append(name | {"what": "ece", "is": row["ece"], "target": ECE_TARGET})
-    return found
+            missed.append(scenario | {"what": "ece", "is": row["ece"], "target": ECE_TARGET})
+    return missed
 
 
 def _describe_missed(document: Document) -> list[str]:
-    """Say which targets of ``informed`` are missed, a line for successes and one for ECE."""
+    """Describe the missed targets of ``informed``, a line for success and one for ECE."""
     if "informed" not in document["policies"]:
         return []
     lines = []
-    for what, form in (("success", ".1f"), ("ece", ".3f")):
-        listed = []
-        for one in (one for one in document["missed"] if one["what"] == what):
-            way = "; {distance:.1f} m, at most {longest:g}" if one.get("longest") else ""
-            told = f"{one['is']:{form}}, target {one['target']:g}{way.format_map(one)}"
-            listed.append(f"{one['scenario']} ({told})")
-        lines.append(f"Targets of informed missed, {what}: {'; '.join(listed) or 'none'}.")
+    for what, fmt in (("success", ".1f"), ("ece", ".3f")):
+        items = []
+        for entry in (entry for entry in document["missed"] if entry["what"] == what):
+            suffix = "; {distance:.1f} m, at most {longest:g}" if entry.get("longest") else ""
+            target = f"{entry['is']:{fmt}}, target {entry['target']:g}{suffix.format_map(entry)}"
+            items.append(f"{entry['scenario']} ({target})")
+        lines.append(f"Targets of informed missed, {what}: {'; '.join(items) or 'none'}.")
     return lines
 
 
 def _notes(document: Document) -> list[str]:
-    invalid = sum(row["invalid_worlds"] for row in document["rows"])
+    num_invalid = sum(row["invalid_worlds"] for row in document["rows"])
     return [
         *_describe_missed(document),
         f"{document['episodes']} episodes a row, a fresh place each, seed {document['seed']}, "
@@ -127,20 +127,20 @@ def _notes(document: Document) -> list[str]:
         "ECE of “this is the goal” over every step; in brackets what a perfect belief would show "
         "by chance in so few episodes. Targets are of informed; ECE has one only where the belief "
         "was told the truth, of its sensors and by the sentence.",
-        f"Places in which something found no room, left out: {invalid}.",
+        f"Places in which something found no room, left out: {num_invalid}.",
     ]
 
 
-def _target(row: Row) -> str:
-    target = "" if row["target"] is None else f"≥ {row['target']:g}"
-    return f"{target}, ≤ {row['longest']:g} m" if row.get("longest") else target
+def _format_target(row: Row) -> str:
+    success = "" if row["target"] is None else f"≥ {row['target']:g}"
+    return f"{success}, ≤ {row['longest']:g} m" if row.get("longest") else success
 
 
-_COLUMNS: TableColumns = (
+_RESULT_COLUMNS: TableColumns = (
     ("Scenario", "{scenario}"),
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS),
-    ("target", _target),
+    ("target", _format_target),
     ("Distance m (σ)", "{distance_mean:.1f} ({distance_sd:.1f})"),
     ("Known m", "{known_distance_mean:.1f}"),
     ("Stopped elsewhere", "{elsewhere}"),
@@ -152,9 +152,9 @@ _COLUMNS: TableColumns = (
      lambda row: "" if row["ece"] is None else f"{row['ece']:.3f} ({row['ece_floor']:.3f})"),
     ("Overflow", "{overflow_episodes}"),
 )  # fmt: skip
-_SCREEN = [_COLUMNS[at] for at in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
-"""TableColumns that a terminal has room for."""
-_SCENARIO: TableColumns = (
+_SCREEN_COLUMNS = [_RESULT_COLUMNS[at] for at in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
+"""Columns for the terminal."""
+_SCENARIO_COLUMNS: TableColumns = (
     ("Scenario", "{scenario}"),
     ("What it is", "{what}"),
     ("Said", "{said}"),
@@ -165,12 +165,12 @@ _SCENARIO: TableColumns = (
 
 
 def _tables(document: Document) -> list[Table]:
-    """Lay out the rows by scenario, then by policy, and what each scenario is."""
-    order = [one["scenario"] for one in document["scenarios"]]
+    """Build the results table, by scenario, then by policy, and the table of scenarios."""
+    order = [scenario["scenario"] for scenario in document["scenarios"]]
     rows = sorted(document["rows"], key=lambda row: order.index(row["scenario"]))
     return [
-        Table.of(rows, _COLUMNS, group=1, screen=Table.of(rows, _SCREEN)),
-        Table.of(document["scenarios"], _SCENARIO, fold="What each scenario is"),
+        Table.of(rows, _RESULT_COLUMNS, group=1, screen=Table.of(rows, _SCREEN_COLUMNS)),
+        Table.of(document["scenarios"], _SCENARIO_COLUMNS, fold="What each scenario is"),
     ]
 
 
@@ -186,9 +186,9 @@ ROBUSTNESS = Experiment(
     measure=_measure,
     extras=lambda rows, _: {
         "scenarios": [one.described() for one in SCENARIOS],
-        "missed": _missed(rows),
+        "missed": _missed_targets(rows),
     },
     tables=_tables,
     notes=_notes,
 )
-"""The public suite; its arms have the sizes of ``Navigator.pretrained``."""
+"""The public suite; its arms have the capacities of ``Navigator.pretrained``."""

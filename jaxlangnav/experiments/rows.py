@@ -1,4 +1,4 @@
-"""Rows of Table 2 and Figure 5: ours, the printed ones, and limits that hold for both (4.2)."""
+"""Rows of Table 2 and Figure 5: specifications, printed values, bounds and deviations (4.2)."""
 
 import dataclasses
 import math
@@ -10,13 +10,13 @@ from jaxlangnav.messages import MotionParams, SensorParams, default_motion, defa
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TABLE_2, TableRow, known_range, parse_template
 
-PAPER_RUNS = 100  # simulations behind a printed figure: "approximately 100" (section 4.2)
+PAPER_RUNS = 100  # simulations per printed figure: "approximately 100" (section 4.2)
 AGREEMENT = 2.0  # standard errors within which two figures agree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RowSpec:
-    """Which row it is."""
+    """Key of a row: world, range and relation."""
 
     world: str
     range: float
@@ -24,11 +24,11 @@ class RowSpec:
 
     @classmethod
     def of(cls, printed: TableRow) -> "RowSpec":
-        """Take from a printed row which one it is."""
+        """Build the key of a printed row."""
         return cls(world=printed.world, range=printed.range, relation=printed.relation)
 
     def heading(self) -> Row:
-        """Say which row it is in a document; a command without a relation has None."""
+        """Return the entries that identify the row; relation None for a command without one."""
         relation = None if self.relation == "null" else self.relation
         return {"world": self.world, "range": self.range, "relation": relation}
 
@@ -37,15 +37,15 @@ class RowSpec:
     ) -> Cell:
         """Build the setting of its episodes; commands are numbered in the order of ``SENTENCES``.
 
-        ``environments``: worlds of a template taken in turn; 0 for a fresh one per episode.
-        ``sensor``: the detector, but for its range; the default one if None.
+        ``environments``: worlds of a template, used cyclically; 0: a new one per episode.
+        ``sensor``: sensor model, except its range; the default one if None.
         """
-        usual = default_sensor(self.range)
+        default = default_sensor(self.range)
         return Cell(
             world=self.world,
             relation=self.relation,
             instruction_index=list(SENTENCES).index(self.relation),
-            sensor=usual if sensor is None else replace(sensor, range_max=usual.range_max),
+            sensor=default if sensor is None else replace(sensor, range_max=default.range_max),
             seed=seed,
             environments=environments,
             labels={"world": self.world, "range": self.range, "relation": self.relation},
@@ -56,7 +56,7 @@ PRINTED = tuple(RowSpec.of(one) for one in TABLE_2)  # the rows of Table 2, in t
 
 
 def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
-    """List rows as the paper prints them, rates in percent, distances in metres."""
+    """Convert printed rows to records, rates in percent, distances in metres."""
     return [
         RowSpec.of(row).heading()
         | {
@@ -73,52 +73,52 @@ def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
 
 
 def bound_rows(specs: Sequence[RowSpec]) -> list[Row]:
-    """Compute what no robot can beat in each row (section 4.2).
+    """Compute bounds on the performance of any policy in each row (section 4.2).
 
-    ``known``: mean straight way, metres; ``success``: the highest rate, percent, below 100 where
-    the sentence fits several objects.
+    ``known``: mean straight-line distance, metres; ``success``: the highest rate, percent, below
+    100 where the sentence fits several objects.
     """
-    found = []
-    for one in specs:
-        record = parse_template(one.world)
-        likely = 1.0 / record.num_hydrants if one.relation == "null" else 1.0
-        mean, _ = known_range(record, one.relation)
-        found.append(one.heading() | {"known": mean, "success": 100.0 * likely})
-    return found
+    rows = []
+    for spec in specs:
+        template = parse_template(spec.world)
+        success_rate = 1.0 / template.num_hydrants if spec.relation == "null" else 1.0
+        mean, _ = known_range(template, spec.relation)
+        rows.append(spec.heading() | {"known": mean, "success": 100.0 * success_rate})
+    return rows
 
 
 def describe_noise(
     sensor: SensorParams | None = None, motion: MotionParams | None = None
 ) -> dict[str, float]:
-    """Say the noise that rows run under, the default one if None: metres, radians, shares."""
+    """Summarise sensor and motion noise, the default one if None: metres, radians, fractions."""
     sensor, motion = sensor or default_sensor(), motion or default_motion()
-    said = {
+    noise = {
         "detection_probability": sensor.detection_probability,
         "detection_noise": sensor.noise,
         "field_of_view": sensor.field_of_view,
         "odometry_noise": motion.odometry_noise,
         "step_length": motion.step_length,
     }
-    return {name: round(float(value), 6) for name, value in said.items()}
+    return {name: round(float(value), 6) for name, value in noise.items()}
 
 
 def row_key(row: Row) -> tuple[str, float, str | None]:
-    """Identify a row of a table, whatever the policy."""
+    """Return the key of a row, independent of the policy."""
     return row["world"], row["range"], row["relation"]
 
 
 def deviations(row: Row, paper: Row) -> dict[str, float]:
-    """Measure how far a row lies above the printed one, in standard errors of both.
+    """Compute z-scores of a row against the printed one, with the standard errors of both.
 
-    A rate of 0 or 100 % counts as half a run away from it, or it would have no error at all.
+    A rate of 0 or 100 % counts as half a run away from it, so that its error is not zero.
     """
-    way_error = math.hypot(distance_error(row), paper["distance_sd"] / math.sqrt(PAPER_RUNS))
+    dist_error = math.hypot(distance_error(row), paper["distance_sd"] / math.sqrt(PAPER_RUNS))
     success_error = math.hypot(
         rate_error(row["success_rate"], row["episodes"]),
         rate_error(paper["success_rate"], PAPER_RUNS),
     )
     return {
-        "distance": (row["distance_mean"] - paper["distance_mean"]) / max(way_error, 1e-9),
+        "distance": (row["distance_mean"] - paper["distance_mean"]) / max(dist_error, 1e-9),
         "success": (row["success_rate"] - paper["success_rate"]) / success_error,
     }
 

@@ -1,7 +1,7 @@
-"""What ``reproduce robustness`` runs: scenarios outside the law of Table 2's worlds, as data.
+"""Scenarios of ``reproduce robustness``, outside the distribution of Table 2's worlds, as data.
 
-To add one is to add an entry to ``SCENARIOS``. Places that share ``world`` and law are the very
-same, so that a worse detector is compared in the places of a better one.
+To add one, add an entry to ``SCENARIOS``. Scenarios with the same ``world`` and distribution use
+the same worlds, so sensors are compared in identical worlds.
 """
 
 import dataclasses
@@ -23,74 +23,74 @@ SAID = {
     "front": "go to the hydrant in front of the cone",
     "null": "go to the hydrant",
 }
-"""The sentences; "null" says nothing of where."""
-_Numbers = Mapping[str, Any]
-AHEAD = (-2.0, 12.0, -9.0, 9.0)  # metres; the operating area unless a scenario has its own
+"""Commands by relation; "null" has no spatial relation."""
+_Values = Mapping[str, Any]
+AHEAD = (-2.0, 12.0, -9.0, 9.0)  # metres; default operating area
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlaceSpec(RowSpec):
-    """A scenario: where, what is said, what the sensors are truly like, what the belief is told."""
+    """A scenario: world distribution, command, true sensor models, and those the filter assumes."""
 
     name: str
     what: str  # for people
     world: str = "place"
     range: float = 3.0
     relation: str = "behind"
-    place: _Numbers = dataclasses.field(default_factory=dict)  # arguments of ``place_law``
-    truth: _Numbers = dataclasses.field(default_factory=dict)
-    """Numbers of the detector, of ``default_sensor``."""
-    told: _Numbers = dataclasses.field(default_factory=dict)
-    """Those of them that the belief is told otherwise."""
-    numbers: _Numbers = dataclasses.field(default_factory=dict)
-    """Numbers of the navigator by which the belief is told how many things there are."""
-    motion: _Numbers = dataclasses.field(default_factory=dict)
-    """Numbers of odometry; the belief always takes it for the default one."""
-    target: float | None = None  # percent of success that ``informed`` is to reach
-    longest: float | None = None  # metres that it may take on average
-    ending: str = "arrived"  # what is right: "arrived", or "not_found" where there is no goal
+    place: _Values = dataclasses.field(default_factory=dict)  # arguments of ``place_law``
+    truth: _Values = dataclasses.field(default_factory=dict)
+    """Arguments of ``default_sensor`` for the true sensor."""
+    assumed: _Values = dataclasses.field(default_factory=dict)
+    """Those of them for which the filter assumes other values."""
+    numbers: _Values = dataclasses.field(default_factory=dict)
+    """Parameters of the navigator: the prior over the number of objects."""
+    motion: _Values = dataclasses.field(default_factory=dict)
+    """Fields of the true motion model; the filter always assumes the default one."""
+    target: float | None = None  # required success of ``informed``, percent
+    longest: float | None = None  # maximal mean distance, metres
+    ending: str = "arrived"  # correct one: "arrived", or "not_found" if there is no goal
 
     @property
     def is_told(self) -> bool:
-        """Whether the belief was told the truth: of its sensors, by the sentence, and of numbers.
+        """Whether the filter assumes true sensors, sentence and, if relevant, number of objects.
 
-        Of how many things there are where more than one may be meant for all that is said.
+        The number of objects is relevant where several may fit the sentence.
         """
-        is_exact = not (self.told or self.motion or self.place.get("num_haunted"))
-        return self._is_true and is_exact and self._is_counted
+        is_exact = not (self.assumed or self.motion or self.place.get("num_haunted"))
+        return self._has_true_sentence and is_exact and self._has_counts
 
     @property
-    def _is_counted(self) -> bool:
-        """Whether it is told how many there are, or the sentence alone tells which is meant."""
+    def _has_counts(self) -> bool:
+        """Whether the prior over the number of objects is set, or the sentence is unambiguous."""
         return bool(self.numbers) or not (self.place.get("num_pairs") or self.relation == "null")
 
     @property
-    def _is_true(self) -> bool:
-        """Whether what is said to be there is there."""
+    def _has_true_sentence(self) -> bool:
+        """Whether the sentence is true in the scenario's worlds."""
         if not (self.place.get("has_goal", True) and self.place.get("has_cone", True)):
             return False
         sides = self.place.get("side", 1.0), self.place.get("said", 1.0)
         return self.relation == "null" or sides[0] == sides[1]
 
     def heading(self) -> Row:
-        """Say which row it is."""
+        """Return the entries that identify the row."""
         return {"scenario": self.name} | super().heading()
 
     def described(self) -> Row:
-        """Say what it is, for people."""
-        true = [_said(name, value) for name, value in {**self.truth, **self.motion}.items()]
-        haunted = self.place.get("num_haunted")
-        told = [_said(name, value) for name, value in self.told.items()]
-        told += ["odometry 2 %"] if self.motion else []
-        told += ["nothing of the four places"] if haunted else []
-        told += [] if self._is_true else ["a sentence that is not so"]
-        told += [] if self._is_counted else ["nothing of how many there are"]
+        """Describe the scenario for the report."""
+        actual = [_format(name, value) for name, value in {**self.truth, **self.motion}.items()]
+        has_fixed_clutter = self.place.get("num_haunted")
+        assumed = [_format(name, value) for name, value in self.assumed.items()]
+        assumed += ["odometry 2 %"] if self.motion else []
+        assumed += ["nothing of the four places"] if has_fixed_clutter else []
+        assumed += [] if self._has_true_sentence else ["a sentence that is not so"]
+        assumed += [] if self._has_counts else ["nothing of how many there are"]
         return {
             "scenario": self.name,
             "what": self.what,
             "said": SAID[self.relation],
-            "truth": ", ".join([f"range {self.range:g} m", *true]),
-            "told": ", ".join(told),
+            "truth": ", ".join([f"range {self.range:g} m", *actual]),
+            "told": ", ".join(assumed),
             "numbers": ", ".join(f"{name} {value:g}" for name, value in self.numbers.items()),
             "is_told": self.is_told,
         }
@@ -98,62 +98,62 @@ class PlaceSpec(RowSpec):
     def setting(
         self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
     ) -> Cell:
-        """Build the setting of its episodes; the detector is its own, whatever ``sensor`` is."""
-        given: dict[str, Any] = {"area": AHEAD, **self.place}
-        moved = {name: jnp.float32(value) for name, value in self.motion.items()}
+        """Build the setting of its episodes; ``sensor`` is ignored for the scenario's own."""
+        law_args: dict[str, Any] = {"area": AHEAD, **self.place}
+        motion = {name: jnp.float32(value) for name, value in self.motion.items()}
         return Cell(
             world=self.world,
             relation=self.relation,
             instruction_index=list(SAID).index(self.relation),
             sensor=default_sensor(self.range, **self.truth),
-            motion=replace(default_motion(), **moved),
+            motion=replace(default_motion(), **motion),
             seed=seed,
             environments=environments,
-            place=place_law(**given),
-            assumed_sensor=default_sensor(self.range, **{**self.truth, **self.told}),
+            place=place_law(**law_args),
+            assumed_sensor=default_sensor(self.range, **{**self.truth, **self.assumed}),
             labels=self.heading() | {"relation": self.relation},
             overrides=self.numbers,
         )
 
 
-def _said(name: str, value: float) -> str:
-    """Write a number of a sensor for people."""
+def _format(name: str, value: float) -> str:
+    """Format a sensor parameter for the report."""
     if name == "field_of_view":
         return f"view {math.degrees(value):.0f}°"
     if name == "noise":
         return f"noise {value:g} m"
-    words = {
+    verbs = {
         "detection_probability": "detects",
         "false_detections": "false of a type",
         "mislabelled": "wrong labels",
         "odometry_noise": "odometry",
     }
-    return f"{words[name]} {100.0 * value:g} %"
+    return f"{verbs[name]} {100.0 * value:g} %"
 
 
-def _case(name: str, what: str, **more: Any) -> PlaceSpec:
-    return PlaceSpec(name=name, what=what, **more)
+def _case(name: str, what: str, **fields: Any) -> PlaceSpec:
+    return PlaceSpec(name=name, what=what, **fields)
 
 
-def _square(half: float) -> _Numbers:
+def _square(half: float) -> _Values:
     return {"area": (-half, half, -half, half)}
 
 
-def _further(expected: float) -> _Numbers:
-    """Tell how many more of each type there are, and that people hardly err."""
+def _counts(expected: float) -> _Values:
+    """Set the expected number of further objects per type, and a low annotation error rate."""
     return {"concentration": expected, "clumping": 0.0, "misleading": 0.01}
 
 
 _GHOSTS_2, _GHOSTS_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
-"""Of each of two types, hydrants and cones: one false detection in 50 looks, and in 10."""
+"""Of each of two types, hydrants and cones: one false detection per 50 and per 10 scans."""
 _WRONG, _MISSES = {"mislabelled": 0.1}, {"detection_probability": 0.6}
 _FRONT, _PAIRS_2, _PAIRS_4 = {"side": -1.0, "said": -1.0}, {"num_pairs": 2}, {"num_pairs": 4}
 _FALSE: dict[str, Any] = {
     "what": "the hydrant is in front of the cone", "place": {"side": -1.0}, "target": 99.0,
     "longest": 45.0,
 }  # fmt: skip
-_ONLY = {**_further(0.02), "misleading": 0.001, "absent": 0.0}
-"""There is no other one, and it is there."""
+_ONLY = {**_counts(0.02), "misleading": 0.001, "absent": 0.0}
+"""Exactly one such object exists."""
 _HAUNTED = {"num_haunted": 4, "haunt_probability": 0.2}
 _CROWD = {"num_bystanders": 56, "num_pairs": 1}
 _ALL: dict[str, Any] = {
@@ -170,15 +170,15 @@ SCENARIOS = (
     _case("all round", "the start in the middle of 20 × 20 m", place=_square(10.0)),
     _case("in front", "the goal is before its cone", relation="front", place=_FRONT),
     _case("in front, told", "that there is no other is told", relation="front", place=_FRONT,
-          numbers=_further(0.02)),
+          numbers=_counts(0.02)),
     _case("far sight", "a detector of 7 m", range=7.0),
     _case("2 more pairs", _MORE_2, place=_PAIRS_2, target=98.0),
     _case("2 more pairs, 5 m", _MORE_2, range=5.0, place=_PAIRS_2, target=98.0),
     _case("4 more pairs", _MORE_4, place=_PAIRS_4),
-    _case("2 more pairs, told", "how many is told", place=_PAIRS_2, numbers=_further(2.0)),
+    _case("2 more pairs, told", "how many is told", place=_PAIRS_2, numbers=_counts(2.0)),
     _case("2 more pairs, 5 m, told", "how many is told", range=5.0, place=_PAIRS_2,
-          numbers=_further(2.0)),
-    _case("4 more pairs, told", "how many is told", place=_PAIRS_4, numbers=_further(4.0)),
+          numbers=_counts(2.0)),
+    _case("4 more pairs, told", "how many is told", place=_PAIRS_4, numbers=_counts(4.0)),
     PlaceSpec(name="false sentence", **_FALSE),
     PlaceSpec(name="false sentence, 5 m", range=5.0, **_FALSE),
     _case("empty sentence", "nothing is said of where", relation="null"),
@@ -190,20 +190,20 @@ SCENARIOS = (
     _case("14 bystanders", _THINGS, place={"num_bystanders": 14}, target=99.5),
     _case("30 bystanders", _THINGS, place={"num_bystanders": 30}),
     _case("crowd of 60", "56 bystanders and one more pair", place=_CROWD),
-    _case("crowd of 60, told", "how many is told", place=_CROWD, numbers=_further(1.0)),
+    _case("crowd of 60, told", "how many is told", place=_CROWD, numbers=_counts(1.0)),
     _case("ghosts 2 %", _INVENTED, truth=_GHOSTS_2, target=99.0),
     _case("ghosts 10 %", _INVENTED, truth=_GHOSTS_10, target=97.0),
-    _case("ghosts 10 %, not told", _INVENTED, truth=_GHOSTS_10, told={"false_detections": 0.0}),
+    _case("ghosts 10 %, not told", _INVENTED, truth=_GHOSTS_10, assumed={"false_detections": 0.0}),
     _case("ghosts at 4 places", "seen there in 20 % of looks", truth=_GHOSTS_2, place=_HAUNTED),
     _case("labels 10 % wrong", _SIX, truth=_WRONG, place={"num_bystanders": 6}, target=96.0),
-    _case("labels 10 %, not told", _SIX, truth=_WRONG, told={"mislabelled": 0.0},
+    _case("labels 10 %, not told", _SIX, truth=_WRONG, assumed={"mislabelled": 0.0},
           place={"num_bystanders": 6}),
     _case("misses 20 %", "", truth={"detection_probability": 0.8}),
     _case("misses 40 %", "", truth=_MISSES),
-    _case("misses 40 %, not told", "", truth=_MISSES, told={"detection_probability": 0.95}),
+    _case("misses 40 %, not told", "", truth=_MISSES, assumed={"detection_probability": 0.95}),
     _case("misses 40 %, ghosts 10 %", _INVENTED, truth={**_MISSES, **_GHOSTS_10}, target=95.0),
     _case("noise 0.3 m", "", truth={"noise": 0.3}),
-    _case("noise 0.3 m, not told", "", truth={"noise": 0.3}, told={"noise": 0.1}),
+    _case("noise 0.3 m, not told", "", truth={"noise": 0.3}, assumed={"noise": 0.1}),
     _case("odometry 5 %", "", motion={"odometry_noise": 0.05}),
     _case("odometry 10 %", "", motion={"odometry_noise": 0.1}),
     _case("view 120°", "", truth={"field_of_view": math.radians(120.0)}),
@@ -215,6 +215,6 @@ SCENARIOS = (
           place=_square(20.0)),
     _case("60 × 60 m, 5 m", _MIDDLE, range=5.0, place=_square(30.0)),
     PlaceSpec(name="all at once", **_ALL),
-    PlaceSpec(name="all at once, told", numbers=_further(1.0), **_ALL),
+    PlaceSpec(name="all at once, told", numbers=_counts(1.0), **_ALL),
 )  # fmt: skip
-"""Some with the targets that they are to meet."""
+"""All scenarios, some with target values."""

@@ -1,7 +1,7 @@
-"""Work is sized before it is begun: what memory cannot hold is refused, with what it could.
+"""Memory checks: reject work that does not fit into memory before it starts, with what would fit.
 
-The sizes are the engine's own: the records of an episode under way, traced without being made
-(``jax.eval_shape``), and the arrays of its task and its result.
+Sizes are those of the records of a running episode, traced abstractly (``jax.eval_shape``), and of
+the arrays of its task and its result.
 """
 
 import functools
@@ -28,36 +28,36 @@ SCRATCH = 8.5
 batch of 32 lanes on a CPU, policy ``informed``, grows by 4,763 bytes a particle and lane, the
 records by 562 (``compiled.memory_analysis()``, between 64 and 512 particles)."""
 _INDEX_LIMIT = 2**31  # sizes lie below it: arrays are indexed with 32 bits
-_GROUP = Path("/sys/fs/cgroup")
-_LIMITS = (_GROUP / "memory.max", _GROUP / "memory" / "memory.limit_in_bytes")
-"""Where Linux says what a container may use."""
+_CGROUP = Path("/sys/fs/cgroup")
+_CGROUP_LIMITS = (_CGROUP / "memory.max", _CGROUP / "memory" / "memory.limit_in_bytes")
+"""Files with a container's memory limit on Linux."""
 
 
 def _memory() -> int:
-    """Find how much memory there is for arrays: the device's, or what this process may use."""
+    """Return the memory for arrays, bytes: the device's, or that available to this process."""
     if jax.default_backend() == "cpu":
         return _host_memory()
     return int((jax.local_devices()[0].memory_stats() or {}).get("bytes_limit", _host_memory()))
 
 
 def _bytes_of(tree: Any) -> int:
-    """Count the bytes of arrays, whether they are there or only their shapes."""
+    """Count the bytes of arrays, concrete or abstract."""
     total = 0
     for leaf in jax.tree.leaves(tree):
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             leaf = jax.eval_shape(jax.random.key_data, leaf)
-        # As Python's integers: NumPy's would wrap.
+        # Python integers, since NumPy's would overflow.
         total += np.dtype(leaf.dtype).itemsize * math.prod(map(int, leaf.shape))
     return total
 
 
 def _episode_bytes(config: NavigatorConfig) -> tuple[int, int]:
-    """Count the records of an episode under way."""
-    small, double = (
-        _bytes_of(_progress(replace(config, map=replace(config.map, num_particles=number))))
-        for number in (2, 4)
+    """Compute the bytes of a running episode: fixed ones, and those per particle."""
+    bytes_2, bytes_4 = (
+        _bytes_of(_episode_shapes(replace(config, map=replace(config.map, num_particles=count))))
+        for count in (2, 4)
     )
-    return 2 * small - double, (double - small) // 2
+    return 2 * bytes_2 - bytes_4, (bytes_4 - bytes_2) // 2
 
 
 def task_bytes() -> int:
@@ -67,20 +67,20 @@ def task_bytes() -> int:
 
 def result_bytes() -> int:
     """Count the bytes of one episode's result."""
-    return _bytes_of(jax.eval_shape(finish, _progress(NavigatorConfig())))
+    return _bytes_of(jax.eval_shape(finish, _episode_shapes(NavigatorConfig())))
 
 
 def readable_count(number: int) -> str:
-    """Write a number of at least 0 for people: all digits in threes, or two and the exponent."""
+    """Format a number of at least 0: grouped digits, or two digits and the exponent."""
     digits = str(number)
     return f"{number:,}" if number < 10**15 else f"{digits[0]}.{digits[1]}·10^{len(digits) - 1}"
 
 
 def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str = "") -> None:
-    """Refuse more of something than memory holds; ``ValueError`` says how many would fit.
+    """Raise ``ValueError`` if ``count`` items do not fit into memory; it says how many would.
 
-    ``name`` says what is counted and ``beside`` what else makes up the size; ``each``: bytes of
-    one, ``fixed``: bytes that they need besides.
+    ``name``: what is counted; ``beside``: what else determines the size; ``each``: bytes of one,
+    ``fixed``: bytes independent of the count.
     """
     limit, need = _memory(), fixed + count * each
     if need <= limit:
@@ -95,40 +95,40 @@ def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str
 
 
 def check_engine(config: NavigatorConfig) -> None:
-    """Refuse sizes with which a batch of episodes does not fit into memory, as ``check_count``."""
+    """Raise ``ValueError`` if a batch of episodes does not fit into memory (``check_count``)."""
     # On a CPU all calls share one memory, on accelerators each device has its own.
     devices = mesh().size if jax.default_backend() == "cpu" else 1
     _check_lanes(config, LANES * concurrent_calls() * devices)
 
 
 def check_recording(config: NavigatorConfig, max_steps: int) -> None:
-    """Refuse sizes with which a recorded episode of ``max_steps`` does not fit into memory."""
+    """Raise ``ValueError`` if a recorded episode of ``max_steps`` does not fit into memory."""
     _check_lanes(config, 1)
-    number, (fixed, each) = config.map.num_particles, _episode_bytes(config)
-    state, beside = fixed + number * each, f"{number:,} particles"
-    check_count("max steps", max_steps, each=state, fixed=int(SCRATCH * state), beside=beside)
+    count, (fixed, each) = config.map.num_particles, _episode_bytes(config)
+    step, beside = fixed + count * each, f"{count:,} particles"
+    check_count("max steps", max_steps, each=step, fixed=int(SCRATCH * step), beside=beside)
 
 
 def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
-    """Refuse sizes with which some episodes under way at once do not fit."""
+    """Raise ``ValueError`` if ``lanes`` concurrent episodes do not fit into memory."""
     sizes = config.map
     objects, cells = readable_count(sizes.num_objects), readable_count(sizes.num_cells)
     beside = f"{objects} objects and {cells} cells a side"
     if max(sizes.num_objects, sizes.num_cells, config.planner.num_visited) >= _INDEX_LIMIT:
         raise ValueError(f"the sizes are too large for any memory: {beside}")
-    fixed, each = (int(SCRATCH * lanes * one) for one in _episode_bytes(config))
+    fixed, each = (int(SCRATCH * lanes * size) for size in _episode_bytes(config))
     check_count("particles", sizes.num_particles, each=each, fixed=fixed, beside=beside)
 
 
-def _progress(config: NavigatorConfig) -> Any:
-    """Trace the records of an episode under way, without making them."""
-    one = pack_instruction(pad_readings(()), ())  # all sentences have the same shapes
-    some = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), one)
-    return jax.eval_shape(functools.partial(begin, config=config), jax.eval_shape(any_task), some)
+def _episode_shapes(config: NavigatorConfig) -> Any:
+    """Compute the shapes of a running episode's records (``jax.eval_shape``)."""
+    packed = pack_instruction(pad_readings(()), ())  # all instructions have the same shapes
+    batch = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), packed)
+    return jax.eval_shape(functools.partial(begin, config=config), jax.eval_shape(any_task), batch)
 
 
 def any_task(scenario: Scenario | None = None) -> Task:
-    """Build a task, in an empty world by default: all of as many slots have the same shapes."""
+    """Build a task, in an empty world by default; tasks of equal slots have equal shapes."""
     return Task(
         key=jax.random.key(0),
         scenario=empty_scenario() if scenario is None else scenario,
@@ -140,11 +140,11 @@ def any_task(scenario: Scenario | None = None) -> Task:
 
 @functools.cache
 def _host_memory() -> int:
-    """Find how much memory the machine has, or the container if that is less."""
-    least = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    for path in _LIMITS:
+    """Return the bytes of memory of the machine, or the container's limit if lower."""
+    limit = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for path in _CGROUP_LIMITS:
         try:
-            least = min(least, int(path.read_text()))
+            limit = min(limit, int(path.read_text()))
         except (OSError, ValueError):
             continue
-    return least
+    return limit

@@ -1,4 +1,4 @@
-"""What a sweep found: a row for every arm in every setting, and paired tests (section 4.2)."""
+"""Summary of a sweep: metrics per arm and setting, and paired tests of arms (section 4.2)."""
 
 import dataclasses
 import itertools
@@ -18,20 +18,20 @@ from jaxlangnav.inputs import sanitize
 
 __all__ = ["render", "summarize_directory", "summary_markdown"]
 
-_ARM = ("policy", "particles")
-_PAIR = ("seed", "episode")
+_ARM_COLUMNS = ("policy", "particles")
+_PAIR_COLUMNS = ("seed", "episode")
 _ALL_PAIRS_LIMIT = 6
-"""Arms up to which all pairs are compared; with more, each is compared with the first."""
+"""Number of arms up to which all pairs are tested; with more, each against the first."""
 
 
 def summarize_directory(path: str | Path) -> dict[str, Any]:
-    """Summarise the files of a sweep's folder, complete or not; a damaged file counts as missing.
+    """Summarise the files of a sweep's folder, complete or not; damaged files count as missing.
 
     ``name``, ``rows`` (one per setting and arm, rates in percent, distances in metres),
     ``comparisons`` (second arm against first in one setting), ``varied`` (columns that take more
     than one value), ``episodes``, ``files``, ``missing`` files and, of those, the ``damaged``: a
-    line for each that names it and says what is wrong. ``ValueError``: no sweep there, or nothing
-    sound yet.
+    line for each with its path and fault. ``ValueError``: the folder has no sweep, or no valid file
+    yet.
     """
     folder = Path(path)
     manifest = read_manifest(folder)
@@ -40,26 +40,26 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
     for index, file in sorted(episode_files(folder)):
         try:
             tables.append(read_shard(file, sweep=sweep, index=index))
-        except ShardError as fault:
-            damaged.append(f"{file} {fault}")
+        except ShardError as error:
+            damaged.append(f"{file} {error}")
     if not tables:
-        others = f" (and {len(damaged) - 1} others)" if len(damaged) > 1 else ""
-        most = f": {damaged[0]}{others}" if damaged else " yet"
-        raise ValueError(f"{folder} holds no {'sound ' if damaged else ''}episodes{most}")
+        more_files = f" (and {len(damaged) - 1} others)" if len(damaged) > 1 else ""
+        reason = f": {damaged[0]}{more_files}" if damaged else " yet"
+        raise ValueError(f"{folder} holds no {'sound ' if damaged else ''}episodes{reason}")
     table = pa.concat_tables(tables)
     result_names = {field.name for field in dataclasses.fields(EpisodeResult)}
     names = [
         name
         for name in table.column_names[: table.column_names.index("episode")]
-        if name not in result_names and name not in _PAIR
+        if name not in result_names and name not in _PAIR_COLUMNS
     ]
     arm_names = [name for name in names if _is_of_arm(name)]
     setting_names = [name for name in names if not _is_of_arm(name)]
     rows, comparisons = list[Row](), list[Row]()
-    for setting, part in _group(table, setting_names):
-        arms = _group(part, arm_names)
+    for setting, setting_table in _group(table, setting_names):
+        arms = _group(setting_table, arm_names)
         rows += [setting | arm | _metrics(episodes) for arm, episodes in arms]
-        comparisons += [setting | one for one in _comparisons(arms)]
+        comparisons += [setting | comparison for comparison in _comparisons(arms)]
     return {
         "name": settings["name"],
         "rows": rows,
@@ -73,15 +73,15 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
 
 
 def _is_of_arm(name: str) -> bool:
-    """Tell whether a column belongs to what is compared rather than to where."""
-    return name in _ARM or name.startswith(("map.", "planner."))
+    """Tell whether a label column belongs to arms rather than to settings."""
+    return name in _ARM_COLUMNS or name.startswith(("map.", "planner."))
 
 
 def _group(table: pa.Table, names: Sequence[str]) -> list[tuple[dict[str, Any], pa.Table]]:
-    """Split a table by the values of some columns, in the order in which they appear."""
-    numbered = table.append_column("row", pa.array(range(table.num_rows)))
-    found = numbered.group_by(names, use_threads=False).aggregate([("row", "list")]).to_pylist()
-    return [({name: one[name] for name in names}, table.take(one["row_list"])) for one in found]
+    """Group a table by the values of some columns, in order of appearance."""
+    indexed = table.append_column("row", pa.array(range(table.num_rows)))
+    groups = indexed.group_by(names, use_threads=False).aggregate([("row", "list")]).to_pylist()
+    return [({name: part[name] for name in names}, table.take(part["row_list"])) for part in groups]
 
 
 def _metrics(table: pa.Table) -> dict[str, Any]:
@@ -92,25 +92,25 @@ def _metrics(table: pa.Table) -> dict[str, Any]:
 
 
 def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, Any]]:
-    """Compare the arms of one setting in pairs, over the valid episodes that both ran."""
+    """Test the arms of one setting in pairs, over the valid episodes that both ran."""
     pairs = list(itertools.combinations(arms, 2))
     if len(arms) > _ALL_PAIRS_LIMIT:
         pairs = [(arms[0], other) for other in arms[1:]]
-    found = []
-    for (first, *one), (second, *two) in pairs:
-        valid = (table.filter(table["is_valid"]) for table in (*one, *two))
-        a, b = (table.select([*_PAIR, "is_success", "distance"]) for table in valid)
-        both = a.join(b, keys=[*_PAIR], join_type="inner", right_suffix=" 2")
-        both = both.sort_by([(name, "ascending") for name in _PAIR])
-        if both.num_rows:
+    comparisons = []
+    for (first, *first_tables), (second, *second_tables) in pairs:
+        valid = (table.filter(table["is_valid"]) for table in (*first_tables, *second_tables))
+        a, b = (table.select([*_PAIR_COLUMNS, "is_success", "distance"]) for table in valid)
+        joined = a.join(b, keys=[*_PAIR_COLUMNS], join_type="inner", right_suffix=" 2")
+        joined = joined.sort_by([(name, "ascending") for name in _PAIR_COLUMNS])
+        if joined.num_rows:
             names = ("is_success", "is_success 2", "distance", "distance 2")
-            comparison = compare(*(both[name].to_numpy() for name in names))
-            found.append({"first": first, "second": second, **dataclasses.asdict(comparison)})
-    return found
+            comparison = compare(*(joined[name].to_numpy() for name in names))
+            comparisons.append({"first": first, "second": second, **dataclasses.asdict(comparison)})
+    return comparisons
 
 
-_ALWAYS = ("world", "relation", "range", "policy")
-_RESULTS: TableColumns = (
+_LABELS = ("world", "relation", "range", "policy")
+_RESULT_COLUMNS: TableColumns = (
     ("Episodes", "{episodes}"),
     ("Success % (95 %)", SUCCESS),
     ("Distance m (σ)", "{distance_mean:.2f} ({distance_sd:.2f})"),
@@ -118,7 +118,7 @@ _RESULTS: TableColumns = (
     ("SPL", "{spl:.2f}"),
     ("Time-outs", timeouts_text),
 )
-_TESTS: TableColumns = (
+_TEST_COLUMNS: TableColumns = (
     ("Pairs", "{pairs}"),
     ("Only 1st, 2nd", "{success_only_first}, {success_only_second}"),
     ("p", "{success_p:.3g}"),
@@ -126,16 +126,16 @@ _TESTS: TableColumns = (
      "{distance_difference:+.2f} ({distance_ci[0]:+.2f} to {distance_ci[1]:+.2f})"),
     ("p", "{distance_p:.3g}"),
 )  # fmt: skip
-_METHOD = (
+_TEST_NOTE = (
     "Pairs ran the same world with the same noise. Success: exact McNemar test. Distance: mean "
     "difference, sign-flip permutation test."
 )
 
 
 def _tables(document: Document) -> list[Table]:
-    """Lay out the rows of a summary, and the paired tests if there are any."""
+    """Build the tables of a summary: its rows, and the paired tests if any."""
     varied, row, tests = document["varied"], document["rows"][0], document["comparisons"]
-    shown = [name for name in row if name in _ALWAYS or (name in varied and name != "command")]
+    labels = [name for name in row if name in _LABELS or (name in varied and name != "command")]
 
     def text(value: Any) -> str:
         if value is None:
@@ -146,41 +146,41 @@ def _tables(document: Document) -> list[Table]:
         return [(name, lambda row, name=name: text(row[name])) for name in names]
 
     def arm(row: dict[str, Any]) -> str:
-        extra = [
+        varied_values = [
             f"{name.split('.')[-1]} {text(value)}"
             for name, value in row.items()
             if name != "policy" and name in varied and value is not None
         ]
-        return " ".join([row["policy"], *extra])
+        return " ".join([row["policy"], *varied_values])
 
     missing = f"; {document['missing']} files are still missing" if document["missing"] else ""
     if document["damaged"]:
         missing += f", {len(document['damaged'])} of them because they are damaged"
     state = f"{document['episodes']} episodes in {document['files']} files{missing}."
-    columns = [*values(shown), *_RESULTS]
+    columns = [*values(labels), *_RESULT_COLUMNS]
     tables = [Table.of(document["rows"], columns, title=document["name"], caption=state)]
     if tests:
-        sides: TableColumns = [
+        arm_columns: TableColumns = [
             (heading, lambda row, side=side: arm(row[side]))
             for heading, side in (("1st", "first"), ("2nd", "second"))
         ]
-        of_setting = values(name for name in shown if name in tests[0])
-        columns = [*of_setting, *sides, *_TESTS]
-        tables.append(Table.of(tests, columns, title="Paired tests", caption=_METHOD))
+        setting_columns = values(name for name in labels if name in tests[0])
+        columns = [*setting_columns, *arm_columns, *_TEST_COLUMNS]
+        tables.append(Table.of(tests, columns, title="Paired tests", caption=_TEST_NOTE))
     return tables
 
 
 def summary_markdown(document: Document) -> str:
-    """Write what ``summarize_directory`` found as Markdown: heading, rows, paired tests."""
+    """Format a document of ``summarize_directory`` in Markdown: title, rows, paired tests."""
     rows, *tests = _tables(document)
     parts = [f"# {sanitize.markdown(rows.title)}", rows.caption, rows.markdown().rstrip()]
-    for one in tests:
-        parts += [f"## {one.title}", one.markdown().rstrip(), one.caption]
+    for table in tests:
+        parts += [f"## {table.title}", table.markdown().rstrip(), table.caption]
     return "\n\n".join(parts) + "\n"
 
 
 def render(document: Document) -> Any:
-    """Draw what ``summarize_directory`` found for the terminal: a group of rich's tables."""
+    """Render a document of ``summarize_directory`` for the terminal: a group of rich tables."""
     from rich.console import Group
 
-    return Group(*(one.text() for one in _tables(document)))
+    return Group(*(table.text() for table in _tables(document)))

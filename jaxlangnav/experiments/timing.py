@@ -1,4 +1,4 @@
-"""Where a decision cycle's time goes: its parts compiled alone, on the same beliefs."""
+"""Profiling of a decision cycle: its parts compiled and timed separately, on equal beliefs."""
 
 import dataclasses
 import os
@@ -22,21 +22,21 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 
 POLICY = "informed"  # the policy that is measured
-_STEPS = 5  # cycles run before the parts are timed: some things are seen, some words are refuted
+_STEPS = 5  # warm-up cycles, so that beliefs have objects and refuted groundings
 _CALLS = 20  # calls of a part in one measurement
-_SEED = 4242  # of the worlds; none that a table uses by default
+_SEED = 4242  # of the worlds; not the default of any table
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cost:
-    """What something took."""
+    """Measured cost: CPU and wall-clock time."""
 
-    cpu: float  # CPU seconds; seconds on the wall where the work is on another device
+    cpu: float  # CPU seconds; wall-clock seconds on an accelerator
     wall: float  # seconds
 
 
 def describe_machine() -> dict[str, Any]:
-    """Say on what the figures were measured."""
+    """Describe the machine of a measurement."""
     return {
         "platform": jax.default_backend(),
         "device": jax.devices()[0].device_kind,
@@ -53,14 +53,14 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def measure(work: Callable[[], Any], repetitions: int, *, patience: float = float("inf")) -> Cost:
-    """Time work warmed up by the caller: medians, of what fits into ``patience`` seconds."""
+def measure(run: Callable[[], Any], repetitions: int, *, patience: float = float("inf")) -> Cost:
+    """Time a warmed-up function: medians of the repetitions within ``patience`` seconds."""
     is_local = jax.default_backend() == "cpu"
     costs = []
     begin = time.perf_counter()
     while not costs or (len(costs) < repetitions and time.perf_counter() - begin < patience):
         cpu, wall = time.process_time(), time.perf_counter()
-        jax.block_until_ready(work())
+        jax.block_until_ready(run())
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
         costs.append((cpu if is_local else wall, wall))
     cpu, wall = np.median(costs, axis=0).tolist()
@@ -75,28 +75,28 @@ def measure_parts(
     repetitions: int,
     config: NavigatorConfig,
 ) -> dict[str, float]:
-    """Measure a cycle in one batch of lanes, its sensor, its filter, behavior in every particle.
+    """Time a cycle in one batch of lanes, and its sensor, filter and behavior inference.
 
     ``tasks``, leaves [E ≥ lanes, …]; ``instructions``, leaves [I, …]. CPU seconds of one lane, the
-    whole cycle first; planner and motion are what the parts leave over.
+    whole cycle first; planner and motion are the remainder.
     """
 
     def sense_and_filter(progress: EpisodeState) -> Any:
         state = progress.navigator
         key = jax.random.fold_in(progress.task.key, progress.steps)
-        readings, seen = state.instruction.readings, observe(progress)
+        readings, observation = state.instruction.readings, observe(progress)
         return semantic_filter.step(
-            key, state.belief, readings, seen, params=params.map, is_sparse=True
+            key, state.belief, readings, observation, params=params.map, is_sparse=True
         )
 
-    def infer(progress: EpisodeState) -> Any:
+    def infer_behavior(progress: EpisodeState) -> Any:
         state = progress.navigator
         return infer_clause_behaviors(
             state.belief.particles, state.instruction, state.clause, state.previous_goal
         )
 
-    first = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
-    progress = jax.vmap(lambda task: begin(task, instructions, config=config))(first)
+    batch = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
+    progress = jax.vmap(lambda task: begin(task, instructions, config=config))(batch)
 
     def compiled(part: Callable[[EpisodeState], Any]) -> Any:
         return jax.jit(jax.vmap(part)).lower(progress).compile()
@@ -104,23 +104,23 @@ def measure_parts(
     cycle = compiled(lambda one: advance(one, params=params, config=config)[0])
     for _ in range(_STEPS):
         progress = cycle(progress)
-    whole = _seconds(cycle, progress, repetitions)
-    sensor, both, inferred = (
-        _seconds(compiled(part), progress, repetitions)
-        for part in (observe, sense_and_filter, infer)
+    cycle_seconds = _lane_seconds(cycle, progress, repetitions)
+    sensor_seconds, filter_seconds, behavior_seconds = (
+        _lane_seconds(compiled(part), progress, repetitions)
+        for part in (observe, sense_and_filter, infer_behavior)
     )
     return {
-        "the cycle": whole,
-        "the sensor": sensor,
-        # The filter's part has to look as well; the sensor has been counted already.
-        "the filter": both - sensor,
-        "behavior in every particle": inferred,
-        "planner, motion and the rest": whole - both - inferred,
+        "the cycle": cycle_seconds,
+        "the sensor": sensor_seconds,
+        # This part includes the sensor, which is subtracted.
+        "the filter": filter_seconds - sensor_seconds,
+        "behavior in every particle": behavior_seconds,
+        "planner, motion and the rest": cycle_seconds - filter_seconds - behavior_seconds,
     }
 
 
-def _seconds(part: Any, progress: EpisodeState, repetitions: int) -> float:
-    """Time one call of a part on all lanes, for one of them."""
+def _lane_seconds(part: Any, progress: EpisodeState, repetitions: int) -> float:
+    """Time one call of a part on all lanes; seconds per lane."""
     jax.block_until_ready(part(progress))
 
     def calls() -> Any:
@@ -130,24 +130,23 @@ def _seconds(part: Any, progress: EpisodeState, repetitions: int) -> float:
 
 
 def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
-    """Measure the parts of a cycle, in a batch of episodes of all rows.
+    """Time the parts of a decision cycle, in a batch of episodes of all rows.
 
     ``cycle_us`` and ``parts_us`` by name, microseconds of one cycle of one episode; ``machine``,
-    ``wall_s``. A part that is left over may come out below zero by the noise of the others; it is
-    then counted as nothing.
+    ``wall_s``. A remainder that is negative by measurement noise is set to zero.
     """
     start, machine = time.perf_counter(), describe_machine()
-    settings, number = [one.setting(seed=_SEED) for one in PRINTED], -(-LANES // len(PRINTED))
-    grid = Grid(settings=settings, arms=(), episodes=number, names=())
-    tasks = grid.draw(np.random.default_rng(0).permutation(number * len(settings)))
+    settings, count = [spec.setting(seed=_SEED) for spec in PRINTED], -(-LANES // len(PRINTED))
+    grid = Grid(settings=settings, arms=(), episodes=count, names=())
+    tasks = grid.draw(np.random.default_rng(0).permutation(count * len(settings)))
     instructions = ground_sentences(list(SENTENCES.values())).instructions
     config = navigator_config(POLICY)
-    measured = measure_parts(tasks, instructions, params=params, repetitions=3, config=config)
-    whole = measured.pop("the cycle")
+    seconds_of = measure_parts(tasks, instructions, params=params, repetitions=3, config=config)
+    cycle_seconds = seconds_of.pop("the cycle")
     return {
         "experiment": "time",
-        "cycle_us": 1e6 * whole,
-        "parts_us": {name: max(0.0, 1e6 * seconds) for name, seconds in measured.items()},
+        "cycle_us": 1e6 * cycle_seconds,
+        "parts_us": {name: max(0.0, 1e6 * seconds) for name, seconds in seconds_of.items()},
         "machine": machine,
         "wall_s": time.perf_counter() - start,
         "files": [],

@@ -1,9 +1,9 @@
-"""What the paper leaves open, one thing at a time: which of it explains its figures (section 4.2)?
+"""Sensitivity study: vary one parameter at a time that the paper does not report (section 4.2).
 
-``faithful`` runs the rows of Table 2 once as in all our tables and once with each thing that the
-paper does not print set otherwise, in the same worlds with the same noise. A variation *explains* a
-row where both its success and its distance then lie within two standard errors of the printed ones.
-Two dozen variations are many looks, so the rows that each brings near are counted too.
+``faithful`` runs the rows of Table 2 once with the defaults and once with each unreported parameter
+varied, in the same worlds with the same noise. A variation *explains* a row where both its success
+and its distance are within two standard errors of the printed ones. With two dozen variations some
+agree by chance, so the rows that each explains are counted too.
 """
 
 import dataclasses
@@ -43,28 +43,28 @@ OURS = "as in all our tables"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Variation:
-    """One thing that the paper leaves open, set to one value."""
+    """One parameter that the paper does not report, set to one value."""
 
     unknown: str
     value: str  # for people
     sensor: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    """Of the navigator, by the names of their fields."""
+    params: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    """Parameters of the navigator, by field name."""
     particle_factor: float = 1.0
     num_blocks: int = PlannerConfig().num_blocks
-    """Blocks of the area a side, each with one frontier node at most."""
+    """Blocks per side of the area, each with at most one frontier node."""
     max_steps: int = MAX_STEPS
-    is_turned: bool = False  # whether each world is turned about the start by an angle of its own
+    is_turned: bool = False  # whether each world is rotated about the start by a random angle
 
     def arm(self, options: Options) -> Arm:
-        """Build the arm that runs it, under the options' numbers where they are not varied."""
+        """Build the arm of this variation, with the options' values where not varied."""
         arm = policy_arm(
             _POLICY,
             num_particles=max(2, round(self.particle_factor * options.num_particles)),
             params=options.params,
             motion=options.motion,
             labels={"policy": _POLICY, "unknown": self.unknown, "value": self.value},
-        ).with_overrides(self.numbers)
+        ).with_overrides(self.params)
         assert arm.config is not None
         planner = dataclasses.replace(arm.config.planner, num_blocks=self.num_blocks)
         config = dataclasses.replace(arm.config, planner=planner)
@@ -74,16 +74,16 @@ class Variation:
         )
 
 
-_SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
+_VALUES: dict[str, dict[str, dict[str, Any]]] = {
     "field of view": {
         f"{angle}°": {"sensor": {"field_of_view": math.radians(angle)}} for angle in (180, 90, 60)
     },
     "frontier spacing": {"doubled": {"num_blocks": 3}, "halved": {"num_blocks": 12}},
-    "discount γ": {f"{one:g}": {"numbers": {"discount": one}} for one in (0.5, 0.95, 0.99)},
+    "discount γ": {f"{x:g}": {"params": {"discount": x}} for x in (0.5, 0.95, 0.99)},
     "particles": {"÷ 4": {"particle_factor": 0.25}, "× 4": {"particle_factor": 4.0}},
-    "stop threshold τ": {f"{one:g}": {"numbers": {"stop_probability": one}} for one in (0.3, 0.5)},
-    "further objects α": {f"{one:g}": {"numbers": {"concentration": one}} for one in (0.02, 0.1)},
-    "reach": {f"{one:g} m": {"numbers": {"reach": one}} for one in (0.8, 1.45)},
+    "stop threshold τ": {f"{x:g}": {"params": {"stop_probability": x}} for x in (0.3, 0.5)},
+    "further objects α": {f"{x:g}": {"params": {"concentration": x}} for x in (0.02, 0.1)},
+    "reach": {f"{x:g} m": {"params": {"reach": x}} for x in (0.8, 1.45)},
     "detection": {"50 %": {"sensor": {"detection_probability": 0.5}}},
     "time-out": {"480 steps": {"max_steps": 4 * MAX_STEPS}},
     "direction of the goal": {"any": {"is_turned": True}},
@@ -92,19 +92,19 @@ VARIATIONS = (
     Variation(unknown=OURS, value=""),
     *(
         Variation(unknown=unknown, value=value, **setting)
-        for unknown, values in _SETTINGS.items()
+        for unknown, values in _VALUES.items()
         for value, setting in values.items()
     ),
 )
-"""What is varied; the first one is what all our tables run. Two values of one unknown are two
-points of a line: what lies between them is for ``jaxlangnav sweep``."""
+"""All variations; the first is the default of all our tables. For more values of a parameter use
+``jaxlangnav sweep``."""
 
 
 def _turned(tasks: Task, seed: int) -> Task:
-    """Turn each world about the start by an angle of its own, uniform over the circle."""
-    # Places relative to each other and to whoever looks from the start stay: what was behind a cone
-    # still is. The operating area becomes the square [-D, D]² around the start. A world of which
-    # something then stands outside the area counts as invalid.
+    """Rotate each world about the start by a random angle, uniform over the circle."""
+    # Relations between objects as seen from the start are preserved: what was behind a cone still
+    # is. The operating area becomes the square [-D, D]² around the start. A world with an object
+    # outside that area counts as invalid.
     scenario, shape = tasks.scenario, tasks.instruction_index.shape
     key = jax.random.fold_in(jax.random.key(seed), 1)
     angle = jax.random.uniform(key, shape, maxval=2.0 * jnp.pi)
@@ -124,93 +124,93 @@ def _turned(tasks: Task, seed: int) -> Task:
 
 
 def _measure(row: Row, spec: RowSpec, _: EpisodeResult) -> Row:
-    """Hold a row against the printed one."""
+    """Compare a row with the printed one, in standard errors."""
     paper = printed_rows([TABLE_2[PRINTED.index(spec)]])[0]
     z = deviations(row, paper)
-    near = {f"is_{name}_near": abs(far) <= AGREEMENT for name, far in z.items()}
+    near = {f"is_{name}_near": abs(deviation) <= AGREEMENT for name, deviation in z.items()}
     return {
         "success_se": rate_error(row["success_rate"], row["episodes"]),
         "distance_se": distance_error(row),
         "paper_success_rate": paper["success_rate"],
         "paper_distance_mean": paper["distance_mean"],
-        **{f"z_{name}": far for name, far in z.items()},
+        **{f"z_{name}": deviation for name, deviation in z.items()},
         **near,
         "is_near": all(near.values()),
     }
 
 
-def _found(rows: Sequence[Row], options: Options) -> Row:
-    """Say how near each variation comes to the paper, and what explains each row of it."""
+def _extras(rows: Sequence[Row], options: Options) -> Row:
+    """Compute the agreement of each variation with the paper, and the explanations of each row."""
     params = default_params() if options.params is None else options.params
     names = ("discount", "stop_probability", "reach")
-    traced = {name: getattr(params.planner, name) for name in names}
-    traced["concentration"] = params.map.concentration
-    ours: Row = {name: round(float(value), 6) for name, value in traced.items()}
+    params_shown = {name: getattr(params.planner, name) for name in names}
+    params_shown["concentration"] = params.map.concentration
+    ours: Row = {name: round(float(value), 6) for name, value in params_shown.items()}
     ours |= {"num_blocks": PlannerConfig().num_blocks, "max_steps": MAX_STEPS}
-    fits = []
-    for at in range(0, len(rows), len(PRINTED)):
-        mine = rows[at : at + len(PRINTED)]
-        z = np.array([[row["z_success"], row["z_distance"]] for row in mine])
-        near = sum(row["is_near"] for row in mine)
-        named = {name: mine[0][name] for name in ("unknown", "value")}
-        fits.append(named | {"rows_near": near, "rms_z": float(np.sqrt((z**2).mean()))})
-    # By row of Table 2: what brings it within two standard errors of the paper.
+    variations = []
+    for start in range(0, len(rows), len(PRINTED)):
+        group = rows[start : start + len(PRINTED)]
+        z = np.array([[row["z_success"], row["z_distance"]] for row in group])
+        count = sum(row["is_near"] for row in group)
+        labels = {name: group[0][name] for name in ("unknown", "value")}
+        variations.append(labels | {"rows_near": count, "rms_z": float(np.sqrt((z**2).mean()))})
+    # By row of Table 2: the variations within two standard errors of the paper.
     explained = []
-    for at in range(len(PRINTED)):
-        first, *rest = rows[at :: len(PRINTED)]
-        by = [f"{row['unknown']} {row['value']}".strip() for row in rest if row["is_near"]]
-        own = {name: first[name] for name in ("world", "range", "relation", "is_near")}
-        explained.append(own | {"by": by})
+    for start in range(len(PRINTED)):
+        first, *rest = rows[start :: len(PRINTED)]
+        names = [f"{row['unknown']} {row['value']}".strip() for row in rest if row["is_near"]]
+        entry = {name: first[name] for name in ("world", "range", "relation", "is_near")}
+        explained.append(entry | {"by": names})
     return {
         "policy": _POLICY,
         "ours": ours | {"bearing_max": OBJECT_BEARING_MAX},
-        "variations": fits,
+        "variations": variations,
         "explained": explained,
     }
 
 
 def row_name(row: Mapping[str, Any]) -> str:
-    """Name a row of Table 2: "2H1C behind"."""
+    """Format the name of a row of Table 2: "2H1C behind"."""
     return f"{row['world']} {row['relation'] or 'null'}"
 
 
 def _matrix(document: Document) -> Table:
-    """Lay out the variations as lines and the rows of Table 2 as columns, the paper's first."""
-    paper, rows, fits = document["paper"], document["rows"], document["variations"]
-    printed = [f"{one['success_rate']:.1f} · {one['distance_mean']:.1f}" for one in paper]
+    """Build a table of variations (lines) by rows of Table 2 (columns), the paper's line first."""
+    paper, rows, trials = document["paper"], document["rows"], document["variations"]
+    printed = [f"{row['success_rate']:.1f} · {row['distance_mean']:.1f}" for row in paper]
     lines = [["the paper", "", *printed, "", ""]]
 
     def figures(row: Row) -> str:
-        """Write success and distance of a row, each with a star where it is near the paper's."""
+        """Format success and distance of a row, with a star where close to the paper's."""
         parts = ((row["success_rate"], "success"), (row["distance_mean"], "distance"))
         return " · ".join(f"{value:.1f}{'*' * row[f'is_{name}_near']}" for value, name in parts)
 
-    for place, fit in enumerate(fits):
-        mine = rows[place * len(paper) : (place + 1) * len(paper)]
-        near = f"{fit['rows_near']} of {len(paper)}", f"{fit['rms_z']:.1f}"
-        lines.append([fit["unknown"], fit["value"], *map(figures, mine), *near])
+    for i, variation in enumerate(trials):
+        group = rows[i * len(paper) : (i + 1) * len(paper)]
+        counts = f"{variation['rows_near']} of {len(paper)}", f"{variation['rms_z']:.1f}"
+        lines.append([variation["unknown"], variation["value"], *map(figures, group), *counts])
     headings = ["unknown", "set to", *map(row_name, paper), "rows explained", "rms z"]
-    # On a terminal both figures of a row stand one above the other.
-    small = Table(
-        headings=["success %\ndistance m", *(one.replace(" ", "\n") for one in headings[2:])],
+    # On a terminal, distance is below success.
+    narrow = Table(
+        headings=["success %\ndistance m", *(name.replace(" ", "\n") for name in headings[2:])],
         rows=[
-            [f"{line[0]} {line[1]}".strip(), *(one.replace(" · ", "\n") for one in line[2:])]
+            [f"{line[0]} {line[1]}".strip(), *(text.replace(" · ", "\n") for text in line[2:])]
             for line in lines
         ],
     )
-    return Table(headings=headings, rows=lines, faint=[True, *[False] * len(fits)], screen=small)
+    return Table(headings=headings, rows=lines, faint=[True, *[False] * len(trials)], screen=narrow)
 
 
-def _explain(one: Mapping[str, Any]) -> str:
-    if one["is_near"]:
+def _explain(row: Mapping[str, Any]) -> str:
+    if row["is_near"]:
         return "ours lies within two standard errors as it is."
-    return f"explained by {' or '.join(one['by']) or 'nothing that is varied'}."
+    return f"explained by {' or '.join(row['by']) or 'nothing that is varied'}."
 
 
 def _conditions(document: Document) -> list[str]:
-    """Say how the tables are to be read and what they were measured under."""
+    """Describe how to read the tables, and the experimental conditions."""
     noise, ours = document["noise"], document["ours"]
-    left_out = sum(row["invalid_worlds"] for row in document["rows"])
+    num_invalid = sum(row["invalid_worlds"] for row in document["rows"])
     return [
         f"Success (%) and distance (m); with a star: within {AGREEMENT:g} standard "
         f"errors of the printed figure, by z in standard errors of both (the paper's rest on "
@@ -224,7 +224,7 @@ def _conditions(document: Document) -> list[str]:
         f"{ours['reach']:g} m; detection {100 * noise['detection_probability']:g} %; time-out "
         f"after {ours['max_steps']} steps of {noise['step_length']:g} m; objects within "
         f"±{math.degrees(ours['bearing_max']):.0f}° ahead.",
-        f"Worlds that missed their law and are left out: {left_out}.",
+        f"Worlds that missed their law and are left out: {num_invalid}.",
     ]
 
 
@@ -236,11 +236,11 @@ UNKNOWNS = Experiment(
     specs=PRINTED,
     arms=lambda options: [one.arm(options) for one in VARIATIONS],
     measure=_measure,
-    extras=_found,
+    extras=_extras,
     tables=lambda document: [_matrix(document)],
     notes=lambda document: [
         *(f"{row_name(one)}: {_explain(one)}" for one in document["explained"]),
         *_conditions(document),
     ],
 )
-"""The rows of Table 2 for every variation; the first is what the others are compared with."""
+"""The rows of Table 2 for every variation; the first is the reference."""
