@@ -76,8 +76,7 @@ def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
     """Ground a command, and merge it with a statement that is true in its worlds and a false."""
     model = load_shipped()
     command = understand(text, model)
-    base = command.instruction
-    given = replace(base, readings=widen(base.readings, Capacity()))
+    given = replace(command.instruction, readings=widen(command.instruction.readings, Capacity()))
     words = first_words(given, command.spoken)
 
     def merged(statement: str) -> Merged:
