@@ -9,7 +9,7 @@ from test_navigator_step import AREA, CONE, go
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.messages import Status
-from jaxlangnav.planner.policy import UNDERFOOT
+from jaxlangnav.planner.policy import ARRIVAL_RADIUS
 
 FRONT, BACK, LEFT, RIGHT = "in front of you", "behind you", "to your left", "to your right"
 
@@ -105,16 +105,16 @@ def test_the_robot_ends_where_it_was_told(robot, text: str) -> None:
     state = robot.start(text, pose=(*START, 0.0), area=AREA)
     run = go(robot, state, THINGS, start=START)
     assert Status(int(run.actions[-1].status)) == Status.ARRIVED
-    assert np.hypot(*(run.end - ENDS[text])) <= UNDERFOOT + 0.1
+    assert np.hypot(*(run.end - ENDS[text])) <= ARRIVAL_RADIUS + 0.1
 
 
 def test_a_way_is_told_from_where_the_robot_has_come_to(robot) -> None:
     run = go(robot, robot.start("go forward 2 metres", area=AREA), [])
-    assert np.hypot(*(run.end - (2.0, 0.0))) <= UNDERFOOT
+    assert np.hypot(*(run.end - (2.0, 0.0))) <= ARRIVAL_RADIUS
     state, _ = robot.take(run.state, "turn left and go 3 metres")
     after = go(robot, state, [], start=tuple(run.end))
     assert Status(int(after.actions[-1].status)) == Status.ARRIVED
-    assert np.hypot(*(after.end - (2.0, 3.0))) <= 2.0 * UNDERFOOT
+    assert np.hypot(*(after.end - (2.0, 3.0))) <= 2.0 * ARRIVAL_RADIUS
     back = go(robot, robot.hear(after.state, "come back"), [], start=tuple(after.end))
     assert np.hypot(*back.end) < 1.25
 

@@ -232,7 +232,7 @@ def test_no_arrival_without_a_goal_seen_within_reach(robot, seed: int) -> None:
         assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(goals))
         away = np.hypot(goals.object_x - info.robot[0], goals.object_y - info.robot[1])
         reach = RANGE if float(info.behavior.action[1]) > 0.5 else float(params.reach)
-        is_goal = np.asarray(goals.is_object) & (goals.object_accepted >= policy.LEAST_GOAL)
+        is_goal = np.asarray(goals.is_object) & (goals.object_accepted >= policy.MIN_GOAL_PROB)
         if Status(int(action.status)) == Status.ARRIVED:
             assert (is_goal & (away <= reach)).any()
         if Status(int(action.status)) == Status.NOT_FOUND:

@@ -10,14 +10,14 @@ from oracles.detours import shortest_way
 from situations import nodes_at, seen_goal, situation
 
 from jaxlangnav.planner.constraints import (
-    BERTH,
     CLOSE,
-    MOST_FORBIDDEN,
+    MAX_FORBIDDEN,
     RADIUS,
+    ZONE,
     Forbidden,
     keep_out,
     price_along,
-    safe_share,
+    safe_fraction,
 )
 from jaxlangnav.planner.detours import detours
 from jaxlangnav.planner.situation import Situation
@@ -31,7 +31,7 @@ DETOURS = jax.jit(detours)
 
 
 def things_at(places, share: float = 1.0) -> Forbidden:
-    table = np.zeros((3, MOST_FORBIDDEN), np.float32)
+    table = np.zeros((3, MAX_FORBIDDEN), np.float32)
     for slot, place in enumerate(places):
         table[:, slot] = *place, COST * share
     return Forbidden(x=jnp.asarray(table[0]), y=jnp.asarray(table[1]), price=jnp.asarray(table[2]))
@@ -64,11 +64,11 @@ def test_the_price_of_a_way_is_the_integral_of_nearness() -> None:
     share = (np.arange(4000) + 0.5)[:, None, None] / 4000
     line = ends[:, :2] + share * (ends[:, 2:] - ends[:, :2])
     squared = ((line[:, :, None] - things) ** 2).sum(-1)
-    deep = (np.maximum(1.0 - np.sqrt(squared) / BERTH, 0.0) ** 2).sum(-1).mean(axis=0)
+    deep = (np.maximum(1.0 - np.sqrt(squared) / ZONE, 0.0) ** 2).sum(-1).mean(axis=0)
     expected = 0.5 * COST * deep * np.hypot(*(ends[:, 2:] - ends[:, :2]).T)
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
     through = price_along(*jnp.array([[-9.0], [0.0], [9.0], [0.0]]), things_at([(0.0, 0.0)]))
-    np.testing.assert_allclose(through, COST * 2.0 * BERTH / 3.0, rtol=1e-5)
+    np.testing.assert_allclose(through, COST * 2.0 * ZONE / 3.0, rtol=1e-5)
 
 
 def test_ways_are_the_shortest_that_keep_the_berth() -> None:
@@ -77,9 +77,9 @@ def test_ways_are_the_shortest_that_keep_the_berth() -> None:
     for _ in range(40):
         things, robot, place = draw.uniform(-6.0, 6.0, (3, 2)), *draw.uniform(-8.0, 8.0, (2, 2))
         ends = np.stack([robot, place])
-        if np.hypot(*(ends[:, None] - things[None]).T).min() < BERTH + 0.05:
+        if np.hypot(*(ends[:, None] - things[None]).T).min() < ZONE + 0.05:
             continue
-        best = shortest_way(robot, place, things, AREA, berth=BERTH, reach=0.05)
+        best = shortest_way(robot, place, things, AREA, berth=ZONE, reach=0.05)
         length = np.hypot(*(place - robot))
         found = length + float(way_to(things, robot, [place])[0][0])
         # A gap that is a little too narrow may be cheaper than the way round.
@@ -100,7 +100,7 @@ def test_from_within_the_berth_the_way_leads_out() -> None:
     robot = np.array([-0.6, 0.1])
     for _ in range(3):
         _, *corner = np.array(way_to([(0.0, 0.0)], robot, [(6.0, 0.0)]))[:, 0]
-        assert np.hypot(*corner) > BERTH - 0.01
+        assert np.hypot(*corner) > ZONE - 0.01
         after = robot + 0.4 * (corner - robot) / np.hypot(*(corner - robot))
         assert np.hypot(*after) > np.hypot(*robot) + 0.2
         robot = after
@@ -178,7 +178,7 @@ def test_steps_leave_time_to_see_what_is_forbidden(opening: float) -> None:
     mentioned = jnp.zeros(belief.particles.is_mentioned.shape, bool).at[1, : P // 2].set(True)
     particles = replace(belief.particles, is_mentioned=mentioned)
     forbidden = jnp.zeros((7, 3 + len(mentioned) + 1, P)).at[6, 4].set(1.0)
-    sensor, choose = by_hand.sensor(4.0, opening), jax.jit(safe_share)
+    sensor, choose = by_hand.sensor(4.0, opening), jax.jit(safe_fraction)
     found = []
     for risk in (1e-3, 3e-3, 1e-2, 0.1):
         miss = 0.05 ** draw.integers(0, 3, (24, 24))

@@ -17,7 +17,7 @@ from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Decision, Waypoint
 from jaxlangnav.planner.search import CELLS, LATTICE, grid, search_map, visibility
-from jaxlangnav.planner.termination import Chances, chance_left, chances
+from jaxlangnav.planner.termination import Presence, presence, prob_exists
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations.density import SIDE_CONCENTRATION
 from jaxlangnav.semantic_map.params import MapConfig, default_map_params
@@ -191,7 +191,7 @@ def test_nothing_stops_at_random_goals_out_of_reach() -> None:
         assert np.isfinite([choice.waypoint_x, choice.waypoint_y]).all()
         stops += bool(choice.is_stop)
         if bool(choice.is_stop):
-            assert policy.LEAST_GOAL <= values[2] <= 1.0
+            assert policy.MIN_GOAL_PROB <= values[2] <= 1.0
             assert np.hypot(robot[0] - 6.0, robot[1]) <= float(reaches[is_find])
     assert stops > 5
 
@@ -227,23 +227,23 @@ def test_the_chance_that_something_is_left_by_hand() -> None:
     for unseen in (1.0, 0.4, 0.02):
         there = np.sum(np.exp(-alpha) * (alpha * unseen) ** number / factorial) * (1 - epsilon)
         expected = there / (there + np.exp(-alpha) * epsilon)
-        found = chance_left(*(jnp.float32(one) for one in (unseen, alpha, epsilon, 0.0)))
+        found = prob_exists(*(jnp.float32(one) for one in (unseen, alpha, epsilon, 0.0)))
         assert float(found) == pytest.approx(expected, rel=1e-4)
         # … and where the number is negative binomial, by its recursion.
         clumping, shape = 2.0, alpha / 2.0
         nobody = (1.0 + clumping) ** -shape
         steps = (shape + np.arange(60)) / (1.0 + np.arange(60)) * clumping / (1.0 + clumping)
         there = np.sum(nobody * np.cumprod(steps * unseen)) * (1 - epsilon)
-        found = chance_left(*(jnp.float32(one) for one in (unseen, alpha, epsilon, clumping)))
+        found = prob_exists(*(jnp.float32(one) for one in (unseen, alpha, epsilon, clumping)))
         assert float(found) == pytest.approx(there / (there + nobody * epsilon), rel=1e-4)
     for unseen, doubt, expected in ((0.0, 0.05, 0.0), (0.1, 0.0, 1.0), (0.0, 0.0, 0.0)):
-        found = chance_left(*(jnp.float32(one) for one in (unseen, alpha, doubt, 0.0)))
+        found = prob_exists(*(jnp.float32(one) for one in (unseen, alpha, doubt, 0.0)))
         assert float(found) == pytest.approx(expected, abs=1e-6)
 
 
-def both(chance: float) -> Chances:
+def both(chance: float) -> Presence:
     """Build the chances where nothing is nowhere."""
-    return Chances(jnp.float32(chance), jnp.float32(chance), jnp.float32(0.0))
+    return Presence(jnp.float32(chance), jnp.float32(chance), jnp.float32(0.0))
 
 
 def test_what_is_nowhere_ends_a_search_sooner_by_hand() -> None:
@@ -253,12 +253,12 @@ def test_what_is_nowhere_ends_a_search_sooner_by_hand() -> None:
     for unseen in (1.0, 0.1, 0.01):
         odds = np.expm1(float(maps.concentration) * unseen)
         cases = np.array([(1 - epsilon) * (1 - nu) * odds, epsilon, (1 - epsilon) * nu])
-        found = chances(jnp.float32(unseen), jnp.float32(nu), maps, jnp.float32(0.5))
+        found = presence(jnp.float32(unseen), jnp.float32(nu), maps, jnp.float32(0.5))
         share = cases / cases.sum()
         np.testing.assert_allclose([found.any, found.nowhere], share[[0, 2]], rtol=1e-4)
         assert float(found.elsewhere) == pytest.approx(1 / (1 + (1 / 0.005 - 1) * odds), rel=1e-3)
         assert float(found.fitting) > float(found.any)
-        none = chances(jnp.float32(unseen), jnp.float32(0.0), maps, jnp.float32(0.0))
+        none = presence(jnp.float32(unseen), jnp.float32(0.0), maps, jnp.float32(0.0))
         assert [float(one) for one in none[:3]] == [float(found.fitting)] * 2 + [0.0]
 
 
@@ -267,11 +267,11 @@ def test_what_is_unseen_by_hand() -> None:
     missed = np.exp(log_miss)
     free = SEARCH_MAP(believe(random_places(), is_hung=False, log_miss=log_miss))
     np.testing.assert_allclose([free.unseen, free.missed], missed.mean(), rtol=1e-4)
-    doubted, cells = free.doubted(0.4, 0.0), missed.reshape(12, 2, 12, 2).sum(axis=(1, 3)).ravel()
+    doubted, cells = free.relocated(0.4, 0.0), missed.reshape(12, 2, 12, 2).sum(axis=(1, 3)).ravel()
     elsewhere = 0.4 * free.mass.sum() * cells / cells.sum()
     np.testing.assert_allclose(doubted.anchored, elsewhere, rtol=1e-2)
     np.testing.assert_allclose(doubted.unanchored, 0.6 * free.unanchored, rtol=1e-5)
-    assert float(free.doubted(0.4, 1.5).mass.sum()) == pytest.approx(1.5, rel=1e-4)
+    assert float(free.relocated(0.4, 1.5).mass.sum()) == pytest.approx(1.5, rel=1e-4)
     # Where it is said to be nobody has looked, however well the rest is known.
     log_miss = np.full((24, 24), -8.0)
     log_miss[12:14, 12:14] = 0.0
@@ -310,7 +310,7 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
         assert int(choice.kind) == OBJECT_NODE
         assert bool(choice.is_approach)
     # That it is nowhere ends a search that has shown nothing, and nothing is taken for it.
-    choice = DECIDE_ON(shown, plan, Chances(jnp.float32(0.5), jnp.float32(chance), jnp.float32(0)))
+    choice = DECIDE_ON(shown, plan, Presence(jnp.float32(0.5), jnp.float32(chance), jnp.float32(0)))
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (False, ends)
 
 
@@ -319,7 +319,7 @@ def test_a_thorough_search_ends_when_hardly_anything_is_unlooked(unlooked, ends)
     """However likely it is thought that what is spoken of is nowhere."""
     plan = plan_to(4.0, 3.0, 9.0, 0.6, 0.0)
     shown = situation(by_hand.begin(config=CONFIG), nodes(), goals(0.0), (5.5, 0.0))
-    low = Chances(*(jnp.float32(share) for share in (0.01, 0.01, 0.4, unlooked)))
+    low = Presence(*(jnp.float32(share) for share in (0.01, 0.01, 0.4, unlooked)))
     doubting = replace(shown.params, absent=jnp.float32(0.05))
     assert bool(DECIDE_ON(replace(shown, params=doubting), plan, low).is_not_found) is ends
     assert bool(DECIDE_ON(shown, plan, low).is_not_found)
@@ -332,7 +332,7 @@ def test_nowhere_ends_no_search_that_has_shown_something() -> None:
         # The robot's own entry comes last, and is nothing that has been seen.
         aims = replace(goals(0.0, hypothesis=0.6), is_object=jnp.array([is_seen, True]))
         shown = situation(by_hand.begin(config=CONFIG), nodes(), aims, (5.5, 0.0))
-        low = Chances(jnp.float32(0.5), jnp.float32(0.01), jnp.float32(0.4))
+        low = Presence(jnp.float32(0.5), jnp.float32(0.01), jnp.float32(0.4))
         assert bool(DECIDE_ON(shown, plan, low).is_not_found) is not is_seen
         assert bool(DECIDE_ON(shown, plan, both(0.01)).is_not_found)
 

@@ -25,7 +25,7 @@ from jaxlangnav.planner.latency import (
 )
 from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
-from jaxlangnav.planner.termination import Chances
+from jaxlangnav.planner.termination import Presence
 from jaxlangnav.planner.tours import NUM_CHANGES
 from jaxlangnav.pytree import replace
 from jaxlangnav.terrain.view import GLANCE
@@ -275,7 +275,7 @@ def decide(now: tours.Plan, goal: float) -> Decision:
         by_hand.begin(config=CONFIG), nodes_at([1.5], [0.0], [OBJECT_NODE]), seen_goal(goal, 1.5),
         (1.0, 0.0),
     )  # fmt: skip
-    return DECIDE_ON(shown, now, Chances(jnp.float32(1.0), jnp.float32(1.0), NOT))
+    return DECIDE_ON(shown, now, Presence(jnp.float32(1.0), jnp.float32(1.0), NOT))
 
 
 def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:

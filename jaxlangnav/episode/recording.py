@@ -18,7 +18,7 @@ from jaxlangnav.inputs.object_types import name_of
 from jaxlangnav.messages import NONE, Readings, SensorParams
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.planner.params import PlannerParams
-from jaxlangnav.planner.policy import Portrayal
+from jaxlangnav.planner.policy import PolicyDescription
 from jaxlangnav.planner.termination import missing_types
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -101,7 +101,7 @@ class StaticScene:
     text: str
     type_names: tuple[str, ...]
     policy: str
-    portrayal: Portrayal
+    portrayal: PolicyDescription
     scenario: Scenario
     sensor: SensorParams
     readings: Readings

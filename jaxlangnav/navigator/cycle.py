@@ -38,7 +38,7 @@ from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import start_progress, update_progress
 from jaxlangnav.planner.goals import Goals, gather
-from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, has_open_partner
+from jaxlangnav.planner.relevance import believed_groups, has_unseen_tie, is_tied_to_goal
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause_behaviors
@@ -144,7 +144,7 @@ def step(
     chex.assert_equal_shape([params.mode_speed, params.mode_clearance])
     # As close as it has been told to; a place told in metres is stood on.
     reach = params.planner.reach * state.talk.closeness
-    reach = jnp.where(_metres(state) > 0.0, policy.UNDERFOOT, reach)
+    reach = jnp.where(_metres(state) > 0.0, policy.ARRIVAL_RADIUS, reach)
     params = replace(params, planner=replace(params.planner, reach=reach))
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
@@ -231,7 +231,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot = robot_position(belief)
-    has_open = has_open_partner(group, belief.particles)
+    has_open = has_unseen_tie(group, belief.particles)
     return InferredTask(
         fault=fault,
         belief=belief,
@@ -241,7 +241,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
         expected=jax.tree.map(
             lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
         ),
-        is_relevant=bears_on_goal(group, belief.particles, behavior),
+        is_relevant=is_tied_to_goal(group, belief.particles, behavior),
         goals=gather(belief, behavior, relations, has_open, _metres(state)),
     )
 

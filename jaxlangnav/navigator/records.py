@@ -13,7 +13,7 @@ from jaxlangnav.messages import NONE, Action, Behavior, SensorParams, Status
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import ProgressMonitor
 from jaxlangnav.planner.config import PlannerConfig
-from jaxlangnav.planner.constraints import safe_share
+from jaxlangnav.planner.constraints import safe_fraction
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
 from jaxlangnav.planner.policy import Policy
@@ -197,7 +197,7 @@ def make_action(
     is_idle = state.instruction.num_clauses == 0
     step_x, step_y = next_x - here[0], next_y - here[1]
     step, constraint = jnp.stack([step_x, step_y]) / distance * length, task.behavior.constraint
-    share = safe_share(task.belief, constraint, here, step, sensor, params.planner.unseen_risk)
+    share = safe_fraction(task.belief, constraint, here, step, sensor, params.planner.unseen_risk)
     drift = mean_drift(state.belief)
     if drift is not None:
         step_x, step_y = rotated(step_x, step_y, -drift)
@@ -230,7 +230,7 @@ def update_task_state(
     moves_on, talk = choice.is_stop & ~is_last, state.talk
     # What it goes up to is remembered for what may be said of it.
     away = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
-    is_goal = goals.is_object & (goals.object_accepted >= policy.LEAST_GOAL)
+    is_goal = goals.is_object & (goals.object_accepted >= policy.MIN_GOAL_PROB)
     aimed = jnp.argmin(jnp.where(is_goal, away, jnp.inf)[:-1]).astype(jnp.int32)
     approached = jnp.where(choice.is_approach, aimed, talk.approached)
     reached = jnp.where(jnp.any(is_goal[:-1]), goal_slot, talk.approached)

@@ -1,8 +1,8 @@
-"""Whether the robot gets on, and waypoints that it has given up as out of reach (ours).
+"""Progress monitoring: waypoints given up as unreachable (ours).
 
-A robot that is sent on and stays where it is for a while gives its waypoint up: nodes about it are
-closed for some time, so that another way is tried. Where one after the other is given up, the way
-is blocked.
+A robot with a waypoint that does not move for a while gives the waypoint up: nodes near it are
+closed for some time, so that another path is tried. If several in a row are given up, the robot is
+blocked.
 """
 
 import jax.numpy as jnp
@@ -12,32 +12,32 @@ from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.pytree import pytree, replace
 
 NUM_CLOSED = 4
-"""Waypoints given up that are remembered; the oldest is forgotten first."""
-_LEAST_WAY = 0.1  # metres by which a robot that gets on has moved within its patience
-_AROUND = 0.75  # metres about a waypoint given up in which nodes are closed
-_CYCLES = 25  # cycles for which they are
+"""Number of abandoned waypoints that are stored; the oldest is dropped first."""
+_MIN_MOVED = 0.1  # metres that a robot has to move within its patience
+_CLOSE_RADIUS = 0.75  # metres around an abandoned waypoint within which nodes are closed
+_CLOSED_CYCLES = 25  # cycles for which nodes stay closed
 
 
 @pytree
 class ProgressMonitor:
-    """Whether the robot gets on."""
+    """State of progress monitoring."""
 
-    x: Array  # f32[] metres, map frame: where it last was when it had got on
+    x: Array  # f32[] metres, map frame: position at the last progress
     y: Array  # f32[]
-    waited: Array  # i32[] cycles since
-    closed_x: Array  # f32[NUM_CLOSED] metres, map frame: waypoints given up, the last one first
+    waited: Array  # i32[] cycles since then
+    closed_x: Array  # f32[NUM_CLOSED] metres, map frame: abandoned waypoints, latest first
     closed_y: Array  # f32[NUM_CLOSED]
-    closed_for: Array  # i32[NUM_CLOSED] cycles for which they still are
+    closed_for: Array  # i32[NUM_CLOSED] remaining cycles of their closure
     num_closed: Array  # i32[] waypoints given up for this task
 
     @property
     def is_news(self) -> Array:
         """Whether a waypoint was given up in the last cycle, bool[]."""
-        return self.closed_for[0] == _CYCLES
+        return self.closed_for[0] == _CLOSED_CYCLES
 
 
 def start_progress(pose: Array) -> ProgressMonitor:
-    """Build the record of a robot that sets out from a pose f32[3]."""
+    """Build the initial state of progress monitoring at a pose f32[3]."""
     zero = jnp.zeros(NUM_CLOSED, jnp.float32)
     return ProgressMonitor(
         x=pose[0],
@@ -51,10 +51,10 @@ def start_progress(pose: Array) -> ProgressMonitor:
 
 
 def open_nodes(nodes: Nodes, way: ProgressMonitor) -> Nodes:
-    """Close the nodes about waypoints that have been given up."""
+    """Close the nodes near waypoints that have been given up."""
     offset_x = nodes.x[:, None] - way.closed_x[None]
     offset_y = nodes.y[:, None] - way.closed_y[None]
-    is_near = offset_x * offset_x + offset_y * offset_y < _AROUND**2
+    is_near = offset_x * offset_x + offset_y * offset_y < _CLOSE_RADIUS**2
     is_closed = jnp.any(is_near & (way.closed_for > 0)[None], axis=1)
     return replace(nodes, is_node=nodes.is_node & ~is_closed)
 
@@ -67,34 +67,34 @@ def update_progress(
     *,
     patience: int,
 ) -> ProgressMonitor:
-    """Tell whether the robot gets on, and give its waypoint up where it does not.
+    """Update progress monitoring; give the waypoint up if the robot has not moved for a while.
 
-    Limits: a robot that stands because it is to stand never gives anything up.
+    Limits: a robot that is not under way never gives a waypoint up.
 
     Args:
         way: before this cycle.
-        waypoint: f32[] x and y, where it is sent now, metres, map frame.
+        waypoint: f32[] x and y, current waypoint, metres, map frame.
         robot: f32[] x and y, believed position.
-        is_under_way: bool[], it is sent somewhere.
-        patience: cycles without any way made after which a waypoint is given up.
+        is_under_way: bool[], it has a waypoint.
+        patience: cycles without progress after which a waypoint is given up.
     """
     robot_x, robot_y = robot
-    moved = jnp.hypot(robot_x - way.x, robot_y - way.y) > _LEAST_WAY
-    waited = jnp.where(is_under_way & ~moved, way.waited + 1, 0)
+    has_moved = jnp.hypot(robot_x - way.x, robot_y - way.y) > _MIN_MOVED
+    waited = jnp.where(is_under_way & ~has_moved, way.waited + 1, 0)
     gives_up = waited > patience
     is_new = gives_up & (jnp.arange(NUM_CLOSED) == 0)
 
     def push(old: Array, new: Array) -> Array:
-        rest = jnp.where(gives_up, jnp.roll(old, 1), old)
-        return jnp.where(is_new, new, rest)
+        shifted = jnp.where(gives_up, jnp.roll(old, 1), old)
+        return jnp.where(is_new, new, shifted)
 
-    left = jnp.maximum(way.closed_for - 1, 0)
+    remaining = jnp.maximum(way.closed_for - 1, 0)
     return ProgressMonitor(
-        x=jnp.where(moved | ~is_under_way, robot_x, way.x),
-        y=jnp.where(moved | ~is_under_way, robot_y, way.y),
+        x=jnp.where(has_moved | ~is_under_way, robot_x, way.x),
+        y=jnp.where(has_moved | ~is_under_way, robot_y, way.y),
         waited=jnp.where(gives_up, 0, waited).astype(jnp.int32),
         closed_x=push(way.closed_x, waypoint[0]),
         closed_y=push(way.closed_y, waypoint[1]),
-        closed_for=push(left, jnp.int32(_CYCLES)),
+        closed_for=push(remaining, jnp.int32(_CLOSED_CYCLES)),
         num_closed=way.num_closed + gives_up.astype(jnp.int32),
     )

@@ -1,4 +1,4 @@
-"""Which policy decides, and what fixes the planner's shapes; the policies by name."""
+"""Static configuration of the planner: policy and array sizes; registry of policies."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -15,20 +15,20 @@ SHIPPED: Mapping[str, Policy] = MappingProxyType({"faithful": Faithful(), "infor
 """The policies that ship with the package, by name: the only list of them."""
 POLICIES = tuple(SHIPPED)
 AnyPolicy: TypeAlias = str | Policy | Callable[[Situation], Valuation]
-"""A name, a policy of one's own, or a function that values nodes and needs no memory."""
+"""A name, a custom policy, or a function that values nodes and needs no memory."""
 _NAMES = ", ".join(POLICIES)
 _MEMBERS = ("check", "init", "map_params", "name", "portrayal", "step", "takes_likeliest")
 
 
 def as_policy(given: AnyPolicy) -> Policy:
-    """Look up a policy, or check one of somebody's own.
+    """Look up a policy by name, or validate a custom one.
 
     Args:
-        given: a name, a policy, or a function from a situation to what its nodes are worth, whose
-            waypoints are then kept as the paper's are.
+        given: a name, a policy, or a function from a situation to the values of its nodes, which
+            then keeps its waypoints as the paper's policy does.
 
     Raises:
-        ValueError: no such name, or the object is no policy; says what is missing.
+        ValueError: unknown name, or not a policy; names what is missing.
     """
     if isinstance(given, str):
         if given not in SHIPPED:
@@ -57,10 +57,10 @@ def as_policy(given: AnyPolicy) -> Policy:
 
 
 def split_arrays(policy: AnyPolicy) -> tuple[AnyPolicy, Any]:
-    """Part a policy that is a pytree, such as a trained network, into what is static and arrays.
+    """Split a policy that is a pytree, such as a trained network, into static part and arrays.
 
     The first, for ``PlannerConfig``, has shapes and dtypes in place of arrays. The second, for
-    ``NavigatorParams``, is the policy itself, whose arrays are traced; None where it has none.
+    ``NavigatorParams``, is the policy itself, whose arrays are traced; None if it has none.
     """
     is_plain = jax.tree_util.all_leaves([policy])
     return (policy, None) if is_plain else (jax.eval_shape(lambda: policy), policy)
@@ -71,12 +71,12 @@ class PlannerConfig:
     """Sizes and policy of the planner; hashable, a change recompiles."""
 
     policy: AnyPolicy = "faithful"
-    """One of ``POLICIES``, or a policy of one's own."""
+    """One of ``POLICIES``, or a custom policy."""
     num_visited: int = 16
     num_blocks: int = 6
 
     def __post_init__(self) -> None:
-        """Refuse what the planner cannot work with."""
+        """Raise a ValueError for an invalid policy or size."""
         as_policy(self.policy)
         if self.num_visited < 1 or self.num_blocks < 1:
             raise ValueError("num_visited and num_blocks must be at least 1")

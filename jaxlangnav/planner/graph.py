@@ -1,10 +1,10 @@
-"""The graph a robot plans on: visited places, frontiers, objects it has seen (eq. 9).
+"""The planning graph: visited positions, frontiers, observed objects (eq. 9).
 
     A_t = F ∪ V ∪ {a_stop}
 
 Frontiers lie where explored and unexplored cells of the operating area meet. "Unexplored" is
-relative to the least explored cell, so that once everything has been looked at, what has been
-looked at least becomes the frontier and nothing is written off for good.
+relative to the least explored cell, so that once the whole area has been observed, the least
+observed cells become the frontier and no cell is excluded forever.
 """
 
 import jax
@@ -16,12 +16,12 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import Coverage, cell_centres
 
 FRONTIER, VISITED, OBJECT_NODE = range(3)
-"""Kinds of nodes; the first is that of any place that a policy has thought of."""
+"""Types of nodes; the first is also the type of a policy's own waypoints."""
 
 
 @pytree
 class Nodes:
-    """Candidate waypoints; A = blocks² (or a policy's own) + visited + objects seen, in order."""
+    """Candidate waypoints; A = blocks² (or a policy's own) + visited + objects, in this order."""
 
     x: Array  # f32[A] metres, map frame
     y: Array  # f32[A]
@@ -31,24 +31,24 @@ class Nodes:
 
 @pytree
 class Visited:
-    """Places the robot has been, oldest overwritten first."""
+    """Ring buffer of positions that the robot has visited."""
 
     x: Array  # f32[V] metres, map frame
     y: Array  # f32[V]
     is_node: Array  # bool[V]
-    count: Array  # i32[] nodes ever entered
+    count: Array  # i32[] number of positions added so far
 
 
 def nowhere(num_visited: int) -> Visited:
-    """Build the empty list of visited nodes."""
+    """Build the empty ring buffer of visited positions."""
     zero = jnp.zeros(num_visited, jnp.float32)
     return Visited(x=zero, y=zero, is_node=jnp.zeros(num_visited, bool), count=jnp.int32(0))
 
 
 def visit(visited: Visited, x: Array, y: Array, spacing: Array) -> Visited:
-    """Enter the robot's place f32[] as a node unless one is nearer than ``spacing`` metres.
+    """Add the robot's position f32[] as a node unless one is nearer than ``spacing`` metres.
 
-    A full list overwrites its oldest.
+    A full buffer overwrites its oldest node.
     """
     squared = (visited.x - x) ** 2 + (visited.y - y) ** 2
     is_known = jnp.any(visited.is_node & (squared < spacing * spacing))
@@ -63,20 +63,20 @@ def visit(visited: Visited, x: Array, y: Array, spacing: Array) -> Visited:
 
 
 def unexplored_cells(coverage: Coverage, frontier_miss: Array) -> Array:
-    """Tell which cells count as unexplored, bool[G, G]."""
-    worst = jnp.max(coverage.log_miss)
-    return coverage.log_miss > worst + jnp.log(frontier_miss)
+    """Mark the cells that count as unexplored, bool[G, G]."""
+    max_log_miss = jnp.max(coverage.log_miss)
+    return coverage.log_miss > max_log_miss + jnp.log(frontier_miss)
 
 
 def frontiers(
     coverage: Coverage, num_blocks: int, frontier_miss: Array
 ) -> tuple[Array, Array, Array]:
-    """Gather frontier cells into one node per block of the area.
+    """Cluster frontier cells into one node per block of the area.
 
     Args:
-        coverage: where the robot has looked.
-        num_blocks: blocks a side; must divide the cells a side.
-        frontier_miss: f32[], share of the worst miss probability that counts as unexplored.
+        coverage: coverage map.
+        num_blocks: blocks per side; must divide the cells per side.
+        frontier_miss: f32[], fraction of the largest miss probability that counts as unexplored.
 
     Returns:
         x, y f32[blocks²] metres, map frame: mean of the block's frontier cells; bool[blocks²].
@@ -85,8 +85,8 @@ def frontiers(
     explored = ~unexplored
     # Edges of the operating area are no frontier: neighbours outside count as unexplored.
     padded = jnp.pad(explored, 1)
-    beside = padded[2:, 1:-1] | padded[:-2, 1:-1] | padded[1:-1, 2:] | padded[1:-1, :-2]
-    frontier = (unexplored & beside).astype(jnp.float32)
+    is_adjacent = padded[2:, 1:-1] | padded[:-2, 1:-1] | padded[1:-1, 2:] | padded[1:-1, :-2]
+    frontier = (unexplored & is_adjacent).astype(jnp.float32)
     centre_x, centre_y = cell_centres(coverage)
 
     def by_block(values: Array) -> Array:
@@ -94,13 +94,13 @@ def frontiers(
         return values.reshape(num_blocks, size, num_blocks, size).sum(axis=(1, 3)).reshape(-1)
 
     count = by_block(frontier)
-    share = 1.0 / jnp.maximum(count, 1.0)
-    x = by_block(frontier * centre_x[None, :]) * share
-    return x, by_block(frontier * centre_y[:, None]) * share, count > 0
+    inverse_count = 1.0 / jnp.maximum(count, 1.0)
+    x = by_block(frontier * centre_x[None, :]) * inverse_count
+    return x, by_block(frontier * centre_y[:, None]) * inverse_count, count > 0
 
 
 def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes:
-    """Collect the waypoints that every policy is shown: places visited and goal places [O]."""
+    """Collect the waypoints common to all policies: visited positions and goal positions [O]."""
     sizes = visited.x.shape[0], x.shape[0]
     return Nodes(
         x=jnp.concatenate([visited.x, x]),
@@ -110,8 +110,8 @@ def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes
     )
 
 
-def put_first(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
-    """Put frontiers [K], or what a policy has in their place, before other nodes [A] (eq. 9)."""
+def prepend_nodes(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
+    """Prepend frontiers [K], or a policy's own waypoints, to other nodes [A] (eq. 9)."""
     kind = jnp.full(x.shape, FRONTIER, jnp.int32)
-    first = Nodes(x=x, y=y, is_node=is_node, kind=kind)
-    return jax.tree.map(lambda *both: jnp.concatenate(both), first, nodes)
+    leading = Nodes(x=x, y=y, is_node=is_node, kind=kind)
+    return jax.tree.map(lambda *both: jnp.concatenate(both), leading, nodes)

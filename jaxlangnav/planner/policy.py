@@ -1,11 +1,11 @@
-"""The door for policies: what one is shown, what it answers, what holds for all (section 3.4).
+"""The ``Policy`` protocol: its inputs, its decision, and the rules for all policies (section 3.4).
 
     memory = policy.init(belief)
     memory, decision = policy.step(key, memory, situation)
 
-A policy is written for ONE robot in operations that JAX can trace. It has its own memory, its own
-randomness and, if it likes, waypoints of its own (``ahead``). ``decide`` makes a decision of what
-the waypoints are worth, by rules that are the same for all (``deciding``).
+A policy is written for ONE robot in operations that JAX can trace. It has its own memory and
+randomness and, optionally, its own waypoints (``ahead``). ``decide`` turns the values of waypoints
+into a decision, by rules that are the same for all policies (``deciding``).
 """
 
 import dataclasses
@@ -18,8 +18,8 @@ from jax import Array
 
 from jaxlangnav.planner.deciding import (
     APPROACH as APPROACH,
-    LEAST_GOAL as LEAST_GOAL,
-    UNDERFOOT as UNDERFOOT,
+    ARRIVAL_RADIUS as ARRIVAL_RADIUS,
+    MIN_GOAL_PROB as MIN_GOAL_PROB,
     ahead as ahead,
     decide as decide,
     may_stop as may_stop,
@@ -36,58 +36,58 @@ from jaxlangnav.semantic_map.params import MapConfig, MapParams
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Portrayal:
-    """How stories and pictures show a policy's choices."""
+class PolicyDescription:
+    """Texts by which reports and figures describe a policy's choices."""
 
     place: str = "a place of its own choice"
-    """What its own waypoints are called."""
+    """Name of the policy's own waypoints."""
     reason: str = "of {number} places it is worth most to its policy (value {value:.2f})"
-    """Why a waypoint was taken; {tested} is the share of maps that the way puts to the test."""
+    """Why a waypoint was chosen; {tested} is the fraction of maps that the path tests."""
     reason_object: str | None = None
-    """The same where it is an object that has been seen; None: no other reason."""
+    """The same for an observed object; None: no other reason."""
     is_field: bool = False
-    """Places between the nodes have values, too: those of eq. 11."""
+    """Whether positions between the nodes have values, too: those of eq. 11."""
 
 
 @runtime_checkable
 class Policy(Protocol):
-    """How a robot decides where to go, and when it is there.
+    """A policy decides where the robot goes, and when it has arrived.
 
-    A policy of one's own derives from this class and has ``init`` and ``step``; the rest has
-    defaults. It is hashable, as a frozen dataclass of plain numbers is: with other values it is
-    another policy, and another program is compiled. Or it is a ``pytree``: its arrays are traced
-    in ``step`` and ``map_params``, and ShapeDtypeStructs elsewhere.
+    A custom policy derives from this class and has ``init`` and ``step``; the rest has defaults.
+    It is hashable, as a frozen dataclass of plain numbers is: other values are another policy, for
+    which another program is compiled. Or it is a ``pytree``: its arrays are traced in ``step`` and
+    ``map_params``, and ShapeDtypeStructs elsewhere.
     """
 
     @property
     def name(self) -> str:
-        """What people call it."""
+        """Name of the policy for users."""
         return type(self).__name__.lower()
 
     @property
-    def portrayal(self) -> Portrayal:
-        """How stories and pictures show its choices."""
-        return Portrayal()
+    def portrayal(self) -> PolicyDescription:
+        """Texts by which reports and figures describe its choices."""
+        return PolicyDescription()
 
     @property
     def takes_likeliest(self) -> bool:
-        """Whether it takes the likeliest thing seen once there is little left to look for."""
+        """Whether it accepts the likeliest observed object once the search is nearly exhausted."""
         return False
 
     @abstractmethod
     def init(self, belief: ParticleBelief, /) -> Any:
-        """Build the memory of a robot that has not decided yet.
+        """Build the initial memory of the policy.
 
         Args:
-            belief: before the first look: operating area, where the robot stands, sizes.
+            belief: before the first observation: operating area, position of the robot, shapes.
 
         Returns:
-            Any pytree of arrays. It is kept over commands; ``Situation.is_news`` tells of them.
+            Any pytree of arrays. It persists over commands; ``Situation.is_news`` signals them.
         """
 
     @abstractmethod
     def step(self, key: Array, memory: Any, situation: Situation, /) -> tuple[Any, Decision]:
-        """Decide.
+        """Decide on the next waypoint or a stop.
 
         Args:
             key: random key, consumed.
@@ -99,19 +99,19 @@ class Policy(Protocol):
         """
 
     def map_params(self, params: MapParams) -> MapParams:
-        """Tell by which numbers the robot filters what it sees and hears: by those given."""
+        """Return the filter's parameters under this policy; by default those given."""
         return params
 
     def check(self, sizes: MapConfig) -> None:
-        """Refuse, with a ValueError, sizes of the map that the policy cannot work with: none."""
+        """Raise a ValueError for map sizes that the policy cannot work with; by default none."""
         return
 
 
 def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tuple[Any, Decision]:
-    """Let a policy decide, and hold it to what holds for all.
+    """Run a policy's step and enforce the rules for all policies.
 
-    It stops only where a stop is heard, and gives nothing up as not to be found on top of it. A
-    ValueError: the answer is no decision, or a memory of other shapes than the one before.
+    It stops only where a stop is allowed, and a stop excludes "not found". Raises a ValueError if
+    the result is no decision, or the memory has other shapes than before.
     """
     after, decision = policy.step(key, memory, situation)
     if not isinstance(decision, Decision):

@@ -1,10 +1,10 @@
-"""Where the things that people speak of tend to stand: learned from training worlds.
+"""Spatial prior over positions of mentioned objects, learned from training worlds.
 
-A table, learned by ``scripts/learn_prior.py`` from worlds whose seeds are in no results table, says
-how much likelier than elsewhere a thing is found at a range and bearing from where the robot was
-told. Only the order of search hangs on it; ``PlannerParams.prior_share`` = 0 takes it out. By
-``PlannerParams.ahead``, of which nothing is learned, a place at a bearing b of the heading counts
-as a von Mises law has it, exp κ cos b.
+A table, learned by ``scripts/learn_prior.py`` from worlds whose seeds are in no results table, has
+the relative density of an object at a range and bearing from the robot's pose at the utterance.
+Only the order of search depends on it; ``PlannerParams.prior_share`` = 0 disables it. The prior
+``PlannerParams.ahead``, which is not learned, is a von Mises density of the bearing b from the
+heading, exp κ cos b.
 """
 
 import functools
@@ -19,7 +19,7 @@ from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.semantic_map.coverage import Coverage
 
 RANGE_MAX = 1.25
-"""Range at the outer edge of the table, as a share of how far the area reaches ahead."""
+"""Range at the outer edge of the table, as a fraction of the depth of the area ahead."""
 BEARING_MAX = np.pi / 2.0
 """Bearing to either side at its other edge, radians."""
 RANGE_BINS, BEARING_BINS = 15, 9
@@ -31,7 +31,7 @@ _MAX_BYTES = 1 << 20
 def table() -> np.ndarray:
     """Read the learned table, f32[RANGE_BINS, BEARING_BINS], density relative to uniform.
 
-    A ValueError where the file holds no finite table without negative numbers.
+    Raises a ValueError if the file has no finite, non-negative table.
     """
     try:
         found = parse_floats(read_file(TABLE_FILE, at_most=_MAX_BYTES))
@@ -45,35 +45,35 @@ def table() -> np.ndarray:
 def relative_density(
     coverage: Coverage, viewer: Array, x: Array, y: Array, share: Array, ahead: Array
 ) -> Array:
-    """Look up how much likelier than elsewhere a thing stands at each place.
+    """Look up the prior density of an object at each position, relative to uniform.
 
         (share · learned + 1 − share) · exp κ (cos b − 1)
 
     Limits: 1 everywhere for a share and κ of 0; 1 − share straight ahead where no training world
-    had anything.
+    had an object.
 
     Args:
         coverage: for the operating area.
         viewer: f32[3], x, y, heading when the instruction was heard, map frame.
         x: f32[C], metres, map frame.
         y: f32[C], metres.
-        share: f32[] in [0, 1], how far the table is trusted; the rest is uniform.
+        share: f32[] in [0, 1], weight of the table; the rest is uniform.
         ahead: f32[], κ ≥ 0, concentration of bearings b about the viewer's heading.
     """
     learned = jnp.asarray(table())
     offset_x, offset_y = x - viewer[0], y - viewer[1]
-    ahead_x, ahead_y = jnp.cos(viewer[2]), jnp.sin(viewer[2])
-    left, onward = offset_y * ahead_x - offset_x * ahead_y, offset_x * ahead_x + offset_y * ahead_y
-    bearing = jnp.abs(jnp.arctan2(left, onward))
-    away = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
-    # The area reaches as far ahead as its farthest corner, and at least a centimetre.
+    cos, sin = jnp.cos(viewer[2]), jnp.sin(viewer[2])
+    left, forward = (offset_y * cos - offset_x * sin, offset_x * cos + offset_y * sin)
+    bearing = jnp.abs(jnp.arctan2(left, forward))
+    distance = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
+    # Depth of the area ahead: that of its farthest corner, at least a centimetre.
     corner_x = coverage.area[jnp.array([0, 0, 1, 1])] - viewer[0]
     corner_y = coverage.area[jnp.array([2, 3, 2, 3])] - viewer[1]
-    depth = jnp.maximum(jnp.max(corner_x * ahead_x + corner_y * ahead_y), 0.01)
+    depth = jnp.maximum(jnp.max(corner_x * cos + corner_y * sin), 0.01)
     rows, columns = learned.shape
-    row = jnp.floor(away / depth / RANGE_MAX * rows)
+    row = jnp.floor(distance / depth / RANGE_MAX * rows)
     column = jnp.floor(bearing / BEARING_MAX * columns)
-    is_in = (row < rows) & (column < columns)
-    flat = jnp.where(is_in, row * columns + column, 0.0).astype(jnp.int32)
-    value = jnp.where(is_in, learned.reshape(-1)[flat], 0.0)
+    is_inside = (row < rows) & (column < columns)
+    flat = jnp.where(is_inside, row * columns + column, 0.0).astype(jnp.int32)
+    value = jnp.where(is_inside, learned.reshape(-1)[flat], 0.0)
     return (share * value + (1.0 - share)) * jnp.exp(ahead * (jnp.cos(bearing) - 1.0))

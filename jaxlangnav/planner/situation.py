@@ -1,4 +1,4 @@
-"""What a policy is shown, and what it answers (section 3.4)."""
+"""Inputs and outputs of a policy: situation, valuation, decision (section 3.4)."""
 
 from jax import Array
 
@@ -17,27 +17,27 @@ from jaxlangnav.semantic_map.proposal.relation_query import Utterances
 
 @pytree
 class Situation:
-    """What a policy decides upon; metres, map frame."""
+    """Input of a policy's decision; metres, map frame."""
 
-    belief: ParticleBelief  # weighted maps, what each hypothesises, what has been looked at
-    nodes: Nodes  # leaves [A], waypoints to value: places visited, objects seen, and its own
-    goals: Goals  # where the goal may be, with probabilities
+    belief: ParticleBelief  # weighted maps with their hypotheses, and the coverage map
+    nodes: Nodes  # leaves [A], waypoints to value: visited positions, observed objects, its own
+    goals: Goals  # goal distribution
     constraint: Array  # f32[R, N + 1, P] probability that a region of a slot is forbidden
     is_relevant: Array  # bool[M, P] mentions that bear on the present goal (``relevance``)
     robot_x: Array  # f32[] believed position
     robot_y: Array  # f32[]
-    sensor: SensorParams  # how far and how wide it sees
-    way: ProgressMonitor  # waypoints that have been given up as out of reach
-    may_ask: Array  # bool[] it has not been told to choose by itself
-    has_chosen: Array  # bool[] it has gone up to something for this task, or is on its way
-    is_find: Array  # f32[] probability that "find" is asked for: stop once it is in view
-    is_news: Array  # bool[] something new has been seen or heard in this step
-    stands: Array  # bool[] it stands still whatever is decided: halted, at its end, or at a fault
-    may_stop: Array  # bool[] something seen that may be the goal is within reach: a stop is heard
+    sensor: SensorParams  # sensing range and field of view
+    way: ProgressMonitor  # waypoints that have been given up as unreachable
+    may_ask: Array  # bool[] the user has not asked it to choose by itself
+    has_chosen: Array  # bool[] it has approached an object for this task, or is on its way
+    is_find: Array  # f32[] probability of the action "find": stop once the goal is in view
+    is_news: Array  # bool[] a new object or utterance in this step
+    stands: Array  # bool[] it does not move, whatever is decided: halted, finished, or at a fault
+    may_stop: Array  # bool[] an observed object that may be the goal is within reach
     params: PlannerParams
     map_params: MapParams
-    spoken: Utterances | None = None  # None: nothing that was said bears on where to look
-    num_blocks: int = static(default=1)  # blocks a side that frontiers are gathered in
+    spoken: Utterances | None = None  # None: no utterance is relevant to the search
+    num_blocks: int = static(default=1)  # blocks per side that frontiers are grouped in
 
     @property
     def range_max(self) -> Array:
@@ -46,65 +46,65 @@ class Situation:
 
     @property
     def forbidden(self) -> Forbidden:
-        """What is to be kept away from."""
+        """Objects to keep away from, with their keep-out zones."""
         here, cost = (self.robot_x, self.robot_y), self.params.constraint_cost
         return forbidden_objects(self.belief, self.constraint, *here, cost)
 
     @property
     def wanted(self) -> ParticleBelief:
-        """The belief of what is worth looking for: of the present goal, and what it hangs on."""
+        """The belief restricted to search targets: the current goal and its landmarks."""
         particles = self.belief.particles
         spoken = particles.is_mentioned & self.is_relevant
         return replace(self.belief, particles=replace(particles, is_mentioned=spoken))
 
     @property
     def distance(self) -> Array:
-        """Metres from the robot to each node, f32[A]."""
+        """Travel distance from the robot to each node, f32[A] metres."""
         metres = self.belief.terrain.travel.metres
         return metres(self.robot_x, self.robot_y, self.nodes.x, self.nodes.y)
 
 
 @pytree
 class Valuation:
-    """What a policy makes of it; the value of a node is the sum of its parts less its cost."""
+    """A policy's values; the value of a node is the sum of its parts less its cost."""
 
-    goal_value: Array  # f32[A] what a node is worth for being near the goal
-    information_value: Array  # f32[A] what it is worth for what the way would reveal
+    goal_value: Array  # f32[A] value of being near the goal
+    information_value: Array  # f32[A] value of the information gained on the path
     stop_mass: Array  # f32[] probability that the goal is within reach; the robot stops from τ on
 
 
 @pytree
 class Waypoint:
-    """The place the robot is on its way to."""
+    """The waypoint that the robot is driving to."""
 
     x: Array  # f32[] metres, map frame
     y: Array  # f32[]
-    kind: Array  # i32[] of node
-    is_active: Array  # bool[] it is under way
+    kind: Array  # i32[] type of node
+    is_active: Array  # bool[] the robot is driving to it
 
 
 @pytree
 class Decision:
-    """What a policy decided, and why; ``decide`` makes it."""
+    """A policy's decision with its values; built by ``decide``."""
 
-    waypoint_x: Array  # f32[] metres, map frame: where it goes
+    waypoint_x: Array  # f32[] metres, map frame: waypoint
     waypoint_y: Array  # f32[]
-    next_x: Array  # f32[] metres, map frame: where it turns first to go round what is forbidden
+    next_x: Array  # f32[] metres, map frame: first turning point of a detour, else the waypoint
     next_y: Array  # f32[]
-    kind: Array  # i32[] kind of node it goes to
+    kind: Array  # i32[] type of the node that it goes to
     is_stop: Array  # bool[] the goal is within reach
-    is_approach: Array  # bool[] the waypoint is a thing seen that may be the goal
-    is_not_found: Array  # bool[] nothing is left to look for, and there is no goal
-    is_kept: Array  # bool[] the former waypoint was kept
-    nodes: Nodes  # leaves [A], what it chose among
+    is_approach: Array  # bool[] the waypoint is an observed object that may be the goal
+    is_not_found: Array  # bool[] the search is exhausted, and there is no goal
+    is_kept: Array  # bool[] the previous waypoint was kept
+    nodes: Nodes  # leaves [A], the candidates
     value: Array  # f32[A] value of every node; −∞ where there is none
     goal_value: Array  # f32[A] part of it from goals
-    information_value: Array  # f32[A] part of it from what the way would reveal
-    cost: Array  # f32[A] part of it lost to the way round what is forbidden
+    information_value: Array  # f32[A] part of it from information gained on the path
+    cost: Array  # f32[A] part of it lost to detours around keep-out zones
     stop_mass: Array  # f32[] goal probability within reach
-    doubt: AskDecision  # ask which one is meant, or look on before anything is accepted
+    doubt: AskDecision  # ask which object is meant, or look on before one is accepted
 
     @property
     def turns(self) -> Array:
-        """Whether it turns before it comes to its waypoint, bool[]."""
+        """Whether the path has a turning point before the waypoint, bool[]."""
         return (self.next_x != self.waypoint_x) | (self.next_y != self.waypoint_y)

@@ -1,9 +1,9 @@
-"""The way that finds things soonest: tours improved step by step (section 3.4; ours).
+"""Search tours of least expected latency, by randomized local search (section 3.4; ours).
 
-Each decision starts from the tour under way and from greedy tours over a lattice of viewpoints, and
-improves the best, that of least ``latency``, by a few rounds of random changes: move a stop, put
-one in, take one out, turn a stretch round. As the tour under way is among the candidates, it is
-left only for one that costs less. Stops near what is forbidden cost the way in and out
+Each decision starts from the current tour and from greedy tours over a lattice of viewpoints, and
+improves the best, that of least ``latency``, by a few rounds of random moves: shift a stop, insert
+one, remove one, reverse a segment. As the current tour is among the candidates, it is replaced
+only by one of lower cost. Stops near forbidden objects cost the distance in and out
 (``constraints``).
 """
 
@@ -16,114 +16,114 @@ from jax import Array
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.planner.constraints import keep_out, price_of_stop
-from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_underfoot, latency
+from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_reached, latency
 from jaxlangnav.planner.search import LATTICE, SearchMap, grid, visibility
 from jaxlangnav.pytree import pytree
 
 NUM_GREEDY = 3
-"""Greedy tours drafted at each decision."""
+"""Number of greedy initial tours at each decision."""
 NUM_CHANGES = 8
-"""Changes tried in a round."""
+"""Number of random moves tried in a round."""
 _MOVE, _MOVE_FAR, _INSERT, _REVERSE, _REMOVE = range(5)
 
 
 def greedy(
     search: SearchMap, robot_x: Array, robot_y: Array, range_max: Array, area: Array
 ) -> Tour:
-    """Draft tours over the lattice of viewpoints: always the most mass per metre next.
+    """Build greedy tours over the lattice of viewpoints: next always the most mass per metre.
 
-    They are leaves [NUM_GREEDY, K], and start at different viewpoints; arguments as for ``plan``.
+    Leaves [NUM_GREEDY, K], with different first viewpoints; arguments as for ``plan``.
     """
     view_x, view_y = grid(area, LATTICE)
-    sees = visibility(view_x, view_y, search, range_max, area)
+    visible = visibility(view_x, view_y, search, range_max, area)
     metres = search.terrain.travel.metres
     between = metres(view_x[:, None], view_y[:, None], view_x[None, :], view_y[None, :])
     distance = metres(robot_x, robot_y, view_x, view_y)
-    # A metre is added to each way: what can be had for nothing is not worth all.
-    _, first = jax.lax.top_k((sees @ search.mass) / (distance + 1.0), NUM_GREEDY)
+    # A metre is added to each distance, so that a ratio stays finite at distance 0.
+    _, first = jax.lax.top_k((visible @ search.mass) / (distance + 1.0), NUM_GREEDY)
 
-    def go_on(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
-        here, mass = carry
-        there = jnp.argmax((mass @ sees.T) / (between[here] + 1.0), axis=1)
-        return (there, mass * (1.0 - sees[there])), there
+    def extend(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+        current, mass = carry
+        best = jnp.argmax((mass @ visible.T) / (between[current] + 1.0), axis=1)
+        return (best, mass * (1.0 - visible[best])), best
 
-    left = search.mass[None, :] * (1.0 - sees[first])
-    _, others = jax.lax.scan(go_on, (first, left), length=NUM_STOPS - 1)
-    chosen = jnp.concatenate([first[None], others]).T
+    mass = search.mass[None, :] * (1.0 - visible[first])
+    _, rest = jax.lax.scan(extend, (first, mass), length=NUM_STOPS - 1)
+    chosen = jnp.concatenate([first[None], rest]).T
     return Tour(x=view_x[chosen], y=view_y[chosen])
 
 
 def change(key: Array, tour: Tour, search: SearchMap, area: Array) -> Tour:
-    """Change a tour, leaves [K], in NUM_CHANGES ways at random, leaves [NUM_CHANGES, K].
+    """Apply NUM_CHANGES random moves to a tour, leaves [K], each to a copy: [NUM_CHANGES, K].
 
-    New stops are drawn where mass is, and stay in the area f32[4].
+    New stops are sampled from the mass, and clipped to the area f32[4].
     """
     uniform = batching.uniforms(key[None], 5 * NUM_CHANGES).reshape(5, NUM_CHANGES)
-    kind = (jnp.arange(NUM_CHANGES) % 5)[:, None]
-    place = jnp.arange(NUM_STOPS)[None, :]
-    one, other = jnp.floor(uniform[:2] * NUM_STOPS).astype(jnp.int32)[:, :, None]
-    low, high = jnp.minimum(one, other), jnp.maximum(one, other)
-    inserted = jnp.where(place > one, place - 1, place)
-    reversed_ = jnp.where((place >= low) & (place <= high), low + high - place, place)
-    removed = jnp.where(place >= one, jnp.minimum(place + 1, NUM_STOPS - 1), place)
-    kinds = [kind == _INSERT, kind == _REVERSE, kind == _REMOVE]
-    source = jnp.select(kinds, [inserted, reversed_, removed], place)
+    move = (jnp.arange(NUM_CHANGES) % 5)[:, None]
+    stop = jnp.arange(NUM_STOPS)[None, :]
+    first, second = jnp.floor(uniform[:2] * NUM_STOPS).astype(jnp.int32)[:, :, None]
+    low, high = jnp.minimum(first, second), jnp.maximum(first, second)
+    inserted = jnp.where(stop > first, stop - 1, stop)
+    reversed_ = jnp.where((stop >= low) & (stop <= high), low + high - stop, stop)
+    removed = jnp.where(stop >= first, jnp.minimum(stop + 1, NUM_STOPS - 1), stop)
+    moves = [move == _INSERT, move == _REVERSE, move == _REMOVE]
+    source = jnp.select(moves, [inserted, reversed_, removed], stop)
     cumulative = jnp.cumsum(search.mass)
     drawn = jnp.sum(cumulative[None, :] <= (uniform[2] * cumulative[-1])[:, None], axis=1)
     drawn = jnp.minimum(drawn, cumulative.shape[0] - 1)[:, None]
-    length = (0.3 * 10.0 ** uniform[3])[:, None]
+    distance = (0.3 * 10.0 ** uniform[3])[:, None]
     angle = (2.0 * jnp.pi * uniform[4])[:, None]
-    is_new = ((kind == _INSERT) & (place == one)) | ((kind == _REMOVE) & (place == NUM_STOPS - 1))
-    is_moved = (kind <= _MOVE_FAR) & (place == one)
+    is_new = ((move == _INSERT) & (stop == first)) | ((move == _REMOVE) & (stop == NUM_STOPS - 1))
+    is_moved = (move <= _MOVE_FAR) & (stop == first)
 
-    def rearrange(stops: Array, cells: Array, step: Array, least: Array, most: Array) -> Array:
+    def rearrange(stops: Array, cells: Array, offset: Array, lower: Array, upper: Array) -> Array:
         stops = jnp.where(is_new, cells[drawn], stops[source])
-        return jnp.clip(stops + jnp.where(is_moved, step, 0.0), least, most)
+        return jnp.clip(stops + jnp.where(is_moved, offset, 0.0), lower, upper)
 
     return Tour(
-        x=rearrange(tour.x, search.x, length * jnp.cos(angle), area[0], area[1]),
-        y=rearrange(tour.y, search.y, length * jnp.sin(angle), area[2], area[3]),
+        x=rearrange(tour.x, search.x, distance * jnp.cos(angle), area[0], area[1]),
+        y=rearrange(tour.y, search.y, distance * jnp.sin(angle), area[2], area[3]),
     )
 
 
 NUM_ROUNDS = 3
-"""Rounds of changes at each decision."""
-_IS_OUT = np.arange(NUM_CHANGES) % 2 == 1
-"""Of the changes: those whose stops are put outside the berths of what is forbidden. A draft's are,
-unless it is under way."""
+"""Rounds of local search at each decision."""
+_IS_KEPT_OUT = np.arange(NUM_CHANGES) % 2 == 1
+"""Moves whose stops are projected out of the keep-out zones of forbidden objects. Those of the
+initial tours are, except of the current tour."""
 
 
 @pytree
 class Plan:
-    """The candidates of the last round; T = NUM_CHANGES + 1, the best one before it first."""
+    """Candidate tours of the last round; T = NUM_CHANGES + 1, the best of earlier rounds first."""
 
     tours: Tour  # leaves [T, K]
     latency: Array  # f32[T] expected metres until found, times the mass
-    mass: Array  # f32[] expected number of things still to be found
-    anchored: Array  # f32[] of them, those that hang on an observed object
+    mass: Array  # f32[] expected number of objects still to be found
+    anchored: Array  # f32[] of them, those anchored to an observed object
 
 
 def best_tour(plan: Plan, value: Array) -> Tour:
-    """Take, of T tours, the one whose first stop is valued most by the first T values f32[A]."""
+    """Select the tour whose first stop has the highest value, of the first T values f32[A]."""
     index = jnp.argmax(value[: plan.latency.shape[0]])
     return Tour(x=plan.tours.x[index], y=plan.tours.y[index])
 
 
 def no_tour(x: Array, y: Array) -> Tour:
-    """Build the tour of a robot that has not planned yet: it has arrived everywhere."""
+    """Build the tour of a robot that has not planned yet: all stops where it stands."""
     return Tour(x=jnp.full(NUM_STOPS, x), y=jnp.full(NUM_STOPS, y))
 
 
 def _drop_reached(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
-    """Drop the first stop once the robot is there; the last one is repeated."""
-    is_there = is_underfoot(tour.x[0], tour.y[0], robot_x, robot_y)
+    """Drop the first stop if it is reached; the last one is repeated."""
+    is_done = is_reached(tour.x[0], tour.y[0], robot_x, robot_y)
     later = jax.tree.map(lambda stops: jnp.append(stops[1:], stops[-1]), tour)
-    return jax.tree.map(lambda new, old: jnp.where(is_there, new, old), later, tour)
+    return jax.tree.map(lambda new, old: jnp.where(is_done, new, old), later, tour)
 
 
-def _before(first: Tour, others: Tour) -> Tour:
-    """Put a tour, leaves [K], before others, leaves [T, K]."""
-    return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, others)
+def _prepend(first: Tour, others: Tour) -> Tour:
+    """Prepend a tour, leaves [K], to others, leaves [T, K]."""
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, others)
 
 
 def plan(
@@ -135,47 +135,47 @@ def plan(
     sensor: SensorParams,
     area: Array,
 ) -> Plan:
-    """Improve the tour under way, or leave it for a better one.
+    """Improve the current tour by local search, or replace it by a better one.
 
     Args:
         key: random key, consumed.
-        tour: leaves [K], the tour under way.
-        search: where looking is worth while.
+        tour: leaves [K], the current tour.
+        search: search map.
         robot_x: f32[], metres, map frame.
         robot_y: f32[], metres.
-        sensor: how far and how wide one sees.
+        sensor: sensing range and field of view.
         area: f32[4], operating area, metres.
     """
     chex.assert_shape([tour.x, tour.y, area], [(NUM_STOPS,), (NUM_STOPS,), (4,)])
     chex.assert_equal_shape([search.x, search.unanchored, search.anchored, search.partner_x])
     chex.assert_rank([robot_x, robot_y, sensor.range_max, sensor.field_of_view], 0)
     chex.assert_type([tour.x, search.unanchored, area], float)
-    here = _drop_reached(_drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
-    drafts = _before(here, greedy(search, robot_x, robot_y, sensor.range_max, area))
+    start = _drop_reached(_drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
+    first = _prepend(start, greedy(search, robot_x, robot_y, sensor.range_max, area))
     keys = jax.random.split(key, NUM_ROUNDS)
-    # As many drafts as changes: one program weighs them all.
-    drafts = jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)], drafts)
+    # As many initial tours as moves, so that one program evaluates both.
+    first = jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)], first)
 
     def improve(index: Array, carry: tuple[Tour, Array]) -> tuple[Tour, Array]:
-        """Keep the best tour and weigh changes of it; at first, the drafts."""
+        """Keep the best tour and evaluate moves of it; in round 0, the initial tours."""
         tours, cost = carry
-        least = jnp.argmin(cost)
-        best = Tour(x=tours.x[least], y=tours.y[least])
+        idx = jnp.argmin(cost)
+        best = Tour(x=tours.x[idx], y=tours.y[idx])
         changed = change(keys[index - 1], best, search, area)
-        tried = jax.tree.map(lambda one, other: jnp.where(index == 0, one, other), drafts, changed)
+        tried = jax.tree.map(lambda a, b: jnp.where(index == 0, a, b), first, changed)
         if search.forbidden is not None:
-            is_out = jnp.where(index == 0, np.arange(NUM_CHANGES) > 0, _IS_OUT)[:, None]
+            is_out = jnp.where(index == 0, np.arange(NUM_CHANGES) > 0, _IS_KEPT_OUT)[:, None]
             x, y = keep_out(tried.x, tried.y, search.forbidden, sensor.range_max, area)
             tried = Tour(x=jnp.where(is_out, x, tried.x), y=jnp.where(is_out, y, tried.y))
-        weighed = latency(tried, search, robot_x, robot_y, sensor, area)
+        new_cost = latency(tried, search, robot_x, robot_y, sensor, area)
         if search.forbidden is not None:
-            stops = jnp.sum(price_of_stop(tried.x, tried.y, search.forbidden), axis=1)
-            weighed = weighed + jnp.sum(search.mass) * stops
-        return _before(best, tried), jnp.append(cost[least], weighed)
+            stop_cost = jnp.sum(price_of_stop(tried.x, tried.y, search.forbidden), axis=1)
+            new_cost = new_cost + jnp.sum(search.mass) * stop_cost
+        return _prepend(best, tried), jnp.append(cost[idx], new_cost)
 
-    # Nothing has been weighed yet: the first best is any of those that cost too much to be kept.
-    untried = jax.tree.map(lambda one: jnp.tile(one, (NUM_CHANGES + 1, 1)), here)
+    # Nothing has been evaluated yet: placeholders of infinite cost.
+    placeholders = jax.tree.map(lambda a: jnp.tile(a, (NUM_CHANGES + 1, 1)), start)
     costs = jnp.full(NUM_CHANGES + 1, jnp.inf)
-    tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS + 1, improve, (untried, costs))
+    tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS + 1, improve, (placeholders, costs))
     mass, anchored = jnp.sum(search.mass), jnp.sum(search.anchored)
     return Plan(tours=tours, latency=cost, mass=mass, anchored=anchored)

@@ -1,4 +1,4 @@
-"""What the robot believes: weighted particles and what they share (section 3.2)."""
+"""The belief: weighted particles and the state that they share (section 3.2)."""
 
 import jax.numpy as jnp
 from jax import Array
@@ -13,47 +13,47 @@ from jaxlangnav.terrain.view import rotated
 
 @pytree
 class ParticleBelief:
-    """Weighted particles and what they share; the particle axis is last in every particle."""
+    """Weighted particles and shared state; the particle axis is last in every particle."""
 
     particles: SemanticMap  # leaves [..., P]
     log_weight: Array  # f32[P] normalised
-    coverage: Coverage  # where the robot has looked, by the drift that it goes by
-    alternate_miss: Array  # f32[G, G] … by a steady drift of the other sign; f32[0, 0]: a compass
-    bias_sign: Array  # f32[] sign of the steady drift that the robot goes by
-    terrain: Terrain  # how far one sees and walks there, as the robot takes it to be
-    sensor_model: SensorModel  # how its detector reports
-    bystanders: Bystanders  # things of types that the task does not speak of; B may be 0
-    last_pose: Array  # f32[3] dead-reckoned pose at the last observation that was believed
-    reported_pose: Array  # f32[3] … that was reported, believed or not
-    is_placed: Array  # bool[] area and start pose are as they were given, and can be
-    num_types: Array  # i32[] object types that a detection may name
+    coverage: Coverage  # coverage map under the active sign of the heading bias
+    alternate_miss: Array  # f32[G, G] … under the other sign; f32[0, 0]: with a compass
+    bias_sign: Array  # f32[] active sign of the heading bias
+    terrain: Terrain  # lines of sight and travel distances, as assumed by the robot
+    sensor_model: SensorModel  # observation model of its detector
+    bystanders: Bystanders  # objects of types that the task does not mention; B may be 0
+    last_pose: Array  # f32[3] dead-reckoned pose at the last accepted observation
+    reported_pose: Array  # f32[3] … at the last observation, accepted or not
+    is_placed: Array  # bool[] the given area and start pose were valid
+    num_types: Array  # i32[] number of object types that the detector distinguishes
     viewer: Array  # f32[3] x, y, heading when the last instruction was heard, map frame
-    must_ground: Array  # bool[] words have come in that no particle has grounded yet
-    log_evidence: Array  # f32[] log predictive probability of all detections and absences so
-    # far, relative to a constant per detection; what new groundings of the words add is left out
+    must_ground: Array  # bool[] an utterance came in that no particle has grounded yet
+    log_evidence: Array  # f32[] log predictive probability of all detections and misses so far,
+    # relative to a constant per detection; without the evidence of new groundings
 
 
 def is_active(belief: ParticleBelief) -> Array:
-    """Tell which particles drift as the robot goes by, bool[P]: all where nothing is steady."""
+    """Mark the particles with the active sign of the heading bias, bool[P]; all without a bias."""
     return belief.particles.drift[1] * belief.bias_sign >= 0.0
 
 
-def mean_robot_pose(belief: ParticleBelief, is_chosen: Array) -> tuple[Array, Array, Array]:
-    """Compute where some particles, bool[P], have the robot on average; meaningless of none.
+def mean_robot_pose(belief: ParticleBelief, is_selected: Array) -> tuple[Array, Array, Array]:
+    """Compute the mean robot pose over some particles, bool[P]; undefined for none.
 
-    f32[] each: x and y, metres, map frame, and radians that the true heading exceeds odometry's by.
+    f32[] each: x and y, metres, map frame, and error of the odometry's heading, radians.
     """
-    weight = jnp.where(is_chosen, jnp.exp(belief.log_weight), 0.0)
-    weight, held = weight / jnp.maximum(jnp.sum(weight), 1e-30), belief.particles
-    places = held.mean_x[-1], held.mean_y[-1], held.drift[0]
-    x, y, drift = (jnp.sum(weight * one) for one in places)
+    weight = jnp.where(is_selected, jnp.exp(belief.log_weight), 0.0)
+    weight, particles = weight / jnp.maximum(jnp.sum(weight), 1e-30), belief.particles
+    values = particles.mean_x[-1], particles.mean_y[-1], particles.drift[0]
+    x, y, drift = (jnp.sum(weight * v) for v in values)
     return x, y, drift
 
 
 def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
     """Compute the mean position of the robot over the particles, f32[] x and y, metres.
 
-    Of particles of either steady drift, over those of the one that the robot goes by.
+    With a heading bias, over the particles with its active sign.
     """
     if belief.particles.drift.shape[0]:
         return mean_robot_pose(belief, is_active(belief))[:2]
@@ -63,14 +63,14 @@ def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
 
 
 def mean_drift(belief: ParticleBelief) -> Array | None:
-    """Compute by how much the true heading exceeds odometry's, f32[] radians; None: a compass."""
+    """Compute the mean error of the odometry's heading, f32[] radians; None: with a compass."""
     if belief.particles.drift.shape[0] == 0:
         return None
     return mean_robot_pose(belief, is_active(belief))[2]
 
 
 def to_map_frame(belief: ParticleBelief, pose: Array) -> Array:
-    """Take a dead-reckoned pose f32[3] to the map frame; as it was where a compass guides."""
+    """Transform a dead-reckoned pose f32[3] to the map frame; unchanged with a compass."""
     drift = mean_drift(belief)
     if drift is None:
         return pose
@@ -81,24 +81,24 @@ def to_map_frame(belief: ParticleBelief, pose: Array) -> Array:
 
 
 def align_on_robot(belief: ParticleBelief) -> ParticleBelief:
-    """Move and turn the particles' maps so that the robot has one pose in all of them.
+    """Align the particles' maps by rigid transforms to a common robot pose.
 
-    Drifted apart, what they agree on, which is where things are from the robot, is in none of
-    their averages. With a compass the belief stays as it was.
+    After drift, particles agree on positions relative to the robot only, which averages in the map
+    frame would lose. With a compass the belief is unchanged.
     """
     drift, particles = mean_drift(belief), belief.particles
     if drift is None:
         return belief
-    here = robot_position(belief)
+    robot = robot_position(belief)
     origin = particles.mean_x[-1:], particles.mean_y[-1:]
-    turn = drift - particles.drift[:1]
+    rotation = drift - particles.drift[:1]
 
-    def moved(x: Array, y: Array) -> tuple[Array, Array]:
-        x, y = rotated(x - origin[0], y - origin[1], turn)
-        return here[0] + x, here[1] + y
+    def transform(x: Array, y: Array) -> tuple[Array, Array]:
+        x, y = rotated(x - origin[0], y - origin[1], rotation)
+        return robot[0] + x, robot[1] + y
 
-    mean_x, mean_y = moved(particles.mean_x, particles.mean_y)
-    hypothesis_x, hypothesis_y = moved(particles.hypothesis_x, particles.hypothesis_y)
+    mean_x, mean_y = transform(particles.mean_x, particles.mean_y)
+    hypothesis_x, hypothesis_y = transform(particles.hypothesis_x, particles.hypothesis_y)
     drift = particles.drift.at[0].set(drift)
     particles = replace(particles, mean_x=mean_x, mean_y=mean_y, drift=drift)
     particles = replace(particles, hypothesis_x=hypothesis_x, hypothesis_y=hypothesis_y)

@@ -1,8 +1,8 @@
-"""Where the robot has looked: a soft map of misses (section 3.2, negative observations).
+"""Coverage map: log miss probability by cell (section 3.2, negative information).
 
-The operating area is cut into G × G cells. Each holds the log-probability that an object lying
-there would have been missed by every look so far. Nothing is ever certain: with a detection
-probability below one a cell looked at three times keeps a little room for an unseen object.
+The operating area is divided into G × G cells. Each has the log-probability that an object in it
+would have been missed by all observations so far. It is never certain: with a detection probability
+below one, a cell observed three times may still contain an unseen object.
 """
 
 import jax.numpy as jnp
@@ -22,12 +22,12 @@ _GOLDEN = 0.6180339887
 class Coverage:
     """Log-probability of having missed an object, by cell of the operating area."""
 
-    log_miss: Array  # f32[G, G] indexed [y cell, x cell]; 0 where never looked at
+    log_miss: Array  # f32[G, G] indexed [y cell, x cell]; 0 where never observed
     area: Array  # f32[4] x_min, x_max, y_min, y_max, metres, map frame
 
 
 def unexplored(area: Array, num_cells: int) -> Coverage:
-    """Build the coverage of an area f32[4] nobody has looked at, in G × G cells."""
+    """Build the coverage map of an unobserved area f32[4], in G × G cells."""
     return Coverage(log_miss=jnp.zeros((num_cells, num_cells), jnp.float32), area=area)
 
 
@@ -38,7 +38,7 @@ def cell_size(coverage: Coverage) -> tuple[Array, Array]:
 
 
 def _sides(coverage: Coverage) -> Array:
-    """Compute how long the operating area is in x and in y, f32[2, ...] metres."""
+    """Compute the side lengths of the operating area in x and y, f32[2, ...] metres."""
     return coverage.area[1::2] - coverage.area[::2]
 
 
@@ -58,7 +58,7 @@ def area_size(coverage: Coverage) -> Array:
 def add_view(
     coverage: Coverage, eye: Eye, sensor: SensorParams, view: View, model: SensorModel = POSITIONS
 ) -> Coverage:
-    """Enter one look of an eye, f32[]: the log-probability of silence is added to every cell."""
+    """Add one observation: the log-probability of no detection is added to every cell."""
     centre_x, centre_y = cell_centres(coverage)
     size_x, size_y = cell_size(coverage)
     softness = 0.5 * (size_x + size_y)
@@ -71,8 +71,8 @@ def add_view(
 def log_miss_at(coverage: Coverage, x: Array, y: Array, first_row: Array | int = 0) -> Array:
     """Look up the log-probability that an object at (x, y) would still be unseen.
 
-    f32[...]; −∞ outside the operating area, where nothing is. Of several coverages one below the
-    other, f32[n G, G], the one that begins at ``first_row`` is asked, and areas are f32[4, ...].
+    f32[...]; −∞ outside the operating area, where nothing is. Of coverage maps stacked
+    by rows, f32[n G, G], the one that begins at ``first_row`` is used, and areas are f32[4, ...].
     """
     num_cells = coverage.log_miss.shape[-1]
     size_x, size_y = (prepend_axes(size, x.ndim) for size in cell_size(coverage))
@@ -85,26 +85,26 @@ def log_miss_at(coverage: Coverage, x: Array, y: Array, first_row: Array | int =
 
 
 def sample_unseen(coverage: Coverage, uniform: Array, jitter: Array) -> tuple[Array, Array, Array]:
-    """Draw places in proportion to the probability of being unseen, systematically.
+    """Sample positions in proportion to the miss probability, by systematic sampling.
 
-    ``uniform``, f32[], is the offset of the comb; ``jitter``, f32[2, n], spreads the places over
-    their cells. x and y, f32[n] metres, map frame, are each marginally from the law once the index
-    is chosen at random; and f32[], the log of the unseen share of the area u.
+    ``uniform``, f32[], is the offset of the grid; ``jitter``, f32[2, n], spreads the points over
+    their cells. x and y, f32[n] metres, map frame; a point at a random index has the density
+    itself; and f32[], the log of the unseen fraction of the area u.
     """
-    num_cells, number = coverage.log_miss.shape[-1], jitter.shape[-1]
+    num_cells, num_points = coverage.log_miss.shape[-1], jitter.shape[-1]
     size_x, size_y = cell_size(coverage)
-    # Every row is entered at another column: with evenly spaced teeth and rows of one length they
-    # would all stand in the same few columns, and most of the ground would be hit by none.
+    # Every row starts at another column: with even spacing and rows of equal weight all points
+    # would lie in the same few columns.
     shift = (_GOLDEN * np.arange(num_cells) * num_cells).astype(int)
     order = (np.arange(num_cells)[None, :] + shift[:, None]) % num_cells
     weight = jnp.exp(coverage.log_miss)[np.arange(num_cells)[:, None], order]
     rows = jnp.cumsum(jnp.sum(weight, axis=1))
     total = rows[-1]
-    teeth = (jnp.arange(number) + uniform) / number * total
-    row = jnp.minimum(jnp.sum(rows[:, None] <= teeth[None, :], axis=0), num_cells - 1)
-    below = jnp.where(row > 0, rows[jnp.maximum(row - 1, 0)], 0.0)
+    levels = (jnp.arange(num_points) + uniform) / num_points * total
+    row = jnp.minimum(jnp.sum(rows[:, None] <= levels[None, :], axis=0), num_cells - 1)
+    row_start = jnp.where(row > 0, rows[jnp.maximum(row - 1, 0)], 0.0)
     columns = jnp.cumsum(weight, axis=1)
-    column = jnp.sum(columns[row] <= (teeth - below)[:, None], axis=1)
+    column = jnp.sum(columns[row] <= (levels - row_start)[:, None], axis=1)
     column = jnp.minimum(column, num_cells - 1)
     column = (column + jnp.asarray(shift)[row]) % num_cells
     x = coverage.area[0] + (column + jitter[0]) * size_x

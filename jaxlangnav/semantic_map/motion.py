@@ -1,9 +1,9 @@
 """The robot's motion: a node and an edge, the old pose marginalised out (section 3.2, eq. 6).
 
-Without a compass the heading is dead-reckoned, too, and drifts. How far it has drifted acts on all
-that is seen and driven from then on by a rotation, which no Gaussian holds: every particle has a
-drift of its own, and what it sees again weighs it (FastSLAM; Montemerlo et al. 2002). What is seen
-is told in the mean of them; ``headings`` says where each particle takes the robot to look.
+Without a compass the heading is dead-reckoned, too, and drifts. The drift rotates all later motion
+and observations, which is not Gaussian: every particle samples its own drift, and is weighted by
+objects observed again (FastSLAM; Montemerlo et al. 2002). Observations are given in the mean
+heading; ``headings`` has the heading of each particle.
 """
 
 import jax
@@ -18,7 +18,7 @@ from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.terrain.view import rotated, wrapped
 
-_DRIFT = 1  # folded into the key of the detections for the drift of the heading
+_DRIFT_KEY = 1  # folded into the key of the detections for the drift of the heading
 
 
 def predict(
@@ -29,53 +29,52 @@ def predict(
     *,
     params: MapParams,
 ) -> ParticleBelief:
-    """Move the robot in every particle by what odometry has measured since the last step.
+    """Predict the robot's position in every particle from odometry since the last step.
 
-    The dead-reckoned pose is f32[3]; where it is a jump, bool[], the robot may be there or where it
-    was. Particles that hold a ``drift`` need ``noise``, f32[P], standard normal.
+    The dead-reckoned pose is f32[3]; if it is a jump, bool[], the robot may be there or where it
+    was. Particles with a ``drift`` need ``noise``, f32[P], standard normal.
     """
     step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
-    share = jnp.where(is_jump, 1.0, params.motion.odometry_noise)
+    noise_ratio = jnp.where(is_jump, 1.0, params.motion.odometry_noise)
     squared = step_x * step_x + step_y * step_y
-    variance, particles = (share**2) * squared, belief.particles
+    variance, particles = (noise_ratio**2) * squared, belief.particles
     if noise is not None:
-        way, turn = jnp.sqrt(squared), wrapped(pose[2] - belief.last_pose[2])
-        drift = drifted(particles.drift, way, turn, noise, motion=params.motion)
-        # Over the step it is half of what has come in.
-        halfway = 0.5 * (particles.drift[:1] + drift[:1])
-        step_x, step_y = rotated(step_x, step_y, halfway)
+        distance, turn = jnp.sqrt(squared), wrapped(pose[2] - belief.last_pose[2])
+        drift = drifted(particles.drift, distance, turn, noise, motion=params.motion)
+        # The mean drift over the step.
+        mid_drift = 0.5 * (particles.drift[:1] + drift[:1])
+        step_x, step_y = rotated(step_x, step_y, mid_drift)
         particles = replace(particles, drift=drift)
-    moved = move(particles, step_x, step_y, variance)
-    return replace(belief, particles=moved, last_pose=pose)
+    particles = move(particles, step_x, step_y, variance)
+    return replace(belief, particles=particles, last_pose=pose)
 
 
 def drift_noise(key: Array, belief: ParticleBelief) -> Array | None:
-    """Draw by what the headings drift, f32[P]; None where a compass gives them."""
+    """Draw standard normals for the headings' drift, f32[P]; None with a compass."""
     if belief.particles.drift.shape[0] == 0:
         return None
-    return jax.random.normal(jax.random.fold_in(key, _DRIFT), belief.log_weight.shape)
+    return jax.random.normal(jax.random.fold_in(key, _DRIFT_KEY), belief.log_weight.shape)
 
 
 def with_drift(belief: ParticleBelief, observation: Observation) -> Observation:
-    """Correct the heading of a look by how far the robot is believed to have drifted."""
+    """Correct the heading of an observation by the mean drift."""
     drift, pose = mean_drift(belief), observation.pose
     return observation if drift is None else replace(observation, pose=pose.at[2].add(drift))
 
 
 def headings(belief: ParticleBelief, heading: Array) -> Array:
-    """Tell where each particle takes the robot to look, f32[] or f32[1, P], given the mean."""
+    """Compute the robot's heading in each particle, f32[] or f32[1, P], given the mean."""
     drift = mean_drift(belief)
     return heading if drift is None else heading + belief.particles.drift[:1] - drift
 
 
 def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: MotionParams) -> Array:
-    """Let the heading drift as the robot turns and drives.
+    """Sample the heading error of odometry after a motion.
 
         e' = e + b ζ s + √(σ² s + τ² |φ|) ε
 
-    with e by how much the true heading exceeds that of odometry, s the way, φ the turn, ε standard
-    normal, and b ζ the steady drift, of which only the magnitude b is known: ζ is 1 or −1, the same
-    all the way.
+    with e the true heading minus that of odometry, s the distance, φ the turn, ε standard normal,
+    and b ζ the constant bias, of which only the magnitude b is known: ζ is 1 or −1, constant.
     Limits: b = σ = τ = 0 leaves e as it is; where b = 0, so is ζ.
 
     Args:
@@ -91,7 +90,7 @@ def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: Moti
 
 
 def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -> SemanticMap:
-    """Move the robot by a measured step with independent noise in each axis.
+    """Translate the robot by a measured step with independent noise in each axis.
 
         Σ' = Σ + q e eᵀ,   μ' = μ + e u
 
@@ -101,11 +100,11 @@ def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -
     """
     robot = particle.object_type.shape[0]
     is_robot = jnp.arange(robot + 1) == robot
-    own = append_axes(is_robot[:, None] & is_robot[None], particle.covariance.ndim)
+    is_robot_entry = append_axes(is_robot[:, None] & is_robot[None], particle.covariance.ndim)
     unit = append_axes(is_robot.astype(jnp.float32), particle.mean_x.ndim)
     return replace(
         particle,
-        covariance=particle.covariance + jnp.where(own, variance, 0.0),
+        covariance=particle.covariance + jnp.where(is_robot_entry, variance, 0.0),
         mean_x=particle.mean_x + unit * step_x,
         mean_y=particle.mean_y + unit * step_y,
     )

@@ -1,8 +1,8 @@
-"""The second half of a step: ground what is seen, and weigh what is and is not (eq. 7b, 8).
+"""Measurement update: data association, conditioning and weighting (eq. 7b, 8).
 
-Beyond the paper: objects of hardly any existence probability are pruned, so that false detections
-do not fill the map; and an observation that contradicts the map is flagged. No particle need die of
-it: an impossible detection becomes a new object, and a vanished object stays where it was.
+Beyond the paper: objects of negligible existence probability are pruned, so that false detections
+do not fill the map; and an observation that contradicts the map is flagged. No weight becomes zero:
+an impossible detection becomes a new object, and a vanished object stays where it was.
 """
 
 import functools
@@ -30,18 +30,18 @@ from jaxlangnav.semantic_map.update import condition, log_absence
 from jaxlangnav.terrain.view import rotated
 
 MIN_ABSENT_PROB = 1e-2
-"""Least probability that what has been detected is not there: things are taken away."""
+"""Least probability that a detected object does not exist: objects may be removed."""
 
 
 class MeasurementUpdate(NamedTuple):
-    """What one observation did to the particles, before any words are grounded anew."""
+    """Result of one observation for the particles, before re-grounding."""
 
-    log_map: Array  # f32[P] log-likelihood of the observation, hypotheses left out
-    log_hypotheses: Array  # f32[P] what that of a particle with its words is above it: absence of
-    # what is hypothesised, and bystanders that are none
-    is_new: Array  # bool[O, P] slots that were entered
-    is_other: Array  # bool[O, P] slots of another kind than before: entered, or better known
-    is_lost: Array | None  # bool[P] what its words refer to does not exist; None: all of it does
+    log_map: Array  # f32[P] log-likelihood of the observation without hypotheses
+    log_hypotheses: Array  # f32[P] additional log-likelihood with hypotheses and referents: their
+    # misses, and referents not counted as bystanders
+    is_new: Array  # bool[O, P] slots of new objects
+    is_other: Array  # bool[O, P] slots whose type code changed: new, or another attribute
+    is_lost: Array | None  # bool[P] a referent was pruned; None: every object exists
     overflow: Array  # i32[P] detections that found no free slot
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
 
@@ -54,54 +54,54 @@ def observe(
     params: MapParams,
     num_pooled: Array | None = None,
 ) -> tuple[ParticleBelief, MeasurementUpdate]:
-    """Ground the detections, condition, and weigh what was and what was not seen.
+    """Associate the detections, condition on them, and compute the likelihood with misses.
 
-    The weights of the belief stay as they were.
+    The weights of the belief are not changed.
 
     Args:
-        uniform: f32[D, P] that decides what each detection is taken for, and f32[D, P], how far
-            something new is where the detector does not tell.
-        belief: after the motion.
-        observation: pose and detections now, all of them sound.
-        params: traced numbers.
+        uniform: f32[D, P] for the data association, and f32[D, P] for the range of a new object
+            if the detector does not measure it.
+        belief: after the motion update.
+        observation: pose and detections now, after gating.
+        params: traced parameters.
         num_pooled: see ``ground_words``.
     """
-    believed, observation = belief.particles, with_drift(belief, observation)
-    sensor, model, doubt = observation.sensor, belief.sensor_model, None
-    if believed.existence.shape[0] > 0:  # the sensor's probability is of right labels
-        right = sensor.detection_probability * (1.0 - sensor.mislabelled)
-        sensor = replace(sensor, detection_probability=right)
-        doubt = association.clutter_odds(sensor, belief.num_types, model)
-    seen = _detections(uniform[1], belief, observation, params, num_pooled)
+    prior_map, observation = belief.particles, with_drift(belief, observation)
+    sensor, model, clutter = observation.sensor, belief.sensor_model, None
+    if prior_map.existence.shape[0] > 0:  # the sensor's probability is of right labels
+        prob_correct = sensor.detection_probability * (1.0 - sensor.mislabelled)
+        sensor = replace(sensor, detection_probability=prob_correct)
+        clutter = association.clutter_odds(sensor, belief.num_types, model)
+    detections = _detections(uniform[1], belief, observation, params, num_pooled)
     growth, is_pooled = params.clumping / params.concentration, num_pooled is not None
-    grounded = association.associate(
-        believed, seen, uniform[0], sensor, growth, doubt, is_pooled=is_pooled, model=model
+    associated = association.associate(
+        prior_map, detections, uniform[0], sensor, growth, clutter, is_pooled=is_pooled, model=model
     )
-    held = condition(believed, grounded, sensor, model)
-    # Some doubt is left of all that is held.
-    existence = jnp.minimum(held.existence, 1.0 - MIN_ABSENT_PROB)
-    belief = replace(belief, particles=replace(held, existence=existence))
-    exposed_by = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
-    before = exposed_by(unseen_frac(belief.coverage))
+    posterior = condition(prior_map, associated, sensor, model)
+    # No object exists for certain.
+    existence = jnp.minimum(posterior.existence, 1.0 - MIN_ABSENT_PROB)
+    belief = replace(belief, particles=replace(posterior, existence=existence))
+    log_exposure_of = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
+    log_exposure_before = log_exposure_of(unseen_frac(belief.coverage))
     coverage, alternate_miss = update_coverage(belief, observation, sensor)
-    exposure = exposed_by(unseen_frac(coverage)) - before
+    exposure = log_exposure_of(unseen_frac(coverage)) - log_exposure_before
     belief = replace(belief, coverage=coverage, alternate_miss=alternate_miss)
     heading, softness = headings(belief, observation.pose[2]), 2.5 * params.kernel + 1e-3
     log_objects, log_hypotheses, existence = log_absence(
-        belief.particles, grounded.is_hit, heading, softness, sensor, belief.terrain.view, model
+        belief.particles, associated.is_hit, heading, softness, sensor, belief.terrain.view, model
     )
-    belief, log_exposed, log_meant, is_lost = _counted(belief, believed, existence, exposure)
-    log_map = grounded.log_weight + log_objects + log_exposed
+    belief, log_exposed, log_meant, is_lost = _update_counts(belief, prior_map, existence, exposure)
+    log_map = associated.log_weight + log_objects + log_exposed
     log_new = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
     log_report = log_new + model.log_volume(sensor), model.log_fit(sensor)
     return belief, MeasurementUpdate(
         log_map=log_map,
         log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_meant,
-        is_new=grounded.is_new,
-        is_other=grounded.object_type != believed.object_type,
+        is_new=associated.is_new,
+        is_other=associated.object_type != prior_map.object_type,
         is_lost=is_lost,
-        overflow=grounded.overflow,
-        surprise=surprise(belief.log_weight, grounded, log_map, *log_report),
+        overflow=associated.overflow,
+        surprise=surprise(belief.log_weight, associated, log_map, *log_report),
     )
 
 
@@ -112,23 +112,23 @@ def _detections(
     params: MapParams,
     num_pooled: Array | None,
 ) -> association.Detections:
-    """Turn detections into map axes and look up how likely something new is there."""
+    """Convert detections to map axes, with the log-density of new objects there."""
     sensor, model = observation.sensor, belief.sensor_model
-    metres = model.draw_range(uniform, observation.detection_range, sensor)
-    bearing = append_axes(observation.pose[2] + observation.detection_bearing, metres.ndim)
-    offset_x, offset_y = metres * jnp.cos(bearing), metres * jnp.sin(bearing)
-    unseen, nobody = unseen_frac(belief.coverage), jnp.float32(0.0)
-    log_density = log_expected(nobody, unseen, params=params, num_pooled=num_pooled)
+    distance = model.draw_range(uniform, observation.detection_range, sensor)
+    bearing = append_axes(observation.pose[2] + observation.detection_bearing, distance.ndim)
+    offset_x, offset_y = distance * jnp.cos(bearing), distance * jnp.sin(bearing)
+    unseen, zero = unseen_frac(belief.coverage), jnp.float32(0.0)
+    log_density = log_expected(zero, unseen, params=params, num_pooled=num_pooled)
     log_density = log_density - jnp.log(area_size(belief.coverage)) + model.log_volume(sensor)
     drift = mean_drift(belief)
     if drift is not None:
-        own = (belief.particles.drift[:1] - drift)[None]
+        offset_angle = (belief.particles.drift[:1] - drift)[None]
         offset_x, offset_y = (append_axes(offset, 3) for offset in (offset_x, offset_y))
-        offset_x, offset_y = rotated(offset_x, offset_y, own)
+        offset_x, offset_y = rotated(offset_x, offset_y, offset_angle)
     log_unseen = log_miss_at_offset(belief, offset_x, offset_y)
-    kinds, attributes = observation.detection_type, observation.detection_attribute
+    types, attributes = observation.detection_type, observation.detection_attribute
     return association.Detections(
-        object_type=kinds if attributes is None else kind_of(kinds, attributes),
+        object_type=types if attributes is None else kind_of(types, attributes),
         offset_x=offset_x,
         offset_y=offset_y,
         log_new=log_density + jnp.maximum(log_unseen, association.MIN_LOG_NEW),
@@ -136,72 +136,72 @@ def _detections(
     )
 
 
-def _counted(
-    belief: ParticleBelief, believed: SemanticMap, existence: Array, exposure: Array
+def _update_counts(
+    belief: ParticleBelief, prior_map: SemanticMap, existence: Array, exposure: Array
 ) -> tuple[ParticleBelief, Array, Array, Array | None]:
-    """Hold against what has been seen that more of the area shows no more of its type.
+    """Update counts and existence for the newly observed area (``counts``), and prune.
 
-    f32[P], log-likelihood of the maps, what that of a particle with its words is above it, is lost.
+    f32[P], log-likelihood of the maps; additional one of the referents; whether one was pruned.
     """
-    particles, is_meant = belief.particles, believed.is_meant
+    particles, is_meant = belief.particles, prior_map.is_meant
     log_meant = exposure * jnp.sum(is_meant, axis=0)
     if existence.shape[0] == 0:
         return belief, -exposure * jnp.sum(particles.is_observed, axis=0), log_meant, None
     log_exposed, existence = lower_existence(existence, exposure)
-    log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
-    log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
+    log_survival = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(prior_map.existence, 1e-9))
+    log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_survival, 0.0), axis=0)
     particles, is_lost = prune_objects(replace(particles, existence=existence))
     return replace(belief, particles=particles), log_exposed, log_meant, is_lost
 
 
 MIN_EXISTENCE, MIN_EXISTENCE_FULL = 1e-4, 0.02
-"""Probability below which a thing that was detected is forgotten; and where hardly a slot is free.
-A thing forgotten too soon would have to be detected more often than it can be."""
-_SPARE_SLOTS = 2  # kept free, if need be, by forgetting what is least likely to exist
+"""Existence probability below which an object is pruned; and if hardly a slot is free. An object
+pruned too early may not be detected often enough to be entered again."""
+_NUM_SPARE = 2  # slots kept free by pruning the object that is least likely to exist
 
 
 def prune_objects(particles: SemanticMap) -> tuple[SemanticMap, Array]:
-    """Empty the slots of what hardly exists, in all particles; bool[P], whose words refer to it."""
-    is_held = particles.is_observed
-    likeliest = jnp.max(jnp.where(is_held, particles.existence, 0.0), axis=-1, keepdims=True)
-    is_taken = jnp.any(is_held, axis=-1, keepdims=True)
-    is_crowded = jnp.sum(is_taken) > is_taken.shape[0] - _SPARE_SLOTS
-    least = jnp.argmin(jnp.where(is_taken, likeliest, jnp.inf))
-    is_least = (jnp.arange(is_taken.shape[0])[:, None] == least) & is_crowded
-    limit = jnp.where(is_least, MIN_EXISTENCE_FULL, MIN_EXISTENCE)
-    is_gone = is_held & (likeliest < limit)
-    is_lost = jnp.any(is_gone & particles.is_meant, axis=0)
-    # Most looks empty none.
-    rounds = jnp.any(is_gone).astype(jnp.int32)
-    kept = jax.lax.fori_loop(0, rounds, lambda _, held: clear(held, is_gone), particles)
-    return kept, is_lost
+    """Prune improbable objects in all particles; bool[P], whether one was a referent."""
+    is_observed = particles.is_observed
+    likeliest = jnp.max(jnp.where(is_observed, particles.existence, 0.0), axis=-1, keepdims=True)
+    is_used = jnp.any(is_observed, axis=-1, keepdims=True)
+    is_crowded = jnp.sum(is_used) > is_used.shape[0] - _NUM_SPARE
+    least_likely = jnp.argmin(jnp.where(is_used, likeliest, jnp.inf))
+    is_least_likely = (jnp.arange(is_used.shape[0])[:, None] == least_likely) & is_crowded
+    limit = jnp.where(is_least_likely, MIN_EXISTENCE_FULL, MIN_EXISTENCE)
+    is_pruned = is_observed & (likeliest < limit)
+    is_lost = jnp.any(is_pruned & particles.is_meant, axis=0)
+    # Most observations prune none.
+    rounds = jnp.any(is_pruned).astype(jnp.int32)
+    pruned = jax.lax.fori_loop(0, rounds, lambda _, carry: clear(carry, is_pruned), particles)
+    return pruned, is_lost
 
 
 LOG_CONTRADICTION = 15.0
-"""Nats by which an observation that contradicts the map is less probable than one expected. Of
-78 000 looks in Table 2's worlds one is beyond."""
+"""Surprise in nats above which an observation contradicts the map. Of 78 000 observations in
+Table 2's worlds one exceeds it."""
 
 
 def surprise(
     log_weight: Array, grounded: Association, log_map: Array, log_new: Array, log_known: Array
 ) -> Array:
-    """Measure how much less probable an observation is than one that fits.
+    """Compute the log Bayes factor of a perfectly fitting observation against the actual one.
 
         −log Σ_i w_i p_i(z) / p*_i(z),   log p* = n_new log λ + n_known E log p(z | x)
 
-    p* is what the same grounding would weigh if every new object stood where nobody has looked,
-    every known one as far from its place as the noise takes it on average, and none were missed.
+    p* is the likelihood of the same association if every new object were in an unobserved cell,
+    every known one at the average distance under the noise, and none were missed.
 
     Args:
         log_weight: f32[P], before the observation, normalised.
-        grounded: how the particles grounded the detections, leaves [..., P].
+        grounded: data association of the particles, leaves [..., P].
         log_map: f32[P], log probability of detections and absences of seen objects.
         log_new: f32[], log λ, density of reports of objects not yet seen.
         log_known: f32[], ``SensorModel.log_fit``.
 
     Returns:
-        f32[], nats; about 0 or less for what was to be expected, and 0 where detections found no
-        free slot (the map cannot know those, which is counted by itself) or all weights had died.
+        f32[], nats; about 0 or less for an expected observation, and 0 if detections found no
+        free slot (counted separately) or all weights were zero.
     """
     num_new = jnp.sum(grounded.is_new, axis=0)
     num_known = jnp.sum(grounded.is_hit, axis=0) - num_new

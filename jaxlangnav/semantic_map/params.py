@@ -1,4 +1,4 @@
-"""What a sweep may vary (traced) and what fixes the shapes (static) of the semantic map."""
+"""Parameters (traced) and configuration (static) of the semantic map's filter."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from jaxlangnav.relations import RelationModel, default_params, prepare
 
 @pytree
 class MapParams:
-    """Numbers of the filter, scalars f32[]; traced, so that new values never recompile."""
+    """Parameters of the filter, scalars f32[]; traced, so that new values never recompile."""
 
     concentration: Array = field(
         "α, expected number of further objects of a type in the area", default=0.3
@@ -36,28 +36,28 @@ class MapParams:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MapConfig:
-    """Sizes of the filter; hashable, a change recompiles."""
+    """Configuration of the filter; hashable, a change recompiles."""
 
     num_particles: int = 64
     num_objects: int = 8
     num_cells: int = 36
     num_bystanders: int = 0
-    """Things of types not spoken of that are remembered; 0: all that is seen takes a slot."""
+    """Capacity for objects of types not mentioned; 0: every observed object takes a slot."""
 
     has_doubts: bool = False
-    """Whether what is detected may not exist, as ``SensorParams`` says; else all of it does."""
+    """Whether detected objects may not exist, as ``SensorParams`` has it; else all exist."""
 
     has_drift: bool = False
-    """Whether the heading drifts, as ``MotionParams`` says; else a compass gives it."""
+    """Whether the heading drifts, as ``MotionParams`` has it; else a compass measures it."""
 
     pools_counts: bool = False
-    """Whether types have one rate in common by which there are things of them (``counts``)."""
+    """Whether object types share one rate of their number (``counts``)."""
 
     def __post_init__(self) -> None:
-        """Refuse sizes the filter cannot work with."""
-        least_sizes = {"num_particles": 2, "num_objects": 1, "num_cells": 4, "num_bystanders": 0}
-        for name, least in least_sizes.items():
-            refuse_below(least, **{name: getattr(self, name)})
+        """Raise a ValueError for sizes below their minimum."""
+        min_sizes = {"num_particles": 2, "num_objects": 1, "num_cells": 4, "num_bystanders": 0}
+        for name, min_size in min_sizes.items():
+            refuse_below(min_size, **{name: getattr(self, name)})
 
 
 def default_map_params() -> MapParams:

@@ -1,4 +1,4 @@
-"""What others want to know of a belief: the behavior model's world, positions, marginals."""
+"""Summaries of particles for the behavior model: its world, and distinct topologies."""
 
 import math
 
@@ -13,11 +13,11 @@ from jaxlangnav.semantic_map.particle import SemanticMap
 
 
 def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -> BehaviorWorld:
-    """Describe one particle's objects and relation edges to the behavior model (section 3.3).
+    """Build the behavior model's world from one particle's objects and relations (section 3.3).
 
     Args:
         particle: one particle.
-        readings: the sentence, for the relations that the particle's edges stand for.
+        readings: interpretations of the sentence, with the relations of the edges.
         previous: i32[], observed slot that was the goal of the last command; NONE at first.
 
     Returns:
@@ -26,24 +26,24 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
     num_objects, num_mentions = particle.object_type.shape[0], particle.referent.shape[0]
     size = num_objects + num_mentions + 1
     slots, mentions = jnp.arange(size), jnp.arange(num_mentions)
-    read = select_row(readings, particle.reading)
-    mention_type, robot = read.mention_type, jnp.full(1, ROBOT, jnp.int32)
+    reading = select_row(readings, particle.reading)
+    mention_type, robot = reading.mention_type, jnp.full(1, ROBOT, jnp.int32)
     hypothesised = jnp.where(particle.is_hypothesised, mention_type, NONE)
     object_type = jnp.concatenate([particle.object_type, hypothesised, robot])
     is_object = jnp.concatenate([particle.is_observed, particle.is_hypothesised, jnp.ones(1, bool)])
-    place = jnp.where(particle.referent == NONE, num_objects + mentions, particle.referent)
-    place = jnp.where(mention_type == ROBOT, size - 1, place)
+    slot = jnp.where(particle.referent == NONE, num_objects + mentions, particle.referent)
+    slot = jnp.where(mention_type == ROBOT, size - 1, slot)
     figure, landmark = (
-        jnp.sum(jnp.where(one[:, None] == mentions[None], place[None], 0), axis=1)
-        for one in (read.figure, read.landmark)
+        jnp.sum(jnp.where(ends[:, None] == mentions[None], slot[None], 0), axis=1)
+        for ends in (reading.figure, reading.landmark)
     )
     edge = (  # [J, 6, N, N]
-        (symbol_of(read.relation)[:, None] == jnp.arange(len(RELATIONS))[None])[:, :, None, None]
+        (symbol_of(reading.relation)[:, None] == jnp.arange(len(RELATIONS))[None])[:, :, None, None]
         & (figure[:, None] == slots[None])[:, None, :, None]
         & (landmark[:, None] == slots[None])[:, None, None, :]
     )
-    is_superlative = (read.rank == 1)[:, None, None, None]
-    is_later = (read.rank > 1)[:, None, None, None]
+    is_superlative = (reading.rank == 1)[:, None, None, None]
+    is_later = (reading.rank > 1)[:, None, None, None]
     return BehaviorWorld(
         object_type=object_type,
         is_object=is_object,
@@ -55,30 +55,30 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
 
 
 def _pack(fields: Array, base: int) -> Array:
-    """Pack small numbers from −2 upwards into as few words as hold them, i32[words, P]."""
+    """Pack small integers ≥ −2 into integer words, i32[words, P]."""
     per_word = max(1, int(31 / math.log2(base)))
     words = []
     for start in range(0, fields.shape[0], per_word):
-        part = fields[start : start + per_word] + 2
-        place = jnp.asarray([base**k for k in range(part.shape[0])], jnp.int32)
-        words.append(jnp.sum(part * place[:, None], axis=0))
+        digits = fields[start : start + per_word] + 2
+        powers = jnp.asarray([base**k for k in range(digits.shape[0])], jnp.int32)
+        words.append(jnp.sum(digits * powers[:, None], axis=0))
     return jnp.stack(words)
 
 
 def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
-    """Find which particles share one topology: types, reading and what each mention refers to.
+    """Find the distinct topologies of particles: object types, reading and referents.
 
-    They have the same behavior, and there are far fewer topologies than particles.
+    Particles of one topology have the same behavior; there are far fewer topologies than particles.
 
     Returns:
         i32[P], the topology of each particle, counted from 0 in order of first appearance;
-        i32[P], the first particle of topology u at place u (P beyond the last one); and i32[],
-        how many topologies there are.
+        i32[P], the first particle of topology u at index u (P beyond the last one); and i32[], the
+        number of topologies.
     """
-    num_objects, number = particles.object_type.shape[0], particles.reading.shape[-1]
+    num_objects, num_particles = particles.object_type.shape[0], particles.reading.shape[-1]
     flags = jnp.concatenate([particles.is_mentioned.astype(jnp.int32), particles.reading[None]])
     packed = _pack(particles.referent, num_objects + 3), _pack(flags, 8)
-    words, index = jnp.concatenate([particles.object_type, *packed]), jnp.arange(number)
+    words, index = jnp.concatenate([particles.object_type, *packed]), jnp.arange(num_particles)
 
     def is_left(carry: tuple[Array, Array, Array]) -> Array:
         return jnp.any(carry[0] < 0)
@@ -93,6 +93,6 @@ def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
             count + 1,
         )
 
-    # One topology after the other: to compare all particles with all is quadratic in P.
-    nothing = (jnp.full(number, -1), jnp.full(number, number), jnp.int32(0))
-    return jax.lax.while_loop(is_left, peel, nothing)
+    # One topology after the other: comparing all pairs of particles is quadratic in P.
+    start = (jnp.full(num_particles, -1), jnp.full(num_particles, num_particles), jnp.int32(0))
+    return jax.lax.while_loop(is_left, peel, start)

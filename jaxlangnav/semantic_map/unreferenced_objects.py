@@ -1,4 +1,4 @@
-"""Unreferenced objects: one shared map of things that no utterance has mentioned yet (ours).
+"""Unreferenced objects (bystanders): one shared list of objects of unmentioned types (ours).
 
 The ways to ground a relation grow with the square of the things that a particle holds. So things of
 types that the task does not name are kept in one list for all particles. Where a later sentence
@@ -18,157 +18,157 @@ from jaxlangnav.numerics.batching import append_axes, select_row
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 
-_DEVIATIONS = 5.0  # standard deviations within which two sightings of one type are of one thing
-_REMEMBERED = 0.95  # probability that what the list holds exists, where that is in doubt
+_MAX_DEVIATIONS = 5.0  # standard deviations within which two sightings of one type are one object
+_EXISTENCE = 0.95  # existence probability of an object inserted from the list
 
 
 @pytree
 class Bystanders:
-    """Sightings of things of types not spoken of, the same for all particles; B places."""
+    """Objects of unmentioned types, shared by all particles; B entries."""
 
-    object_type: Array  # i32[B] type index; NONE in empty places
+    object_type: Array  # i32[B] type index; NONE in empty entries
     x: Array  # f32[B] metres, map frame
     y: Array  # f32[B]
     variance: Array  # f32[B] m², both axes
 
     @property
     def is_held(self) -> Array:
-        """Which places are filled, bool[B]."""
+        """Which entries are filled, bool[B]."""
         return self.object_type != NONE
 
 
 def no_bystanders(number: int) -> Bystanders:
-    """Build an empty list with room for ``number`` things."""
+    """Build an empty list with capacity for ``number`` objects."""
     zero = jnp.zeros(number, jnp.float32)
     return Bystanders(object_type=jnp.full(number, NONE, jnp.int32), x=zero, y=zero, variance=zero)
 
 
 def is_named_type(object_type: Array, spoken: Array) -> Array:
-    """Tell of which types i32[...] the task speaks, bool[...]; of nothing it does not."""
+    """Mark the types i32[...] that the task mentions, bool[...]; false for NONE."""
     label = label_of(object_type)
     return (label >= 0) & jnp.take(spoken, jnp.maximum(label, 0), mode="clip")
 
 
 def split_by_type(observation: Observation, spoken: Array) -> tuple[Observation, Observation]:
-    """Part what is seen into what the task speaks of, bool[T], and all else."""
+    """Split detections into those of types that the task mentions, bool[T], and all others."""
     is_of_task = is_named_type(observation.detection_type, spoken)
-    seen = observation.is_detection
-    ours = replace(observation, is_detection=seen & is_of_task)
-    return ours, replace(observation, is_detection=seen & ~is_of_task)
+    is_detection = observation.is_detection
+    named = replace(observation, is_detection=is_detection & is_of_task)
+    return named, replace(observation, is_detection=is_detection & ~is_of_task)
 
 
 def add_bystanders(
-    known: Bystanders, observation: Observation, robot: tuple[Array, Array, Array]
+    bystanders: Bystanders, observation: Observation, robot: tuple[Array, Array, Array]
 ) -> tuple[Bystanders, Array]:
-    """Enter what is seen: a thing that is known is placed better, another one is added.
+    """Add detections to the list: update the position of a listed object, or add a new one.
 
     Args:
-        known: before the look.
-        observation: detections, all of them sound and of types not spoken of.
+        bystanders: before the observation.
+        observation: detections, after gating, of types not mentioned.
         robot: f32[] each, x, y in metres, map frame, and the variance of either in m².
 
     Returns:
-        The list after the look, and i32[], how many found no room.
+        The updated list, and i32[], the number of detections that did not fit.
     """
     bearing = observation.pose[2] + observation.detection_bearing
     noise = observation.sensor.noise
-    seen = Bystanders(
+    sightings = Bystanders(
         object_type=jnp.where(observation.is_detection, observation.detection_type, NONE),
         x=robot[0] + observation.detection_range * jnp.cos(bearing),
         y=robot[1] + observation.detection_range * jnp.sin(bearing),
         variance=jnp.broadcast_to(noise * noise + robot[2] + 1e-4, bearing.shape),
     )
-    known, lost = jax.lax.scan(_enter, known, seen)
-    return known, jnp.sum(lost)
+    bystanders, is_lost = jax.lax.scan(_add, bystanders, sightings)
+    return bystanders, jnp.sum(is_lost)
 
 
-def _enter(known: Bystanders, seen: Bystanders) -> tuple[Bystanders, Array]:
-    """Enter one thing seen, leaves [], if it is one; i32[] tells whether it found no room."""
-    squared = (known.x - seen.x) ** 2 + (known.y - seen.y) ** 2
-    is_near = squared <= _DEVIATIONS**2 * (known.variance + seen.variance)
-    may_be = (known.object_type == seen.object_type) & is_near
-    places = jnp.arange(known.x.shape[0])
-    nearest = jnp.argmin(jnp.where(may_be, squared, jnp.inf))
-    free = jnp.argmax(~known.is_held)
-    is_known, has_room = jnp.any(may_be), jnp.any(~known.is_held)
-    here = places == jnp.where(is_known, nearest, free)
-    here = here & seen.is_held & (is_known | has_room)
-    gain = jnp.where(is_known, known.variance / (known.variance + seen.variance), 1.0)
-    after = Bystanders(
-        object_type=jnp.where(here, seen.object_type, known.object_type),
-        x=jnp.where(here, known.x + gain * (seen.x - known.x), known.x),
-        y=jnp.where(here, known.y + gain * (seen.y - known.y), known.y),
-        variance=jnp.where(here, gain * seen.variance, known.variance),
+def _add(listed: Bystanders, sighting: Bystanders) -> tuple[Bystanders, Array]:
+    """Add one sighting, leaves [], if there is one; i32[], 1 if the list was full."""
+    squared = (listed.x - sighting.x) ** 2 + (listed.y - sighting.y) ** 2
+    is_near = squared <= _MAX_DEVIATIONS**2 * (listed.variance + sighting.variance)
+    is_candidate = (listed.object_type == sighting.object_type) & is_near
+    slots = jnp.arange(listed.x.shape[0])
+    nearest = jnp.argmin(jnp.where(is_candidate, squared, jnp.inf))
+    free_slot = jnp.argmax(~listed.is_held)
+    is_listed, has_room = jnp.any(is_candidate), jnp.any(~listed.is_held)
+    is_target = slots == jnp.where(is_listed, nearest, free_slot)
+    is_target = is_target & sighting.is_held & (is_listed | has_room)
+    gain = jnp.where(is_listed, listed.variance / (listed.variance + sighting.variance), 1.0)
+    updated = Bystanders(
+        object_type=jnp.where(is_target, sighting.object_type, listed.object_type),
+        x=jnp.where(is_target, listed.x + gain * (sighting.x - listed.x), listed.x),
+        y=jnp.where(is_target, listed.y + gain * (sighting.y - listed.y), listed.y),
+        variance=jnp.where(is_target, gain * sighting.variance, listed.variance),
     )
-    return after, (seen.is_held & ~is_known & ~has_room).astype(jnp.int32)
+    return updated, (sighting.is_held & ~is_listed & ~has_room).astype(jnp.int32)
 
 
-_Both = tuple[SemanticMap, Bystanders]
+_State = tuple[SemanticMap, Bystanders]
 
 
 def exchange(
-    particles: SemanticMap, known: Bystanders, spoken: Array, log_weight: Array, is_told: Array
+    particles: SemanticMap, listed: Bystanders, spoken: Array, log_weight: Array, is_told: Array
 ) -> tuple[SemanticMap, Bystanders]:
-    """Exchange things between particles and list, where another sentence has been heard.
+    """Exchange objects between particles and list after a new sentence.
 
-    What particles hold and the task speaks of no more goes to the list, as the likeliest of them
-    has it; what the list holds and it speaks of enters every particle, as known by itself. The
-    words are grounded anew afterwards, so nothing refers to a slot that has changed.
+    Objects in the particles that the task no longer mentions go to the list, as in the likeliest
+    particle; listed ones that it mentions enter every particle, uncorrelated with the rest. The
+    words are re-grounded afterwards, so no referent is a slot that has changed.
 
     Args:
         particles: leaves [..., P].
-        known: the list.
-        spoken: bool[T], types that the task speaks of.
+        listed: the list.
+        spoken: bool[T], types that the task mentions.
         log_weight: f32[P].
-        is_told: bool[], a sentence has been heard that nothing has been grounded of.
+        is_told: bool[], there is a new sentence that has not been grounded yet.
     """
     num_objects = particles.object_type.shape[0]
     likeliest = jnp.argmax(log_weight)
 
-    def put_aside(slot: Array, both: _Both) -> _Both:
-        held, known = both
+    def list_slot(slot: Array, state: _State) -> _State:
+        held, listed = state
         leaves = held.object_type, held.mean_x, held.mean_y, jnp.diagonal(held.covariance).T
-        kind, x, y, spread = (select_row(one, slot)[likeliest] for one in leaves)
-        kind = jnp.where(is_named_type(kind, spoken), NONE, kind)
-        thing = Bystanders(object_type=kind, x=x, y=y, variance=spread)
-        return held, _enter(known, thing)[0]
+        object_type, x, y, spread = (select_row(leaf, slot)[likeliest] for leaf in leaves)
+        object_type = jnp.where(is_named_type(object_type, spoken), NONE, object_type)
+        sighting = Bystanders(object_type=object_type, x=x, y=y, variance=spread)
+        return held, _add(listed, sighting)[0]
 
-    def put_away(_: Array, both: _Both) -> _Both:
-        held, known = both
-        return clear(held, held.is_observed & ~is_named_type(held.object_type, spoken)), known
+    def clear_slots(_: Array, state: _State) -> _State:
+        held, listed = state
+        return clear(held, held.is_observed & ~is_named_type(held.object_type, spoken)), listed
 
-    def bring_in(_: Array, both: _Both) -> _Both:
-        held, known = both
-        is_meant = is_named_type(known.object_type, spoken)
-        chosen = jnp.argmax(is_meant)
-        is_there = jnp.any(is_meant) & jnp.any(held.object_type == NONE)
-        is_taken = (jnp.arange(known.x.shape[0]) == chosen) & is_there
-        left = replace(known, object_type=jnp.where(is_taken, NONE, known.object_type))
-        return _hold(held, select_row(known, chosen), is_there), left
+    def insert_next(_: Array, state: _State) -> _State:
+        held, listed = state
+        is_named = is_named_type(listed.object_type, spoken)
+        chosen = jnp.argmax(is_named)
+        is_possible = jnp.any(is_named) & jnp.any(held.object_type == NONE)
+        is_taken = (jnp.arange(listed.x.shape[0]) == chosen) & is_possible
+        remaining = replace(listed, object_type=jnp.where(is_taken, NONE, listed.object_type))
+        return _insert(held, select_row(listed, chosen), is_possible), remaining
 
-    # Nearly always no round of either loop.
+    # In most steps neither loop has an iteration.
     rounds = jnp.where(is_told, num_objects, 0)
-    both = jax.lax.fori_loop(0, rounds, put_aside, (particles, known))
-    both = jax.lax.fori_loop(0, jnp.where(is_told, 1, 0), put_away, both)
-    rounds = jnp.where(is_told, jnp.sum(is_named_type(known.object_type, spoken)), 0)
-    return jax.lax.fori_loop(0, rounds, bring_in, both)
+    state = jax.lax.fori_loop(0, rounds, list_slot, (particles, listed))
+    state = jax.lax.fori_loop(0, jnp.where(is_told, 1, 0), clear_slots, state)
+    rounds = jnp.where(is_told, jnp.sum(is_named_type(listed.object_type, spoken)), 0)
+    return jax.lax.fori_loop(0, rounds, insert_next, state)
 
 
-def _hold(particles: SemanticMap, thing: Bystanders, is_there: Array) -> SemanticMap:
-    """Enter one thing of the list, leaves [], into the first free slot of every particle."""
+def _insert(particles: SemanticMap, sighting: Bystanders, is_possible: Array) -> SemanticMap:
+    """Insert one listed object, leaves [], into the first free slot of every particle."""
     num_objects = particles.object_type.shape[0]
     slots = append_axes(jnp.arange(num_objects), particles.object_type.ndim)
-    free = jnp.min(jnp.where(particles.object_type == NONE, slots, num_objects), axis=0)
-    is_slot = (slots == free[None]) & is_there
-    here = jnp.concatenate([is_slot, jnp.zeros_like(is_slot[:1])])
-    own = append_axes(jnp.eye(num_objects + 1, dtype=bool), particles.covariance.ndim)
-    covariance = jnp.where(here[:, None] | here[None], 0.0, particles.covariance)
+    free_slot = jnp.min(jnp.where(particles.object_type == NONE, slots, num_objects), axis=0)
+    is_slot = (slots == free_slot[None]) & is_possible
+    is_entry = jnp.concatenate([is_slot, jnp.zeros_like(is_slot[:1])])
+    is_diagonal = append_axes(jnp.eye(num_objects + 1, dtype=bool), particles.covariance.ndim)
+    covariance = jnp.where(is_entry[:, None] | is_entry[None], 0.0, particles.covariance)
     existence = particles.existence
     return replace(
         particles,
-        object_type=jnp.where(is_slot, thing.object_type, particles.object_type),
-        covariance=jnp.where(own & here[:, None], thing.variance, covariance),
-        mean_x=jnp.where(here, thing.x, particles.mean_x),
-        mean_y=jnp.where(here, thing.y, particles.mean_y),
-        existence=jnp.where(is_slot, _REMEMBERED, existence) if existence.shape[0] else existence,
+        object_type=jnp.where(is_slot, sighting.object_type, particles.object_type),
+        covariance=jnp.where(is_diagonal & is_entry[:, None], sighting.variance, covariance),
+        mean_x=jnp.where(is_entry, sighting.x, particles.mean_x),
+        mean_y=jnp.where(is_entry, sighting.y, particles.mean_y),
+        existence=jnp.where(is_slot, _EXISTENCE, existence) if existence.shape[0] else existence,
     )

@@ -1,4 +1,4 @@
-"""Update for detections: condition on what was seen, and weigh what was not (section 3.2, eq. 8).
+"""Kalman update on detections, and likelihood of missed objects (section 3.2, eq. 8).
 
 Everything takes one particle, or all of them with the particle axis last ("…" in shapes).
 """
@@ -34,24 +34,24 @@ def condition(
         particle: one particle.
         association: from ``associate``.
         sensor: the detector's specification.
-        model: how it reports.
+        model: observation model.
     """
     num_objects = particle.object_type.shape[0]
-    is_new = _with_robot(association.is_new)
+    is_new = _append_robot(association.is_new)
     offset_x, offset_y = association.offset_x, association.offset_y
     variance = model.variance(offset_x, offset_y, sensor)
-    variance = _with_robot(jnp.broadcast_to(variance, offset_x.shape))
+    variance = _append_robot(jnp.broadcast_to(variance, offset_x.shape))
     joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
     joint = gaussian.enter(
-        joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
+        joint, num_objects, is_new, _append_robot(offset_x), _append_robot(offset_y), variance
     )
-    pairs, is_known = [(o, num_objects) for o in range(num_objects)], ~association.is_new
+    offset_pairs, is_known = [(o, num_objects) for o in range(num_objects)], ~association.is_new
     joint = gaussian.condition_offsets(
-        joint, pairs, association.is_hit & is_known, offset_x, offset_y, variance
+        joint, offset_pairs, association.is_hit & is_known, offset_x, offset_y, variance
     )
     # A root of NONE is no slot: a hypothesis on the ground does not move.
-    moved_x = lookup((joint.mean_x - particle.mean_x)[:num_objects], particle.root)
-    moved_y = lookup((joint.mean_y - particle.mean_y)[:num_objects], particle.root)
+    shift_x = lookup((joint.mean_x - particle.mean_x)[:num_objects], particle.root)
+    shift_y = lookup((joint.mean_y - particle.mean_y)[:num_objects], particle.root)
     return replace(
         particle,
         object_type=association.object_type,
@@ -59,13 +59,13 @@ def condition(
         mean_x=joint.mean_x,
         mean_y=joint.mean_y,
         existence=association.existence,
-        hypothesis_x=particle.hypothesis_x + moved_x,
-        hypothesis_y=particle.hypothesis_y + moved_y,
+        hypothesis_x=particle.hypothesis_x + shift_x,
+        hypothesis_y=particle.hypothesis_y + shift_y,
     )
 
 
-def _with_robot(values: Array) -> Array:
-    """Append a zero, or false, for the robot to what is known of the objects."""
+def _append_robot(values: Array) -> Array:
+    """Append a zero, or false, for the robot to values of the objects."""
     return jnp.concatenate([values, jnp.zeros_like(values[:1])])
 
 
@@ -78,12 +78,12 @@ def log_absence(
     view: View,
     model: SensorModel = POSITIONS,
 ) -> tuple[Array, Array, Array]:
-    """Weigh what was not seen: negative observations (eq. 8).
+    """Compute the likelihood of missed objects: negative information (eq. 8).
 
         Σ_o log(1 − p_d v_o r_o),   r' = r (1 − p_d v) / (1 − p_d v r)
 
-    over the objects not detected, v the share in view and r the probability that they exist, 1
-    where particles do not doubt it.
+    over the objects not detected, v the fraction in view and r the existence probability, 1 in
+    particles without one.
 
     Args:
         particle: one particle, after conditioning.
@@ -91,25 +91,25 @@ def log_absence(
         heading: f32[] or f32[1, ...], radians.
         softness: f32[], metres over which an object's position is uncertain.
         sensor: range, field of view, detection probability.
-        view: what can be seen in this place.
-        model: how the detector reports.
+        view: lines of sight.
+        model: observation model of the detector.
 
     Returns:
         f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none);
-        and how probable the observed objects are now to exist, as in the particle.
+        and the updated existence probabilities, as in the particle.
     """
     num_objects = particle.object_type.shape[0]
     x = jnp.concatenate([particle.mean_x[:num_objects], particle.hypothesis_x])
     y = jnp.concatenate([particle.mean_y[:num_objects], particle.hypothesis_y])
     robot_x, robot_y = particle.mean_x[num_objects:], particle.mean_y[num_objects:]
     eye = eye_of(robot_x, robot_y, heading, sensor)
-    likely = model.report_probability(view, eye, x, y, softness, sensor)
+    prob_detected = model.report_probability(view, eye, x, y, softness, sensor)
     is_missed = jnp.concatenate([particle.is_observed & ~is_hit, particle.is_hypothesised])
     existence = particle.existence
     if existence.shape[0]:
-        own = likely[:num_objects]
-        left = existence * (1.0 - own) / (1.0 - own * existence)
-        likely = jnp.concatenate([own * existence, likely[num_objects:]])
-        existence = jnp.where(is_missed[:num_objects], left, existence)
-    log_missed = jnp.where(is_missed, jnp.log1p(-likely), 0.0)
-    return jnp.sum(log_missed[:num_objects], axis=0), log_missed[num_objects:], existence
+        prob = prob_detected[:num_objects]
+        posterior = existence * (1.0 - prob) / (1.0 - prob * existence)
+        prob_detected = jnp.concatenate([prob * existence, prob_detected[num_objects:]])
+        existence = jnp.where(is_missed[:num_objects], posterior, existence)
+    log_miss = jnp.where(is_missed, jnp.log1p(-prob_detected), 0.0)
+    return jnp.sum(log_miss[:num_objects], axis=0), log_miss[num_objects:], existence
