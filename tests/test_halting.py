@@ -10,8 +10,8 @@ from hand_geometry import SPOKEN
 
 from jaxlangnav import Navigator
 from jaxlangnav.language.halting import Act, act_of, alarm_in, halts_alone, opening_of
-from jaxlangnav.language.lexicon import read_lexicon, type_called
-from jaxlangnav.language.own_words import is_of_grammar
+from jaxlangnav.language.lexicon import find_type, read_lexicon
+from jaxlangnav.language.own_words import is_reserved
 from jaxlangnav.navigator import NavigatorState
 
 TABLE = tomllib.loads(
@@ -115,7 +115,7 @@ LABELS = ("hydrant", "cone", "tree", "car", "box", "ball", "barrel", "bench", "c
 
 
 def _is_object(words: str) -> bool:
-    return type_called(words) is not None or words in LABELS
+    return find_type(words) is not None or words in LABELS
 
 
 @pytest.fixture(scope="module")
@@ -205,6 +205,6 @@ def test_words_to_halt_have_no_other_meaning() -> None:
         for word in ("stop", "freeze", "whoa", "hold on", "halt"):
             with pytest.raises(ValueError, match="halts the robot"):
                 read_lexicon(package, own.replace("{}", word))
-    assert is_of_grammar("stop")
+    assert is_reserved("stop")
     assert not halts_alone("park")
-    assert not is_of_grammar("bus stop")
+    assert not is_reserved("bus stop")

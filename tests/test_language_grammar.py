@@ -16,7 +16,7 @@ from lark import Lark
 from jaxlangnav.cli import main as cli
 from jaxlangnav.language.exported import Rules, export_grammar, exported_rules, spaced
 from jaxlangnav.language.grammar import Grammar, NoParseError, load_grammar, read_rules
-from jaxlangnav.language.lexicon import OWN_LEXICON, ing_form, load_lexicon, plural, read_lexicon
+from jaxlangnav.language.lexicon import USER_LEXICON, ing_form, load_lexicon, plural, read_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.spelling import edits
@@ -277,7 +277,7 @@ def test_a_new_type_and_a_synonym_are_grounded_without_training(tmp_path: Path) 
     said = "find the teal lorry behind the nearest lamp posts"
     done = subprocess.run(
         [sys.executable, "-m", "jaxlangnav", "ground", said, "--json"],
-        env={**os.environ, OWN_LEXICON: str(path), "JAX_PLATFORMS": "cpu"},
+        env={**os.environ, USER_LEXICON: str(path), "JAX_PLATFORMS": "cpu"},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -318,7 +318,7 @@ def test_a_new_type_and_a_synonym_are_grounded_without_training(tmp_path: Path) 
 def test_a_faulty_file_is_named(text, says, tmp_path, monkeypatch):
     path = tmp_path / "words.toml"
     path.write_text(text, "utf-8")
-    monkeypatch.setenv(OWN_LEXICON, str(path))
+    monkeypatch.setenv(USER_LEXICON, str(path))
     with pytest.raises(ValueError, match=says) as error:
         load_lexicon.__wrapped__()
     assert str(error.value).startswith(str(path))
@@ -359,6 +359,6 @@ def test_what_is_no_file_is_refused_by_name_and_not_waited_for(tmp_path, monkeyp
         (tmp_path / "large", "more than 262,144 bytes"),
         (tmp_path / "nowhere.toml", r"nowhere\.toml"),
     ):
-        monkeypatch.setenv(OWN_LEXICON, str(path))
+        monkeypatch.setenv(USER_LEXICON, str(path))
         with pytest.raises(ValueError, match=says):
             load_lexicon.__wrapped__()

@@ -11,7 +11,7 @@ from jaxlangnav.cli.checks import File, check_file, check_seed
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
 from jaxlangnav.inputs.limits import refuse_below
-from jaxlangnav.language.phrase import LEAST_PROBABILITY
+from jaxlangnav.language.phrase import MIN_PROBABILITY
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ class Evaluate:
 
     sentences: File = None
     """Labelled sentences, one JSON object a line: score these, and leave Table 1 out."""
-    least_probability: float = LEAST_PROBABILITY
+    least_probability: float = MIN_PROBABILITY
     """Of --sentences: what the trained reader thinks less probable is refused, from 0 to 1."""
     rewrites: File = None
     """Recorded rewritings of them: compare the trained graph, the rewritings, and both."""

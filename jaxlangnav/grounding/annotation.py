@@ -28,7 +28,7 @@ from jaxlangnav.grounding.symbols import (
 )
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.phrase import Parse, Phrase
-from jaxlangnav.language.reference import is_thing
+from jaxlangnav.language.reference import is_untyped
 from jaxlangnav.messages import NONE, ROBOT
 from jaxlangnav.relations.table import REGISTRY
 
@@ -116,7 +116,7 @@ def _untyped_phrases(phrase: Phrase, path: Path, *, is_of_thing: bool) -> Iterat
         yield path
     is_new = phrase.label == "NP" and bool(phrase.children)
     for i, child in enumerate(phrase.children):
-        of_thing = is_thing(phrase.children[0]) and i > 0 if is_new else is_of_thing
+        of_thing = is_untyped(phrase.children[0]) and i > 0 if is_new else is_of_thing
         yield from _untyped_phrases(child, (*path, i), is_of_thing=of_thing)
 
 

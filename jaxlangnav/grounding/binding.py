@@ -26,11 +26,11 @@ from jaxlangnav.inputs.object_types import (
 )
 from jaxlangnav.inputs.sanitize import check_names
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
-from jaxlangnav.language.nouns import attributes_of, compared, load_nouns, singular
-from jaxlangnav.language.own_words import is_of_grammar
+from jaxlangnav.language.nouns import attributes_of, base_adjective, load_nouns, singular
+from jaxlangnav.language.own_words import is_reserved
 from jaxlangnav.language.phrase import LanguageError, Parse, Phrase, Word
-from jaxlangnav.language.reference import SAME, head_of, is_thing
-from jaxlangnav.language.tokens import plainly
+from jaxlangnav.language.reference import SAME, head_of, is_untyped
+from jaxlangnav.language.tokens import normalize
 from jaxlangnav.messages import NONE, ROBOT
 
 _TYPE = "type:"
@@ -61,7 +61,7 @@ class Detector:
             check_names(attribute_groups, "attributes", at_most=MOST_LABELS)
         )
         self._names = [  # as sentences write them: "Stop_Sign" is "stop sign"
-            " ".join(plainly(label).replace("_", " ").replace("-", " ").split())
+            " ".join(normalize(label).replace("_", " ").replace("-", " ").split())
             for label in self.labels
         ]
         self._extra: list[str] = []
@@ -88,7 +88,7 @@ class Detector:
         duplicate = next((name for name, count in Counter(names).items() if count > 1), None)
         if duplicate is not None:
             return f"{duplicate!r} twice"
-        reserved = next((name for name in names if is_of_grammar(name)), None)
+        reserved = next((name for name in names if is_reserved(name)), None)
         return f"{reserved!r}, which has a meaning of its own in every sentence" if reserved else ""
 
     @property
@@ -213,7 +213,7 @@ class BoundSentence:
         children = tuple(self._bind(child, goal) for child in phrase.children)
         rebuilt = dataclasses.replace(phrase, children=children)
         head = next((w for w in phrase.words if w.type_sense), None)
-        if is_thing(phrase):
+        if is_untyped(phrase):
             self._untyped = kind_of(ANYTHING, self._code(phrase, phrase.words[-1], ""))
         if phrase.label != "NP" or head is None:
             return rebuilt
@@ -240,7 +240,7 @@ class BoundSentence:
             else:
                 used[group] = value
         for word in unused:
-            adjective = compared(word.text)
+            adjective = base_adjective(word.text)
             if adjective is not None:  # detections have no degrees
                 raise LanguageError(
                     f"'{word.text}' (word {word.position}): how {adjective} things are is not "

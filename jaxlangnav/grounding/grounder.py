@@ -15,7 +15,7 @@ from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Spoken, understand
 from jaxlangnav.grounding.readings import pad_readings, unpad_readings
 from jaxlangnav.inputs.object_types import name_of, noun_of
-from jaxlangnav.language.phrase import LEAST_PROBABILITY
+from jaxlangnav.language.phrase import MIN_PROBABILITY
 from jaxlangnav.language.reference import Antecedent
 from jaxlangnav.messages import NONE, ROBOT
 from jaxlangnav.pytree import replace
@@ -112,7 +112,7 @@ class GraphGrounder:
         labels: Iterable[str] | None = None,
         attributes: Iterable[str] = (),
         *,
-        least_probability: float = LEAST_PROBABILITY,
+        least_probability: float = MIN_PROBABILITY,
     ) -> None:
         """Bind the graph to a detector.
 

@@ -20,12 +20,12 @@ from jaxlangnav.grounding.readings import to_readings
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, count_factors
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.parser import parse
-from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, Measure, Parse, Phrase
+from jaxlangnav.language.phrase import COMMAND, MIN_PROBABILITY, Measure, Parse, Phrase
 from jaxlangnav.language.reference import (
     Antecedent,
     head_of,
     is_constraint,
-    is_thing,
+    is_untyped,
     leaves,
     type_sense,
 )
@@ -63,7 +63,7 @@ def _collect_references(tree: Parse, types_of: Callable[[str], tuple[int, ...]])
     def types_at(phrase: Phrase) -> tuple[int, ...]:
         """List the candidate types of a phrase's head noun."""
         leaf = head_of(phrase)
-        if leaf is not None and is_thing(leaf):
+        if leaf is not None and is_untyped(leaf):
             return (ANYTHING,)
         types = () if leaf is None else types_of((type_sense(leaf) or "").removeprefix("type:"))
         candidates.setdefault(types)
@@ -208,7 +208,7 @@ def understand(
     model: GroundingModel,
     detector: Detector | None = None,
     earlier: Antecedent | None = None,
-    least_probability: float = LEAST_PROBABILITY,
+    least_probability: float = MIN_PROBABILITY,
 ) -> Understanding:
     """Parse a sentence, infer its annotations, and compile its program for behavior inference.
 

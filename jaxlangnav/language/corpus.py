@@ -1,4 +1,4 @@
-"""The corpus: instructions labelled per phrase, for annotation and for behavior (section 4.1).
+"""The corpus of instructions with gold annotations and behaviors per phrase (section 4.1).
 
 A corpus is a text file of JSON documents, one instruction a line:
 
@@ -17,8 +17,8 @@ each clause of ``behavior`` have one list of symbols (one number) per phrase: of
 them). ``rank`` is 1 where a phrase says "nearest" (or "first", "farthest"), 2 for "second".
 Objects have type, x and y (metres, map frame); ``robot`` is x, y and heading; ``previous`` is the
 object that the command before this one led to, or null. ``split`` is "train" or "test".
-A sentence is read by the grammar as it stands, and in other wordings only where that fails: what a
-corpus teaches the graph of a word ("toward") is not what a rewriting makes of it.
+A sentence is parsed verbatim, and rewritten only if that fails, so that the graph learns the words
+of the corpus ("toward"), not those of a rewriting.
 ``python -m jaxlangnav.language.corpus FILE`` checks a file.
 """
 
@@ -44,15 +44,15 @@ from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
 
-LARGEST_CORPUS = 64 << 20
-"""Bytes of a corpus; the one of the package has about a million."""
-_MOST_OBJECTS = 32
-"""Objects of one world of a corpus."""
-_LONGEST_LINE = 1200
-"""Characters of a complaint; one that lists the phrases of the longest sentence needs as many."""
+MAX_CORPUS_BYTES = 64 << 20
+"""Size limit of a corpus; the one of the package has about a million bytes."""
+_MAX_OBJECTS = 32
+"""Maximum number of objects of a world."""
+_MAX_MESSAGE = 1200
+"""Maximum length of an error message, which may list the phrases of the longest sentence."""
 ROBOT_LABEL = "robot"
 Labels = tuple[frozenset[str], ...]
-"""Symbols of each phrase."""
+"""Gold symbols of each phrase."""
 _SYMBOL = re.compile(r"([a-z]+)\(([a-z0-9,_]*)\)")
 _Coordinate = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
 
@@ -65,7 +65,7 @@ class _Clause(Schema, forbid_unknown_fields=False):
 
 
 class _World(Schema, forbid_unknown_fields=False):
-    objects: Annotated[list[tuple[str, _Coordinate, _Coordinate]], Meta(max_length=_MOST_OBJECTS)]
+    objects: Annotated[list[tuple[str, _Coordinate, _Coordinate]], Meta(max_length=_MAX_OBJECTS)]
     robot: tuple[_Coordinate, _Coordinate, _Coordinate]
     previous: Annotated[int, Meta(ge=0)] | None
     behavior: list[list[list[str]]]
@@ -80,7 +80,7 @@ class _Line(Schema, forbid_unknown_fields=False):
 
 
 class CorpusError(ValueError):
-    """A corpus that breaks its format; one line naming file, line and what is wrong."""
+    """An invalid corpus; a one-line message with file, line and cause."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +104,7 @@ class Example:
     """One labelled instruction."""
 
     text: str
-    template: str  # sentences of one template are alike but for their words
+    template: str  # sentences of one template share their structure
     split: str  # "train" or "test"; a template is in one split only
     parse: Parse
     clauses: tuple[ClauseLabels, ...]
@@ -113,16 +113,16 @@ class Example:
 
 def _check(condition: bool, message: str) -> None:
     if not condition:
-        raise CorpusError(shorten(sanitize(message), _LONGEST_LINE))
+        raise CorpusError(shorten(sanitize(message), _MAX_MESSAGE))
 
 
 def _check_symbols(
     labels: Sequence[Sequence[str]], legal: Mapping[str, tuple[Sequence[str], ...]]
 ) -> None:
-    """Check the symbols of phrases by what each argument of each kind may be."""
+    """Validate the symbols of phrases against the legal arguments of each kind."""
     for symbol in itertools.chain(*labels):
-        is_one = _SYMBOL.fullmatch(symbol) is not None
-        _check(is_one, f"'{symbol}' is no symbol; expected kind(argument,...)")
+        is_valid = _SYMBOL.fullmatch(symbol) is not None
+        _check(is_valid, f"'{symbol}' is no symbol; expected kind(argument,...)")
         kind, *arguments = re.split("[(,]", symbol[:-1])
         _check(kind in legal, f"'{symbol}': kind must be one of {', '.join(legal)}")
         count = len(legal[kind])
@@ -131,8 +131,8 @@ def _check_symbols(
             _check(argument in allowed, f"'{symbol}': '{argument}' is none of {', '.join(allowed)}")
 
 
-def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
-    root, kind = found.clauses[index], found.kinds[index]
+def _read_clause(record: _Clause, parsed: Parse, index: int) -> ClauseLabels:
+    root, kind = parsed.clauses[index], parsed.kinds[index]
     heads, where = [phrase.head for phrase in root.walk()], f"clause {index}:"
     _check(record.kind == kind, f"{where} kind is '{kind}', not '{record.kind}'")
     _check(record.phrases == heads, f"{where} the parser finds the phrases {' '.join(heads)}")
@@ -147,7 +147,7 @@ def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
     return ClauseLabels(annotation=annotation, rank=tuple(record.rank))
 
 
-def _read_world(record: _World, found: Parse) -> WorldLabels:
+def _read_world(record: _World, parsed: Parse) -> WorldLabels:
     types = load_lexicon().type_names
     for kind, _, _ in record.objects:
         _check(kind in types, f"object type {as_text(kind)} is none of {', '.join(types)}")
@@ -159,8 +159,8 @@ def _read_world(record: _World, found: Parse) -> WorldLabels:
     indices = tuple(map(str, range(count)))
     places = dict.fromkeys(("region", "goal", "constraint"), (REGIONS, (*indices, ROBOT_LABEL)))
     legal = {"object": (indices,), **places, "action": (ACTIONS,), "mode": (MODES,)}
-    _check(len(record.behavior) == len(found.clauses), "behavior needs one list per clause")
-    for root, labels in zip(found.clauses, record.behavior, strict=True):
+    _check(len(record.behavior) == len(parsed.clauses), "behavior needs one list per clause")
+    for root, labels in zip(parsed.clauses, record.behavior, strict=True):
         phrases = len(list(root.walk()))
         _check(len(labels) == phrases, f"behavior: {len(labels)} labels for {phrases} phrases")
         _check_symbols(labels, legal)
@@ -172,7 +172,7 @@ def _read_world(record: _World, found: Parse) -> WorldLabels:
 
 
 def parse_labelled(text: str) -> Parse:
-    """Read a sentence of a corpus: as it stands, or else in other wordings.
+    """Parse a sentence of a corpus: verbatim, or else rewritten.
 
     Raises:
         LanguageError: it is refused.
@@ -184,16 +184,16 @@ def parse_labelled(text: str) -> Parse:
 
 
 def read_example(line: str) -> Example:
-    """Read and check one line of a corpus, a JSON document as the head of this module describes.
+    """Parse and validate one line of a corpus, a JSON document as described in this module.
 
     Raises:
-        CorpusError: what is wrong, in one line.
+        CorpusError: the cause, in one line.
     """
     try:
         document = parse_json(line)
         _check(isinstance(document, dict), f"the line is {as_text(document)}, but must be a table")
         record = convert(document, _Line)
-        found = parse_labelled(record.text)
+        parsed = parse_labelled(record.text)
     except DocumentError as error:
         raise CorpusError(f"the line {error}") from None
     except LanguageError as error:
@@ -201,31 +201,31 @@ def read_example(line: str) -> Example:
     except ValueError as error:
         raise CorpusError(str(error)) from None
     count = len(record.clauses)
-    _check(count == len(found.clauses), f"{count} clauses, parsed {len(found.clauses)}")
+    _check(count == len(parsed.clauses), f"{count} clauses, parsed {len(parsed.clauses)}")
     return Example(
         text=record.text,
         template=record.template,
         split=record.split,
-        parse=found,
-        clauses=tuple(_read_clause(c, found, index) for index, c in enumerate(record.clauses)),
-        worlds=tuple(_read_world(world, found) for world in record.worlds),
+        parse=parsed,
+        clauses=tuple(_read_clause(c, parsed, index) for index, c in enumerate(record.clauses)),
+        worlds=tuple(_read_world(world, parsed) for world in record.worlds),
     )
 
 
 def read_corpus(path: str | Path) -> tuple[Example, ...]:
-    """Read and check a corpus file; blank lines and lines that begin with ``#`` are skipped.
+    """Read and validate a corpus file; blank lines and lines that begin with ``#`` are skipped.
 
     Raises:
-        CorpusError: the first fault, as ``file line N: what``.
+        CorpusError: the first error, as ``file line N: cause``.
     """
     path = Path(path)
     try:
-        lines = read_lines(path, at_most=LARGEST_CORPUS)
+        lines = read_lines(path, at_most=MAX_CORPUS_BYTES)
     except ValueError as error:
         raise CorpusError(str(error)) from None
     examples: list[Example] = []
     templates: dict[str, str] = {}
-    for number, line in lines:
+    for line_number, line in lines:
         if line.startswith("#"):
             continue
         try:
@@ -233,7 +233,7 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
             split = templates.setdefault(example.template, example.split)
             _check(split == example.split, f"template '{example.template}' is in both splits")
         except CorpusError as error:
-            raise CorpusError(f"{shorten(path.name)} line {number}: {error}") from None
+            raise CorpusError(f"{shorten(path.name)} line {line_number}: {error}") from None
         examples.append(example)
     _check(bool(examples), f"{path.name} holds no instruction")
     return tuple(examples)
@@ -241,12 +241,12 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
 
 @cache
 def load_corpus(name: str = "corpus") -> tuple[Example, ...]:
-    """Read a corpus of the package: the large one, or "corpus39" (the paper's protocol)."""
+    """Load a corpus of the package: the large one, or "corpus39" (the paper's protocol)."""
     return read_corpus(shipped_file("language", f"{name}.jsonl"))
 
 
 def main(arguments: list[str]) -> int:
-    """Check the corpus files named; print one line for each; 0 when all are sound, else 2."""
+    """Validate corpus files; print one line for each; returns 0 if all are valid, else 2."""
     status = 0
     for path in arguments:
         try:
@@ -256,8 +256,8 @@ def main(arguments: list[str]) -> int:
             status = 2
             continue
         phrases = sum(len(c.rank) for example in examples for c in example.clauses)
-        found = Counter(kind for example in examples for kind in example.parse.kinds)
-        kinds = {kind: found[kind] for kind in (COMMAND, STATEMENT)}
+        counts = Counter(kind for example in examples for kind in example.parse.kinds)
+        kinds = {kind: counts[kind] for kind in (COMMAND, STATEMENT)}
         print(sanitize(f"{path}: {len(examples)} instructions, {phrases} phrases, {kinds}"))
     return status
 

@@ -1,12 +1,12 @@
-"""The controlled language as a grammar for other programs: Lark's form and GBNF (section 3.1).
+"""Export of the controlled language's grammar in Lark and GBNF notation (section 3.1).
 
-Whoever rewrites sentences into the controlled language, such as a language model whose output is
-constrained token by token, is held to this grammar. It is made of the rules and the words that the
-parser has, less its guesses about words that it does not know: nouns come in by name instead. Each
-word has a space before it, the first one too, as the tokens of most models do.
+It constrains programs that rewrite sentences into the controlled language, such as a language model
+with constrained decoding. It has the rules and words of the parser, except those for unknown words;
+additional nouns are given by name. Each word is preceded by a space, also the first one, as are the
+tokens of most models.
 
-What the grammar makes can be refused all the same, for the parser also checks what refers to what:
-a rewriting is parsed before it counts.
+A sentence of the grammar may still be refused, as the parser also resolves references: rewritings
+are parsed before use.
 """
 
 import json
@@ -15,15 +15,15 @@ from typing import Literal
 
 from jaxlangnav.language.grammar import Grammar, load_grammar
 from jaxlangnav.language.nouns import load_nouns
-from jaxlangnav.language.tokens import MARKS, is_word, plainly
+from jaxlangnav.language.tokens import MARKS, is_word, normalize
 from jaxlangnav.language.tree import UNKNOWN
 
 Notation = Literal["lark", "gbnf"]
 Rules = dict[str, list[tuple[str, ...]]]
-"""Ways to make each symbol; a part in double quotes is a word."""
+"""Alternatives of each nonterminal; a part in double quotes is a word."""
 START = "start"
 _LEFT_OUT = frozenset({"one", "VP_after", "of_all"})
-"""What people say and a rewriting needs not: "the one", "after going to", "of all the"."""
+"""Constructions that a rewriting does not need: "the one", "after going to", "of all the"."""
 _UNKNOWN_NOUN, _ADJECTIVE, _ADJECTIVES, _GROUP = "unknown_noun", "adj", "adjs", "noun_group"
 
 
@@ -32,7 +32,7 @@ def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
 
     Args:
         form: ``"lark"``, which lark and llguidance read, or ``"gbnf"``, which llama.cpp reads.
-        nouns: names of things beside the lexicon's, such as a detector's labels.
+        nouns: object names besides the lexicon's, such as a detector's labels.
 
     Returns:
         The grammar; a sentence of it has a space before each word.
@@ -42,78 +42,78 @@ def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
     """
     rules = exported_rules(load_grammar(), nouns)
     names = {left: _name(left, form) for left in rules}
-    makes, part, head = {"lark": (": ", "\n  | ", "//"), "gbnf": (" ::= ", " | ", "#")}[form]
-    note = f"{head} The controlled language of jaxlangnav. Every word has a space before it."
+    arrow, bar, comment = {"lark": (": ", "\n  | ", "//"), "gbnf": (" ::= ", " | ", "#")}[form]
+    note = f"{comment} The controlled language of jaxlangnav. Every word has a space before it."
     lines = [note]
     for left, rights in rules.items():
-        ways = [" ".join(names.get(one) or _literal(one) for one in right) for right in rights]
-        lines.append(names[left] + makes + part.join(ways))
+        bodies = [" ".join(names.get(s) or _literal(s) for s in right) for right in rights]
+        lines.append(names[left] + arrow + bar.join(bodies))
     return "\n".join(lines) + "\n"
 
 
 def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
-    """List the rules that can be filled with words, and are reached from the start, which is first.
+    """List the productive rules that are reachable from the start symbol, which is first.
 
     Raises:
         ValueError: a noun is none; one line.
     """
-    ways: Rules = {}
-    for one in grammar.productions:
-        is_guess = one.entry is None and one.left in (_UNKNOWN_NOUN, _ADJECTIVE)
-        is_guess |= any(part.startswith(f'"{UNKNOWN}') for part in one.right)
-        is_compound = one.left == _GROUP and len(one.right) > 1
-        if not (is_guess or is_compound or one.left in _LEFT_OUT):
-            ways.setdefault(one.left, []).append(one.right)
-    # To the parser these are words that it does not know: one before a noun is read.
-    attributes = sorted(one for one in load_nouns().attributes if one.isalpha())
-    ways.setdefault(_ADJECTIVES, []).extend((f'"{one}"',) for one in attributes)
-    ways[_UNKNOWN_NOUN] = [tuple(f'"{word}"' for word in _words(noun)) for noun in nouns]
-    ways = {left: list(dict.fromkeys(rights)) for left, rights in ways.items()}
-    return _reached(_fillable(ways))
+    rules: Rules = {}
+    for p in grammar.productions:
+        is_guess = p.entry is None and p.left in (_UNKNOWN_NOUN, _ADJECTIVE)
+        is_guess |= any(part.startswith(f'"{UNKNOWN}') for part in p.right)
+        is_compound = p.left == _GROUP and len(p.right) > 1
+        if not (is_guess or is_compound or p.left in _LEFT_OUT):
+            rules.setdefault(p.left, []).append(p.right)
+    # Attribute adjectives are unknown words to the parser: at most one is allowed before a noun.
+    attributes = sorted(word for word in load_nouns().attributes if word.isalpha())
+    rules.setdefault(_ADJECTIVES, []).extend((f'"{word}"',) for word in attributes)
+    rules[_UNKNOWN_NOUN] = [tuple(f'"{word}"' for word in _words(noun)) for noun in nouns]
+    rules = {left: list(dict.fromkeys(rights)) for left, rights in rules.items()}
+    return _reachable(_productive(rules))
 
 
 def spaced(text: str) -> str:
-    """Write a sentence as the exported grammar has it: small, with a space before each word."""
-    return " " + " ".join(plainly(text).split())
+    """Format a sentence for the exported grammar: lower case, with a space before each word."""
+    return " " + " ".join(normalize(text).split())
 
 
 def _words(noun: str) -> list[str]:
-    words = plainly(noun).split()
+    words = normalize(noun).split()
     if not words or not all(map(is_word, words)):
         raise ValueError(f"'{noun[:30]}' is no noun: give words of letters, as in 'fire hydrant'")
     return words
 
 
-def _fillable(ways: Rules) -> Rules:
-    """Leave out what cannot be filled with words."""
+def _productive(rules: Rules) -> Rules:
+    """Remove rules with nonterminals that derive no sentence of words."""
     while True:
-        kept = {
-            left: [r for r in rights if all(part[0] == '"' or ways.get(part) for part in r)]
-            for left, rights in ways.items()
+        pruned = {
+            left: [r for r in rights if all(part[0] == '"' or rules.get(part) for part in r)]
+            for left, rights in rules.items()
         }
-        if kept == ways:
-            return {left: rights for left, rights in ways.items() if rights}
-        ways = kept
+        if pruned == rules:
+            return {left: rights for left, rights in rules.items() if rights}
+        rules = pruned
 
 
-def _reached(ways: Rules) -> Rules:
-    found, waiting = {}, [START]
-    while waiting:
-        left = waiting.pop(0)
-        if left not in found:
-            found[left] = ways[left]
-            waiting += [part for right in ways[left] for part in right if part[0] != '"']
-    return found
+def _reachable(rules: Rules) -> Rules:
+    reached, queue = {}, [START]
+    while queue:
+        left = queue.pop(0)
+        if left not in reached:
+            reached[left] = rules[left]
+            queue += [part for right in rules[left] for part in right if part[0] != '"']
+    return reached
 
 
 def _name(left: str, form: Notation) -> str:
-    """Name a symbol as the form wants it: lark's are small, GBNF has no underscore."""
+    """Name a nonterminal in a notation: lower case in Lark, without underscores in GBNF."""
     small = left.lower() + ("_phrase" if left[:1].isupper() else "")
     gbnf = "root" if left == START else small.replace("_", "-")
     return small if form == "lark" else gbnf
 
 
 def _literal(part: str) -> str:
-    """Write a word with the space before it, or a mark without."""
+    """Format a word with a space before it, or a mark without."""
     word = part.strip('"')
     return json.dumps(word if word in ("'s", *MARKS) else f" {word}")

@@ -1,7 +1,7 @@
-"""Worlds whose objects have known places: which relations hold there, and how strongly.
+"""Relations between objects at known positions: whether they hold, and their degree.
 
-Which relations hold is geometry (``relations.holds``); which object is the nearest, the second or
-the leftmost is a comparison among the objects of one type.
+Whether a relation holds is geometric (``relations.holds``); which object is the nearest, the second
+or the leftmost is a comparison of degrees among the objects of one type.
 """
 
 from dataclasses import dataclass
@@ -19,51 +19,51 @@ from jaxlangnav.relations.strength import degree
 from jaxlangnav.relations.table import SIDES
 
 SIDE_RANGE = 5.0
-"""Metres: the corpus calls nothing "on your left" that is farther off."""
+"""Maximum distance in metres of "on your left" in the corpus."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedWorld:
-    """Objects whose places are known, and the robot among them."""
+    """Objects at known positions, and the pose of the robot."""
 
     objects: tuple[tuple[str, float, float], ...]  # type, x, y; map frame, metres
     robot: tuple[float, float, float]  # x, y, heading; metres, radians
-    previous: int | None = None  # the goal of the command before this one
-    attributes: tuple[int, ...] = ()  # of each object, codes of ``attributes``; or of none
+    previous: int | None = None  # index of the previous command's goal
+    attributes: tuple[int, ...] = ()  # attribute code of each object, or empty
 
 
 @cached_jit()
-def _all_relations(places: Array, viewer: Array, heading: Array) -> Array:
-    """Evaluate all relations: bool[6, N, N + 1], landmark N is the robot."""
+def _all_relations(positions: Array, viewer: Array, heading: Array) -> Array:
+    """Evaluate all relations for all pairs, bool[6, N, N + 1]; landmark N is the robot."""
     own_heading: Any = heading
 
-    def one(relation: int) -> Array:
-        pairs = holds(relation, places[:, None], places[None, :], viewer)
-        own = holds(relation, places, viewer, viewer, own_heading)
-        return jnp.concatenate([pairs, own[:, None]], axis=1)
+    def table(relation: int) -> Array:
+        pairs = holds(relation, positions[:, None], positions[None, :], viewer)
+        to_robot = holds(relation, positions, viewer, viewer, own_heading)
+        return jnp.concatenate([pairs, to_robot[:, None]], axis=1)
 
-    return jnp.stack([one(relation) for relation in range(len(RELATIONS))])
+    return jnp.stack([table(relation) for relation in range(len(RELATIONS))])
 
 
 class Geometry:
-    """Which relations hold between the objects of a world, and how strongly."""
+    """Relations between the objects of a world, as booleans and degrees."""
 
     def __init__(self, world: PlacedWorld, *, side_range: float = SIDE_RANGE) -> None:
-        """Evaluate all six relations over all pairs; index ``len(objects)`` stands for the robot.
+        """Evaluate all six relations over all pairs; index ``len(objects)`` is the robot.
 
-        Up to ``side_range`` metres something is on a side of the robot.
+        ``side_range`` is the maximum distance in metres of "left" and "right" of the robot.
         """
         count = len(world.objects)
-        places = np.array([[x, y] for _, x, y in world.objects], np.float32).reshape(-1, 2)
+        positions = np.array([[x, y] for _, x, y in world.objects], np.float32).reshape(-1, 2)
         viewer = np.array(world.robot[:2], np.float32)
         heading = world.robot[2]
-        where = jax.device_put((places, viewer, np.float32(heading)))
+        where = jax.device_put((positions, viewer, np.float32(heading)))
         self.holds = np.array(_all_relations(*where))
-        points = np.concatenate([places, viewer[None]], 0)
-        offset = places[:, None] - points[None]
+        points = np.concatenate([positions, viewer[None]], 0)
+        offset = positions[:, None] - points[None]
         distance = np.linalg.norm(offset, axis=-1)
         sides = np.ix_(SIDES, range(count), [count])
         self.holds[sides] &= distance[:, -1:] <= side_range
         sideways = offset @ np.array([-np.sin(heading), np.cos(heading)])
-        # How much each relation holds, f64[6, N, N + 1], larger is more so.
-        self.strength = np.stack([degree(one, distance, sideways) for one in range(len(RELATIONS))])
+        # Degree of each relation, f64[6, N, N + 1]; larger is stronger.
+        self.strength = np.stack([degree(r, distance, sideways) for r in range(len(RELATIONS))])

@@ -1,8 +1,8 @@
 """A probabilistic context-free grammar over classes of words, parsed by lark's Earley parser.
 
-The rules stand in ``data/grammar.txt``, the words in ``data/lexicon.toml``. Lark builds the shared
-packed parse forest; the most probable tree and the total probability of all trees are read off
-the forest by dynamic programming, so time stays polynomial however ambiguous the input.
+The rules are in ``data/grammar.txt``, the words in ``data/lexicon.toml``. Lark builds the shared
+packed parse forest; the most probable tree and the total probability of all trees are computed
+from it by dynamic programming, so time stays polynomial however ambiguous the input.
 """
 
 import itertools
@@ -28,20 +28,20 @@ from jaxlangnav.language.tree import (
 )
 
 P_OPTIONAL = 0.2
-W_EXPRESSION = 0.005  # of a word of fixed expressions to be a noun, beside an unknown word
+W_EXPRESSION = 0.005  # weight of a word of fixed expressions as a noun, relative to an unknown word
 
 
 class NoParseError(Exception):
-    """No tree; ``index`` is the first token that cannot continue any (the length at the end)."""
+    """Failed parse; ``index`` is the first token that continues no tree, or the length."""
 
     def __init__(self, index: int) -> None:
-        """Keep where the parse came to its end."""
+        """Store the index of the failure."""
         super().__init__(f"no parse at token {index}")
         self.index = index
 
 
 class _TokenLexer(Lexer):
-    """Hands lark tokens that are made already."""
+    """Lark lexer that passes on terminals from the caller."""
 
     def __init__(self, lexer_conf: Any) -> None:
         del lexer_conf
@@ -53,10 +53,10 @@ class _TokenLexer(Lexer):
 
 
 def _expand_options(right: list[str]) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Write out a right side for each way to leave out its optional symbols."""
-    given, left_out = P_OPTIONAL, 1 - P_OPTIONAL
+    """Expand the optional symbols of a right side into all alternatives, with probabilities."""
+    present, absent = P_OPTIONAL, 1 - P_OPTIONAL
     choices = [
-        [(one[:-1], given), ("", left_out)] if one.endswith("?") else [(one, 1.0)] for one in right
+        [(part[:-1], present), ("", absent)] if part[-1] == "?" else [(part, 1.0)] for part in right
     ]
     for choice in itertools.product(*choices):
         symbols = tuple(symbol for symbol, _ in choice if symbol)
@@ -64,38 +64,38 @@ def _expand_options(right: list[str]) -> Iterator[tuple[tuple[str, ...], float]]
 
 
 def read_rules(text: str) -> list[tuple[str, tuple[str, ...], float]]:
-    """Read the rules of a grammar file, ``left -> right [weight]``, options written out.
+    """Parse the rules of a grammar file, ``left -> right [weight]``, with options expanded.
 
     Raises:
-        ValueError: a line is not a rule; the line's number is named.
+        ValueError: a line is not a rule; the message has the line number.
     """
     rules = []
-    for number, line in enumerate(text.splitlines(), start=1):
+    for line_number, line in enumerate(text.splitlines(), start=1):
         line = line.split("#")[0].strip()
         if not line:
             continue
         parts = line.split()
         weight = parts[-1]
         if len(parts) < 4 or parts[1] != "->" or not (weight[0] == "[" and weight[-1] == "]"):
-            raise ValueError(f"grammar line {number}: expected 'left -> right [weight]'")
-        for right, share in _expand_options(parts[2:-1]):
-            rules.append((parts[0], right, float(weight[1:-1]) * share))
+            raise ValueError(f"grammar line {line_number}: expected 'left -> right [weight]'")
+        for right, prob in _expand_options(parts[2:-1]):
+            rules.append((parts[0], right, float(weight[1:-1]) * prob))
     return rules
 
 
 def _lexical_rules(
     lexicon: Lexicon,
 ) -> list[tuple[str, tuple[str, ...], float, LexicalEntry | None]]:
-    """Make a rule for every expression of the lexicon and for unknown words."""
+    """Build the rules of the lexicon's expressions and of unknown words."""
     rules: list[tuple[str, tuple[str, ...], float, LexicalEntry | None]] = []
     for name, entries in lexicon.entries.items():
         rules += [(name, tuple(f'"{w}"' for w in key), 1.0, e) for key, e in entries.items()]
-    for name, (_, marks) in UNKNOWN_CLASSES.items():
-        known = max(1, len(lexicon.entries.get(name, {})))
-        rules += [(name, (f'"{mark}"',), known * share, None) for mark, share in marks.items()]
+    for name, (_, weights) in UNKNOWN_CLASSES.items():
+        size = max(1, len(lexicon.entries.get(name, {})))
+        rules += [(name, (f'"{unk}"',), size * w, None) for unk, w in weights.items()]
     # Words known only from fixed expressions ("plant yourself") are nouns alone.
     closed = set(lexicon.tags) | set(lexicon.refused)
-    for key, entry in itertools.chain(*(one.items() for one in lexicon.entries.values())):
+    for key, entry in itertools.chain(*(table.items() for table in lexicon.entries.values())):
         senses = itertools.chain(*(word.senses for word in entry))
         if len(key) == 1 or any(sense.startswith("relation") for sense in senses):
             closed.update(key)
@@ -107,10 +107,10 @@ def _lexical_rules(
 
 
 class Grammar:
-    """The grammar made ready: parses token sequences to their most probable derivation."""
+    """The compiled grammar: parses token sequences to their most probable derivation."""
 
     def __init__(self, rules_text: str, lexicon: Lexicon) -> None:
-        """Join the rules of a grammar file and the words of a lexicon.
+        """Compile the rules of a grammar file and the words of a lexicon.
 
         Raises:
             ValueError: a rule names a symbol that is neither a left side nor a class.
@@ -132,12 +132,12 @@ class Grammar:
         self._by_rule: dict[tuple[str, ...], Production] = {}
         for production in self.productions:
             symbols = (production.left, *production.right)
-            self._by_rule.setdefault(tuple(self._symbols[one] for one in symbols), production)
+            self._by_rule.setdefault(tuple(self._symbols[s] for s in symbols), production)
         by_left: dict[str, list[str]] = {}
         for left, *right in self._by_rule:
             by_left.setdefault(left, []).append(" ".join(right))
         lines = [f"{left}: " + "\n  | ".join(rights) for left, rights in by_left.items()]
-        terminals = " ".join(one for one in self._symbols.values() if one[0] == "T")
+        terminals = " ".join(name for name in self._symbols.values() if name[0] == "T")
         lark = Lark(
             "\n".join([*lines, f"%declare {terminals}\n"]), start=self._symbols["start"],
             parser="earley", lexer=_TokenLexer, ambiguity="forest", keep_all_tokens=True,
@@ -147,9 +147,9 @@ class Grammar:
         self._earley: Any = lark.parser.parser
         self._lock = threading.Lock()
         self._rules = lark.rules
-        # Symbols that a rule needs before it is predicted: (the first of them, all of them).
+        # Symbols that must be derivable before a rule is predicted: (only the first, all).
         needed = [[str(symbol.name) for symbol in rule.expansion] for rule in lark.rules]
-        self._needed = ([set(one[:1]) for one in needed], [set(one) for one in needed])
+        self._needed = ([set(right[:1]) for right in needed], [set(right) for right in needed])
         self._users: tuple[dict[str, list[int]], ...] = ({}, {})
         for users, rules in zip(self._users, self._needed, strict=True):
             for index, symbols in enumerate(rules):
@@ -157,21 +157,21 @@ class Grammar:
                     users.setdefault(symbol, []).append(index)
 
     def _predict_only(self, terminals: frozenset[str], is_whole: bool) -> None:
-        """Leave rules that the words of the sentence cannot fill out of Earley's predictions."""
-        # Lark predicts the whole closure of a nonterminal at once, every expression of the lexicon
-        # included; without them, and one rule at a time, a sentence takes a tenth of the time.
-        # ``is_whole``: rules of which any symbol cannot be made of the terminals; otherwise those
-        # of which the first cannot, which changes nothing about where a parse ends.
+        """Restrict Earley's predictions to rules that the sentence's terminals can derive."""
+        # Lark predicts the whole closure of a nonterminal at once, with every expression of the
+        # lexicon; without underivable ones, and one rule at a time, parsing is ten times faster.
+        # ``is_whole``: all symbols of a rule must be derivable from the terminals; otherwise only
+        # the first, which does not change where a parse fails.
         users, num_missing = self._users[is_whole], [*map(len, self._needed[is_whole])]
-        made, agenda, chosen = set(terminals), list(terminals), []
-        while agenda:  # each symbol that can be made is taken from what its rules still miss
+        derivable, agenda, chosen = set(terminals), list(terminals), []
+        while agenda:  # each derivable symbol decrements the missing counts of its rules
             for index in users.get(agenda.pop(), ()):
                 num_missing[index] -= 1
                 if not num_missing[index]:
                     chosen.append(index)
                     name = str(self._rules[index].origin.name)
-                    if name not in made:
-                        made.add(name)
+                    if name not in derivable:
+                        derivable.add(name)
                         agenda.append(name)
         for rules in self._earley.predictions.values():
             rules.clear()
@@ -179,12 +179,12 @@ class Grammar:
             self._earley.predictions[self._rules[index].origin].append(self._rules[index])
 
     def parse(self, tokens: list[str], *, is_end_found: bool = True) -> tuple[Derivation, float]:
-        """Find the most probable derivation, and its share of the probability of all.
+        """Find the most probable derivation, and its posterior probability.
 
         Args:
-            tokens: words in lower case, or the marks of unknown words and punctuation.
-            is_end_found: find where no tree can go on, which takes another parse; otherwise the
-                error names the last token.
+            tokens: words in lower case, or terminals of unknown words and punctuation.
+            is_end_found: locate the failure by another parse; otherwise the error has the last
+                token.
 
         Raises:
             NoParseError: there is none.
@@ -193,7 +193,7 @@ class Grammar:
         if not all(known):
             raise NoParseError(known.index(False))
         terminals = [self._symbols[f'"{token}"'] for token in tokens]
-        with self._lock:  # the predictions belong to one sentence
+        with self._lock:  # the predictions are specific to one sentence
             try:
                 self._predict_only(frozenset(terminals), is_whole=True)
                 root = self._lark.parse(terminals)
@@ -203,7 +203,7 @@ class Grammar:
         return read_forest(root, self._by_rule)
 
     def _end_of_parse(self, terminals: list[str]) -> int:
-        """Find the first token that cannot continue any tree, of a sentence that has none."""
+        """Find the first token that continues no tree, for a sentence without a parse."""
         self._predict_only(frozenset(terminals), is_whole=False)
         try:
             self._lark.parse(terminals)
@@ -216,5 +216,5 @@ class Grammar:
 
 @cache
 def load_grammar() -> Grammar:
-    """Build the grammar of the package; the same object at every call."""
+    """Build the grammar of the package, cached."""
     return Grammar(read_shipped("language", "grammar.txt"), load_lexicon())

@@ -1,8 +1,8 @@
-"""The words: classes, Penn tags and senses, read from ``data/lexicon.toml`` (section 3.1).
+"""The lexicon: classes, Penn tags and senses of words, from ``data/lexicon.toml`` (section 3.1).
 
-A new object type or synonym is one line, there or in a file of one's own that the environment
-variable ``JAXLANGNAV_LEXICON`` names. Everything derived (plurals, -ing forms, the terminals of the
-grammar) is derived here.
+A new object type or synonym is one line, there or in a user file named by the environment variable
+``JAXLANGNAV_LEXICON``. Derived forms (plurals, -ing forms, terminals of the grammar) are generated
+here.
 """
 
 import os
@@ -14,49 +14,49 @@ from typing import Any
 from jaxlangnav.inputs.documents import naming, parse_toml, read_shipped, read_text
 from jaxlangnav.language.phrase import Word
 
-OWN_LEXICON = "JAXLANGNAV_LEXICON"
-"""Environment variable that names a lexicon file of one's own, joined to the package's."""
-_LARGEST_FILE = 256 * 1024
-"""Bytes of such a file."""
+USER_LEXICON = "JAXLANGNAV_LEXICON"
+"""Environment variable that names a user lexicon file, merged into the package's."""
+_MAX_FILE_BYTES = 256 * 1024
+"""Size limit of a user lexicon in bytes."""
 TYPE_CLASS = "type"
 _WORDS = parse_toml(read_shipped("language", "words.toml"))
-WORDS = {name: frozenset(one) for name, one in _WORDS.items() if isinstance(one, list)}
-"""Sets of words that rules ask for by name."""
+WORDS = {name: frozenset(w) for name, w in _WORDS.items() if isinstance(w, list)}
+"""Named sets of words, used by rules."""
 LITERAL_TAGS: dict[str, str] = _WORDS["literals"]
 REASONS: dict[str, str] = _WORDS["reasons"]
-"""Why words are refused, by the name of the reason."""
+"""Explanations for refused words, by the name of the reason."""
 _PLURALS: dict[str, str] = _WORDS["plurals"]
 SINGULARS = {many: one for one, many in _PLURALS.items()}
-"""Nouns by their irregular plurals."""
+"""Irregular plural → singular noun."""
 
 
 LexicalEntry = tuple[Word, ...]
-"""An expression of one or more words in one class; only its head has senses."""
+"""An expression of one or more words; only its head word has senses."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lexicon:
-    """All expressions by class, and what is refused."""
+    """Expressions by class, and refused words with reasons."""
 
-    type_names: tuple[str, ...]  # object types; position is the type index
+    type_names: tuple[str, ...]  # object types, by type index
     entries: dict[str, dict[tuple[str, ...], LexicalEntry]]  # class → words → entry
     refused: dict[str, str]  # word → why
     refused_expressions: dict[tuple[str, ...], str] = field(default_factory=dict)  # words → why
     tags: dict[str, str] = field(default_factory=dict)  # word → Penn tag in expressions
-    slips: dict[str, str] = field(default_factory=dict)  # short word, mistyped → what is meant
+    typos: dict[str, str] = field(default_factory=dict)  # short misspelled word → correction
 
     @cached_property
     def vocabulary(self) -> frozenset[str]:
-        """Every word that some class, or the list of refused words, knows."""
+        """All words of the classes and of the list of refused words."""
         known = {word for entries in self.entries.values() for key in entries for word in key}
         return frozenset(known | set(self.refused) | {"'s"})
 
 
 def plural(noun: str) -> str:
-    """Make a plural: boxes, benches, cones, book shelves."""
-    before, space, last = noun.rpartition(" ")
+    """Form the plural of a noun: boxes, benches, cones, book shelves."""
+    prefix, space, last = noun.rpartition(" ")
     if last in _PLURALS:
-        return before + space + _PLURALS[last]
+        return prefix + space + _PLURALS[last]
     if noun.endswith(("s", "x", "ch", "sh")):
         return noun + "es"
     if noun.endswith("y") and noun[-2:-1] not in "aeiou":
@@ -65,7 +65,7 @@ def plural(noun: str) -> str:
 
 
 def ing_form(verb: str) -> str:
-    """Make a regular -ing form: moving, stopping, seeing."""
+    """Form the -ing form of a regular verb: moving, stopping, seeing."""
     if verb.endswith("e") and not verb.endswith(("ee", "ye", "oe")) and verb != "be":
         return verb[:-1] + "ing"
     doubles = len(verb) == 3 or verb in {"stop", "spot", "shun", "swing", "step"}
@@ -74,24 +74,24 @@ def ing_form(verb: str) -> str:
 
 
 def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -> LexicalEntry:
-    """Read one expression; ``*`` marks the word that carries the senses, by default the last."""
-    marked = text.split()
-    head = next((i for i, word in enumerate(marked) if word[0] == "*"), len(marked) - 1)
-    words = [word.lstrip("*") for word in marked]
-    own = tags if words[1:] else {}
+    """Build the entry of an expression; ``*`` marks its head word, by default the last."""
+    parts = text.split()
+    head = next((i for i, word in enumerate(parts) if word[0] == "*"), len(parts) - 1)
+    words = [word.lstrip("*") for word in parts]
+    tag_of = tags if words[1:] else {}
     return tuple(
-        Word(text=word, tag=own.get(word, tag), lemma=word, senses=senses if i == head else ())
+        Word(text=word, tag=tag_of.get(word, tag), lemma=word, senses=senses if i == head else ())
         for i, word in enumerate(words)
     )
 
 
 def _derived(entry: LexicalEntry, index: int, form: str, tag: str) -> LexicalEntry:
-    """Copy an entry with one word put in another form; its lemma stays."""
+    """Copy an entry with one word inflected; its lemma is unchanged."""
     return (*entry[:index], replace(entry[index], text=form, tag=tag), *entry[index + 1 :])
 
 
 def _entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
-    """List names of types with plurals, and expressions of classes, with -ing forms if asked."""
+    """Yield type names with plurals, and expressions of classes, with -ing forms if declared."""
     for type_name, names in document["types"].items():
         for name in dict.fromkeys([type_name, *names]):
             entry = _entry(name, "NN", (f"type:{type_name}",), {})
@@ -100,44 +100,44 @@ def _entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
     tags = document["tags"]
     for name, table in document["class"].items():
         for senses, texts in table.items():
-            told = () if senses == "plain" else tuple(senses.split())
+            parsed = () if senses == "plain" else tuple(senses.split())
             for text in texts if senses not in ("tag", "ing") else ():
-                entry = _entry(text, table["tag"], told, tags)
+                entry = _entry(text, table["tag"], parsed, tags)
                 yield name, entry
-                # "I am looking" has no -ing form of its own: its first word is no verb.
+                # "I am looking" has no -ing form: its first word is no verb.
                 if "ing" in table and tags.get(entry[0].text, "VB") == "VB":
                     yield table["ing"], _derived(entry, 0, ing_form(entry[0].text), "VBG")
 
 
-def type_called(name: str) -> str | None:
-    """Find the lexicon's type of a name, in small letters: a house is a building; or None."""
+def find_type(name: str) -> str | None:
+    """Look up the object type of a lower-case name: a house is a building; or None."""
     entry = load_lexicon().entries[TYPE_CLASS].get(tuple(name.split()))
     return None if entry is None else entry[-1].senses[0].removeprefix("type:")
 
 
 @cache
 def load_lexicon() -> Lexicon:
-    """Read the lexicon of the package, and a file of one's own that ``OWN_LEXICON`` names.
+    """Load the lexicon of the package, merged with the user file of ``USER_LEXICON``, cached.
 
     Raises:
         ValueError: a file is missing, is no TOML, or what it adds is refused (``own_words``).
     """
     text = read_shipped("language", "lexicon.toml")
-    own = os.environ.get(OWN_LEXICON)
+    own = os.environ.get(USER_LEXICON)
     if not own:
         return read_lexicon(text)
-    with naming(OWN_LEXICON):
-        added = read_text(own, at_most=_LARGEST_FILE)
+    with naming(USER_LEXICON):
+        added = read_text(own, at_most=_MAX_FILE_BYTES)
     with naming(own):
         return read_lexicon(text, added)
 
 
 def read_lexicon(text: str, own: str | None = None) -> Lexicon:
-    """Read a lexicon from TOML; the format is described at the head of ``lexicon.toml``.
+    """Parse a lexicon from TOML; its format is described in ``lexicon.toml``.
 
     Args:
         text: contents of the file.
-        own: contents of a file whose lines are joined to it.
+        own: contents of a user file to merge.
 
     Raises:
         ValueError: a table is missing, a reason for refusal is unknown, or what is added is
@@ -148,7 +148,7 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
         if table not in document:
             raise ValueError(f"lexicon: table [{table}] is missing")
     if own is not None:
-        from jaxlangnav.language.own_words import extend  # which needs the plurals of this module
+        from jaxlangnav.language.own_words import extend  # imports this module
 
         extend(document, parse_toml(own))
     unknown = set(document["refused"]) - set(REASONS)
@@ -171,5 +171,5 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
         refused=refused,
         refused_expressions=expressions,
         tags=document["tags"],
-        slips=document.get("slips", {}),
+        typos=document.get("slips", {}),
     )

@@ -1,8 +1,8 @@
-"""Any noun: names of things that the lexicon does not know (section 3.1).
+"""Open vocabulary: noun phrases whose noun is not in the lexicon (section 3.1).
 
-A sentence brings its own types. What its grammar makes a noun gets the sense ``type:NAME``, as the
-nouns of the lexicon have it, and so is carried by agreement ("the type that the words name"). Names
-of several words, of which one would be read as something else ("the stop sign"), are one token.
+Every sentence defines its own types. A noun of the parse gets the sense ``type:NAME``, as nouns of
+the lexicon have, and is grounded by agreement features ("the type that the words name"). Multi-word
+names, of which a word would be parsed as something else ("the stop sign"), are one token.
 """
 
 from collections.abc import Collection, Mapping
@@ -21,20 +21,20 @@ class Nouns:
 
     synonyms: tuple[frozenset[str], ...]
     compounds: frozenset[tuple[str, ...]]
-    rooms: frozenset[str]  # what one can drive into
-    also: frozenset[str]  # words of other classes that may be nouns
-    broader: Mapping[str, str]  # narrower → broader
-    attributes: Mapping[str, str]  # adjective → value
+    rooms: frozenset[str]  # places that a robot can drive into
+    also: frozenset[str]  # words of other classes that can also be nouns
+    broader: Mapping[str, str]  # hyponym → hypernym
+    attributes: Mapping[str, str]  # adjective → attribute value
 
     def alike(self, noun: str) -> frozenset[str]:
-        """List the names of the same thing, the noun's own among them."""
+        """List the synonyms of a noun, including itself."""
         groups = (names for names in reversed(self.synonyms) if noun in names)
         return next(groups, frozenset({noun}))
 
 
 @cache
 def load_nouns() -> Nouns:
-    """Read the package's nouns; the same object at every call."""
+    """Load the package's nouns, cached."""
     document = parse_toml(read_shipped("language", "nouns.toml"))
     names = {name for group in document["synonyms"] for name in group} | set(document["compounds"])
     foreign = {" ".join(words) for words in load_lexicon().entries["foreign"]}
@@ -43,18 +43,18 @@ def load_nouns() -> Nouns:
         compounds=frozenset(tuple(name.split()) for name in names | foreign if " " in name),
         rooms=frozenset(document["rooms"]),
         also=frozenset(document["also_nouns"]),
-        broader={one: kind for kind, narrow in document["broader"].items() for one in narrow},
+        broader={noun: kind for kind, nouns in document["broader"].items() for noun in nouns},
         attributes=document["attributes"],
     )
 
 
 def singular(noun: str) -> str:
-    """Undo a plural; the noun itself where it is none."""
-    before, space, last = noun.rpartition(" ")
+    """Convert a plural noun to its singular; other nouns are unchanged."""
+    prefix, space, last = noun.rpartition(" ")
     if last in SINGULARS:
-        return before + space + SINGULARS[last]
-    for ending, instead in (("ies", "y"), ("es", ""), ("s", "")):
-        stem = noun.removesuffix(ending) + instead
+        return prefix + space + SINGULARS[last]
+    for ending, replacement in (("ies", "y"), ("es", ""), ("s", "")):
+        stem = noun.removesuffix(ending) + replacement
         if noun.endswith(ending) and len(stem) > 2 and plural(stem) == noun:
             return stem
     return noun
@@ -62,14 +62,14 @@ def singular(noun: str) -> str:
 
 @cache
 def words_in_classes(*classes: str) -> frozenset[str]:
-    """Collect the words that begin an expression of one of the classes."""
+    """Collect the first words of all expressions of the given classes."""
     entries = load_lexicon().entries
     return frozenset(key[0] for name in classes for key in entries.get(name, {}))
 
 
 @cache
 def _single_verbs() -> frozenset[str]:
-    """Collect the verbs of one word, and other words that no noun phrase can begin with."""
+    """Collect one-word verbs, and other words that cannot begin a noun phrase."""
     lexicon = load_lexicon()
     names = [name for name in lexicon.entries if name.startswith("v_")]
     verbs = {key[0] for name in names for key in lexicon.entries[name] if len(key) == 1}
@@ -81,37 +81,37 @@ def _single_verbs() -> frozenset[str]:
 
 
 def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]:
-    """Make one token of each name of several words, and nouns of the detector's labels.
+    """Merge each multi-word name into one noun token, and make the detector's labels nouns.
 
-    The labels are in small letters; a joined token has the position of its first word.
+    The labels are lower-case; a merged token has the position of its first word.
     """
     names = load_nouns().compounds | {tuple(label.split()) for label in labels}
     names |= {(noun,) for noun in load_nouns().also}
-    # What the lexicon has as a type is read by it.
+    # Types of the lexicon are not changed.
     names -= load_lexicon().entries[TYPE_CLASS].keys()
-    longest = max(map(len, names), default=1)
+    max_words = max(map(len, names), default=1)
     joined: list[Token] = []
     index = 0
     while index < len(tokens):
-        first, size = tokens[index], _size_of_name(tokens, index, names, longest)
+        first, size = tokens[index], _name_length(tokens, index, names, max_words)
         text = " ".join(token.text for token in tokens[index : index + size])
         joined.append(replace(first, text=text, terminal=NOUN) if size else first)
         index += max(size, 1)
     return joined
 
 
-def _size_of_name(
-    tokens: list[Token], index: int, names: Collection[tuple[str, ...]], longest: int
+def _name_length(
+    tokens: list[Token], index: int, names: Collection[tuple[str, ...]], max_words: int
 ) -> int:
-    """Count the words of the name that begins at a token; 0 where none does."""
-    words = tuple(token.text for token in tokens[index : index + longest])
+    """Count the words of the name that begins at a token; 0 if there is none."""
+    words = tuple(token.text for token in tokens[index : index + max_words])
     for size in range(len(words), 0, -1):
-        name, one = words[:size], singular(" ".join(words[:size]))
+        name, stem = words[:size], singular(" ".join(words[:size]))
         # "The tree that stands by …" is no plural of "stand".
-        is_plural = tuple(one.split()) in names and one not in load_nouns().also
+        is_plural = tuple(stem.split()) in names and stem not in load_nouns().also
         if "" in name or not (name in names or is_plural):
             continue
-        if size > 1 or tokens[index].terminal.startswith("?") or is_noun_place(tokens, index):
+        if size > 1 or tokens[index].terminal.startswith("?") or must_be_noun(tokens, index):
             return size
         if words[0] in load_nouns().also and _is_head(tokens, index):
             return size
@@ -121,14 +121,14 @@ def _size_of_name(
 
 
 def _is_after_determiner(tokens: list[Token], index: int) -> bool:
-    """Tell whether only a determiner, or one and adjectives, stands before a token."""
+    """Check whether a token is preceded by a determiner, or by one and adjectives."""
     qualifying = words_in_classes("adj", "sup_adj", "ordinal")
-    before = (one.text for one in reversed(tokens[:index]) if one.text not in qualifying)
+    before = (t.text for t in reversed(tokens[:index]) if t.text not in qualifying)
     return next(before, None) in words_in_classes("det")
 
 
 def _is_head(tokens: list[Token], index: int) -> bool:
-    """Tell whether a word that is no side is the noun of its phrase: "close to the _"."""
+    """Check whether a word, not "left" or "right", is the noun of its phrase: "close to the _"."""
     after = [token.text for token in tokens[index + 1 : index + 3]]
     is_last = not after or after[0] not in words_in_classes(*WORDS["before_nouns"]) | {"of"}
     is_before_place = len(after) > 1 and after[1] in words_in_classes("det")  # "near the"
@@ -136,29 +136,28 @@ def _is_head(tokens: list[Token], index: int) -> bool:
     return (is_last or is_before_place) and not is_unknown and _is_after_determiner(tokens, index)
 
 
-def is_noun_place(tokens: list[Token], index: int) -> bool:
-    """Tell whether a word can be nothing but the noun of its phrase: "the _ behind the cone".
+def must_be_noun(tokens: list[Token], index: int) -> bool:
+    """Check whether a word must be the noun of its phrase: "the _ behind the cone".
 
     Returns:
-        True after a determiner, and before what is no part of a noun phrase; but not where a side
-        may be said: "on the _", "to the _ of the cone".
+        True after a determiner and at the end of the noun phrase, except where "left" or "right" is
+        possible: "on the _", "to the _ of the cone".
     """
     before = tokens[index - 2].text if index >= 2 else ""
-    has_noun = any(one.text in words_in_classes("det") for one in tokens[: max(index - 2, 0)])
+    has_noun = any(t.text in words_in_classes("det") for t in tokens[: max(index - 2, 0)])
     if before in ("on", "at", "in") or (before == "to" and has_noun):
         return False
     is_followed = any(
-        one.terminal.startswith("?")
-        or one.text in words_in_classes(*WORDS["before_nouns"]) | {"of"}
-        for one in tokens[index + 1 : index + 2]
+        t.terminal.startswith("?") or t.text in words_in_classes(*WORDS["before_nouns"]) | {"of"}
+        for t in tokens[index + 1 : index + 2]
     )
     return not is_followed and _is_after_determiner(tokens, index)
 
 
 def name_nouns(phrase: Phrase) -> Phrase:
-    """Give nouns below a phrase that the lexicon does not know the senses of types of their own.
+    """Assign each unknown noun below a phrase the sense of a new object type.
 
-    A noun that modifies one, known or not, is part of its name: "coke machine", "water fountain".
+    A noun that modifies it, known or not, is part of its name: "coke machine", "water fountain".
     """
     children = tuple(map(name_nouns, phrase.children))
     words = phrase.words
@@ -183,21 +182,21 @@ def name_nouns(phrase: Phrase) -> Phrase:
 
 
 def attributes_of(phrase: Phrase) -> tuple[list[tuple[Word, str]], list[Word]]:
-    """Find what the adjectives of a noun phrase say of how the thing looks.
+    """Extract the attribute values of a noun phrase from its adjectives.
 
     Returns:
-        Words with the value that each says, and adjectives that say none.
+        Words with their attribute value, and adjectives without one.
     """
     known = load_nouns().attributes
     words = [w for w in phrase.words if w.tag in ("JJ", "NN") and not w.senses]
-    told = [(word, known[word.text]) for word in words if word.text in known]
-    idle = [w for w in words if w.tag == "JJ" and w.text not in known]
-    return told, [w for w in idle if w.text not in WORDS["shading"] or not told]
+    attributes = [(word, known[word.text]) for word in words if word.text in known]
+    unused = [w for w in words if w.tag == "JJ" and w.text not in known]
+    return attributes, [w for w in unused if w.text not in WORDS["shading"] or not attributes]
 
 
-def compared(word: str) -> str | None:
-    """Find the adjective that a superlative or comparative is of: "tall" of "tallest"."""
+def base_adjective(word: str) -> str | None:
+    """Find the base adjective of a superlative or comparative: "tall" of "tallest"."""
     known = load_nouns().attributes.keys() | WORDS["compared"]
     stems = [word.removesuffix(ending) for ending in ("est", "er") if word.endswith(ending)]
-    forms = (form for one in stems for form in (one, one[:-1], one + "e", one[:-1] + "y"))
+    forms = (form for s in stems for form in (s, s[:-1], s + "e", s[:-1] + "y"))
     return next((form for form in forms if form in known), None)

@@ -1,7 +1,7 @@
-"""Somebody's own lines of a lexicon: checked in full, then joined to those of the package.
+"""User lexicons: validation of their entries, and merging into the lexicon of the package.
 
-A name that could never be read, or one that gives "the" or "behind" a second meaning, would change
-how every sentence is understood without a word: both are refused, in one line.
+A name that can never be tokenized, or one that gives "the" or "behind" a second meaning, would
+silently change how every sentence is parsed: both are refused with a one-line error.
 """
 
 import re
@@ -12,20 +12,20 @@ from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.inputs.sanitize import as_text, name_fault, sanitize, shorten
 from jaxlangnav.language.halting import halts_alone
 from jaxlangnav.language.lexicon import WORDS, plural
-from jaxlangnav.language.tokens import is_word, plainly
+from jaxlangnav.language.tokens import is_word, normalize
 
-MOST_EXPRESSIONS = 1000
-"""Expressions that may be added."""
-MOST_WORDS = 8
-"""Words of one expression."""
-LONGEST_WORD = 30
-"""Letters of one word."""
-_MARKS = frozenset({"comma", "fullstop", "robot"})
-"""What stands for something else within the grammar and the labels."""
+MAX_EXPRESSIONS = 1000
+"""Maximum number of expressions of a user lexicon."""
+MAX_EXPRESSION_WORDS = 8
+"""Maximum number of words of an expression."""
+MAX_LETTERS = 30
+"""Maximum number of letters of a word."""
+_RESERVED = frozenset({"comma", "fullstop", "robot"})
+"""Names with a special meaning in the grammar and the labels."""
 
 
 def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
-    """Join somebody's own lines to the package's lexicon, which is changed in place.
+    """Merge the entries of a user lexicon into the package's lexicon, in place.
 
     Raises:
         ValueError: a table is none, a class or sense does not exist, a word could not be read or
@@ -40,15 +40,15 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
     if not all(isinstance(table, dict) for table in tables):
         raise ValueError("[types] and [class.X] must be tables of lists of words")
     lists = [*types.values(), *(words for table in classes.values() for words in table.values())]
-    number = len(types) + sum(len(words) for words in lists if isinstance(words, list))
-    if number > MOST_EXPRESSIONS:
-        raise ValueError(f"has {number} expressions: at most {MOST_EXPRESSIONS} may be added")
-    known = _Known(document)
+    count = len(types) + sum(len(words) for words in lists if isinstance(words, list))
+    if count > MAX_EXPRESSIONS:
+        raise ValueError(f"has {count} expressions: at most {MAX_EXPRESSIONS} may be added")
+    index = _SenseIndex(document)
     for kind, words in types.items():
         where = f"[types] {shorten(sanitize(kind))}"
         name = _expression(kind, where)
         for expression in [name, *_expressions(words, where)]:
-            known.check_name(expression, name, where)
+            index.check_name(expression, name, where)
             listed = document["types"].setdefault(name, [])
             if expression not in listed:
                 listed.append(expression)
@@ -58,51 +58,51 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
         for senses, words in table.items():
             where = f"[class.{name}] {shorten(sanitize(senses))}"
             for expression in _expressions(words, where):
-                known.check_sense(expression, name, senses, where)
+                index.check_sense(expression, name, senses, where)
                 document["class"][name].setdefault(senses, []).append(expression)
 
 
 def _expressions(value: Any, where: str) -> list[str]:
-    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+    if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
         raise ValueError(f"{where} must be a list of words")
     return [_expression(text, where) for text in value]
 
 
 def _expression(text: str, where: str) -> str:
-    """Read one expression, written as the parser will see it."""
+    """Validate an expression and normalize it as the tokenizer does."""
     if not text.split():
         raise ValueError(f"{where} must be a list of words, none of them empty")
-    if fault := name_fault(text, longest=MOST_WORDS * LONGEST_WORD):
+    if fault := name_fault(text, longest=MAX_EXPRESSION_WORDS * MAX_LETTERS):
         raise ValueError(f"{where}: {as_text(text)} {fault}")
-    words = plainly(text).split()
-    if len(words) > MOST_WORDS:
-        raise ValueError(f"{where}: {as_text(text)} has more than {MOST_WORDS} words")
+    words = normalize(text).split()
+    if len(words) > MAX_EXPRESSION_WORDS:
+        raise ValueError(f"{where}: {as_text(text)} has more than {MAX_EXPRESSION_WORDS} words")
     for word in words:
         bare = word.removeprefix("*")
-        if len(bare) > LONGEST_WORD:
-            raise ValueError(f"{where}: {as_text(word)} has more than {LONGEST_WORD} letters")
+        if len(bare) > MAX_LETTERS:
+            raise ValueError(f"{where}: {as_text(word)} has more than {MAX_LETTERS} letters")
         if not is_word(bare):
             fault = "could not be read as a word: use letters, with hyphens between them"
             raise ValueError(f"{where}: {as_text(word)} {fault}")
     return " ".join(words)
 
 
-def is_of_grammar(name: str) -> bool:
-    """Tell whether a detector's label, such as "the", would make other sentences unreadable.
+def is_reserved(name: str) -> bool:
+    """Check whether a detector's label, such as "the", conflicts with a word of the grammar.
 
-    Labels are what a detector tells apart, whatever it calls them. So fewer are refused than names
-    in a lexicon: what classes of things may be called ("object", "exit", "parking meter") is not.
+    Detectors may use any label for a class. So fewer are refused than names of a lexicon: possible
+    names of classes ("object", "exit", "parking meter") are allowed.
     """
-    return halts_alone(name) or _of_package().is_word_of_grammar(name)
+    return halts_alone(name) or _package_index().is_word_of_grammar(name)
 
 
 @cache
-def _of_package() -> "_Known":
-    return _Known(parse_toml(read_shipped("language", "lexicon.toml")))
+def _package_index() -> "_SenseIndex":
+    return _SenseIndex(parse_toml(read_shipped("language", "lexicon.toml")))
 
 
-class _Known:
-    """What the words of the package mean already."""
+class _SenseIndex:
+    """Index of the meanings of the package's words, to detect conflicts."""
 
     def __init__(self, document: dict[str, Any]) -> None:
         """Index the tables of the lexicon of the package."""
@@ -114,9 +114,9 @@ class _Known:
         self._all_senses = {senses for uses in self._senses.values() for _, senses in uses}
         self._refused = {w: why for why, words in document["refused"].items() for w in words}
         self._tags = set(document["tags"])
-        # Words that stand in the rules of the grammar themselves.
+        # Literal words in the rules of the grammar.
         rules = read_shipped("language", "grammar.txt")
-        self._literals = _MARKS.union(re.findall(r'"([^"\s]+)"', rules))
+        self._literals = _RESERVED.union(re.findall(r'"([^"\s]+)"', rules))
         self._owners = {
             form: kind
             for kind, names in document["types"].items()
@@ -125,7 +125,7 @@ class _Known:
         }
 
     def check_name(self, expression: str, kind: str, where: str) -> None:
-        """Refuse a name of a type that belongs to another type, or to the grammar."""
+        """Refuse a name of a type that names another type already, or is a word of the grammar."""
         if "*" in expression:
             raise ValueError(f"{where}: '{expression}' could not be read as a word: leave out *")
         for form in (expression, plural(expression)):
@@ -141,7 +141,7 @@ class _Known:
         self._owners |= {expression: kind, plural(expression): kind}
 
     def check_sense(self, expression: str, name: str, senses: str, where: str) -> None:
-        """Refuse senses that do not exist, or words of a class that have others already."""
+        """Refuse unknown senses, and words that have other senses already."""
         if senses not in self._all_senses:
             raise ValueError(f"{where}: no such sense; the lexicon of the package has them all")
         if expression.count("*") > 1:
@@ -149,21 +149,21 @@ class _Known:
         bare = expression.replace("*", "")
         _check_halting(bare, where)
         uses = self._senses.get(bare, set())
-        is_other = any(meant != senses for _, meant in uses) or bare in self._owners
+        is_other = any(used != senses for _, used in uses) or bare in self._owners
         is_closed = " " not in bare and self._is_closed(bare)
         is_refused = self._refused.get(bare, "path") not in WORDS["meant"]
         if (name, senses) not in uses and (is_other or is_closed or is_refused):
             raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
 
     def is_word_of_grammar(self, name: str) -> bool:
-        """Tell whether a name is a word of the grammar; "thing" names any class, a well is one."""
+        """Check whether a name is a word of the grammar; "thing" and "well" may be labels."""
         uses = (
-            {one for one, _ in self._senses.get(name, ())} - WORDS["open"] - WORDS["talk"] - {"one"}
+            {use for use, _ in self._senses.get(name, ())} - WORDS["open"] - WORDS["talk"] - {"one"}
         )
-        return self._is_closed(name) or any(not one.startswith("v_") for one in uses)
+        return self._is_closed(name) or any(not use.startswith("v_") for use in uses)
 
     def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
-        """Tell whether a word may not be a name, or may not be at the end of one."""
+        """Check whether a word cannot be a name, or cannot begin or end one."""
         if self._is_closed(word) or self._refused.get(word, "path") not in WORDS["meant"]:
             return True
         uses = {name for name, _ in self._senses.get(word, ())}
@@ -172,12 +172,12 @@ class _Known:
         return is_alone and (is_known or is_refused or word in self._tags)
 
     def _is_closed(self, word: str) -> bool:
-        """Tell whether a word belongs to the grammar: articles, links, the rules' own words."""
+        """Check whether a word is of a closed class: articles, links, literals of the rules."""
         uses = {name for name, _ in self._senses.get(word, ())}
         return bool(uses & WORDS["closed"]) or word in self._literals
 
 
 def _check_halting(expression: str, where: str) -> None:
-    """Refuse to give words that halt the robot another meaning."""
+    """Refuse an expression that halts the robot."""
     if halts_alone(expression):
         raise ValueError(f"{where}: '{expression}' halts the robot: choose another")

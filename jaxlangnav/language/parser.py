@@ -1,8 +1,8 @@
-"""From text to a phrase tree, or a refusal of one clear line (section 3.1).
+"""Parser from text to phrase trees; refusals are one-line errors (section 3.1).
 
 Every word of the sentence is in the tree or the sentence is refused: a relation is never dropped.
-Unknown nouns, adjectives, verbs and adverbs get their part of speech from context and are named;
-typing errors are repaired and reported. Time is bounded: input is limited in characters and words,
+Unknown nouns, adjectives, verbs and adverbs get their part of speech from context and are reported;
+spelling is corrected and reported. Time is bounded: input is limited in characters and words,
 and the parser is polynomial.
 """
 
@@ -13,9 +13,9 @@ from functools import cache
 
 from jaxlangnav.language.grammar import NoParseError, load_grammar
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
-from jaxlangnav.language.measured import of_clauses, take_out
-from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
-from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, STATEMENT, LanguageError, Parse
+from jaxlangnav.language.measured import measures_of, split_measures
+from jaxlangnav.language.nouns import join_nouns, must_be_noun, name_nouns
+from jaxlangnav.language.phrase import COMMAND, MIN_PROBABILITY, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reader.proposals import propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, refuse_guesses
@@ -27,76 +27,76 @@ from jaxlangnav.language.tokens import (
     TOKEN,
     SpokenToken,
     join_contractions,
-    plainly,
-    without_idle_marks,
+    normalize,
+    strip_marks,
 )
 from jaxlangnav.language.tree import UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING, build_phrases
 
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
-MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
-LEAST_TO_OVERRULE = 0.7
-"""Of another reading of a sentence that can be read as it stands: at less it is read so."""
+MAX_UNKNOWN = 8  # unknown words; more have very many trees
+MIN_OVERRULE = 0.7
+"""Minimum probability of a rewriting to replace the verbatim reading of a sentence."""
 _IGNORED = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
-_DRAWN = re.compile(r"([a-z])\1{2,}")
-"""A letter that is drawn out: "pleeease"."""
+_REPEATED = re.compile(r"([a-z])\1{2,}")
+"""A repeated letter: "pleeease"."""
 
 _CARRIED = re.compile(
     r"(?:deliver|take|bring|carry|get|run|haul|ferry|transport) "
     r"(?:it|that|them|those|these)\b"
 )
-"""Who has spoken of a thing before asks to bring that thing, which no robot here can do."""
+"""Requests to carry an object mentioned before, which no robot here can do."""
 
 
-class _Reader:
-    """A text split into words and marks, what is mistyped repaired."""
+class _TokenizedText:
+    """A tokenized text with corrected spelling."""
 
     def __init__(
         self, text: str, labels: Collection[str], earlier: Antecedent | None = None
     ) -> None:
-        """Read all of a text."""
+        """Tokenize a text and correct its spelling."""
         self.text, self.labels, self.earlier = text, frozenset(labels), earlier
         self.vocabulary = load_lexicon().vocabulary
-        plain = join_contractions(plainly(text))
-        if len(plain) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
+        plain = join_contractions(normalize(text))
+        if len(plain) > 2 * MAX_CHARACTERS:  # some signs expand to words
             raise LanguageError(
                 f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
             )
-        said: list[SpokenToken] = []
+        tokens: list[SpokenToken] = []
         num_words = 0
         for match in TOKEN.finditer(plain):
             piece = match.group()
             if piece[0] in ".!?;" or piece in _COMMAS:
                 mark = COMMA_MARK if piece in _COMMAS else FULLSTOP_MARK
-                said.append(SpokenToken(text=mark, position=num_words))
+                tokens.append(SpokenToken(text=mark, position=num_words))
             elif piece not in _IGNORED:
                 for word in self._split(_SIGNS.get(piece, piece)):
                     num_words += 1
-                    said.append(SpokenToken(text=word, position=num_words))
+                    tokens.append(SpokenToken(text=word, position=num_words))
         if num_words > MAX_WORDS:
             raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
-        self.tokens = without_idle_marks(said)
+        self.tokens = strip_marks(tokens)
         self.repairs: list[tuple[str, str]] = []
-        self._mend()
+        self._correct_spelling()
 
-    def _mend(self) -> None:
-        """Repair what is mistyped; a noun only to a noun, and no part of a name at all."""
-        tokens = [_to_token(one) for one in self.tokens]
-        names = [one for one in join_nouns(tokens, self.labels) if one.terminal == NOUN]
-        named = {one.position + k for one in names for k in range(len(one.text.split()))}
+    def _correct_spelling(self) -> None:
+        """Correct misspelled words; a noun only to a noun, and names not at all."""
+        tokens = [_to_token(token) for token in self.tokens]
+        names = [token for token in join_nouns(tokens, self.labels) if token.terminal == NOUN]
+        named = {name.position + k for name in names for k in range(len(name.text.split()))}
         for index, token in enumerate(tokens):
             is_unknown = token.terminal.startswith("?") and token.text[0].isalpha()
             if not is_unknown or token.position in named:
                 continue
-            repaired = repair(token.text, is_noun=is_noun_place(tokens, index))
+            repaired = repair(token.text, is_noun=must_be_noun(tokens, index))
             if repaired is not None:
                 self.repairs.append((token.text, repaired))
                 self.tokens[index] = replace(self.tokens[index], text=repaired)
 
     def _split(self, piece: str) -> list[str]:
-        """Part "cone's" and hyphened words of which the lexicon knows the parts."""
+        """Split "cone's" and hyphenated words whose parts are in the lexicon."""
         if piece in self.vocabulary:
             return [piece]
         if piece.endswith("'s") and not piece.endswith("'s's"):
@@ -106,7 +106,7 @@ class _Reader:
             return list(_compounds()[joined])
         if joined in self.labels:  # "the white-board"
             return [joined]
-        short = _DRAWN.sub(r"\1", piece)
+        short = _REPEATED.sub(r"\1", piece)
         if short in self.vocabulary:
             return [short]
         parts = piece.split("-")
@@ -114,7 +114,7 @@ class _Reader:
 
 
 def _to_token(spoken: SpokenToken) -> Token:
-    """Say what a word or a mark can be to the grammar."""
+    """Build the grammar token of a word or mark, with its terminal."""
     text = terminal = spoken.text
     if text in MARKS:
         text = ""
@@ -132,26 +132,26 @@ def _compounds() -> dict[str, tuple[str, ...]]:
 
 
 def _check_symbols(spoken: list[SpokenToken]) -> None:
-    for index, one in enumerate(spoken):
-        if one.text in MARKS or one.text[0].isalpha() or one.text in load_lexicon().vocabulary:
+    for index, (text, position) in enumerate((token.text, token.position) for token in spoken):
+        if text in MARKS or text[0].isalpha() or text in load_lexicon().vocabulary:
             continue
-        what = "this sign is not supported; use words"
-        if one.text[0].isdigit():
-            what = "numbers are not supported; name a place, as in 'behind the cone'"
+        reason = "this sign is not supported; use words"
+        if text[0].isdigit():
+            reason = "numbers are not supported; name a place, as in 'behind the cone'"
             following = spoken[index + 1].text if index + 1 < len(spoken) else ""
             refused = load_lexicon().refused
-            if refused.get(following) == REASONS["a distance"] or one.text[-1] == "m":
-                what = REASONS["a distance"]
-        raise LanguageError.at(one.text[:30], one.position, what)
+            if refused.get(following) == REASONS["a distance"] or text[-1] == "m":
+                reason = REASONS["a distance"]
+        raise LanguageError.at(text[:30], position, reason)
 
 
 def split_text(text: str, labels: Collection[str] = ()) -> list[SpokenToken]:
-    """Split a text into words and marks, typing errors repaired; ``labels`` as of ``parse``.
+    """Tokenize a text into words and marks, with spelling corrected; ``labels`` as in ``parse``.
 
     Raises:
-        LanguageError: it has more words or characters than are read.
+        LanguageError: it has too many words or characters.
     """
-    return _Reader(text, labels).tokens
+    return _TokenizedText(text, labels).tokens
 
 
 def parse(
@@ -160,94 +160,94 @@ def parse(
     earlier: Antecedent | None = None,
     *,
     is_rewritten: bool = True,
-    least_probability: float = LEAST_PROBABILITY,
+    least_probability: float = MIN_PROBABILITY,
 ) -> Parse:
     """Parse an instruction of one or more clauses.
 
     Args:
         text: what the person typed, at most 10,000 characters.
-        labels: names of things that are nouns whatever else they may be, such as those that a
-            detector tells apart.
-        earlier: what earlier utterances have been about, for "it" and "the one on the left".
-        is_rewritten: whether other wordings are read; without, as the grammar alone reads it.
-        least_probability: of what the trained reader makes of it, in [0, 1]; at less it is refused.
+        labels: names of objects that are always nouns, such as the labels of a detector.
+        earlier: antecedent from earlier utterances, for "it" and "the one on the left".
+        is_rewritten: whether the trained reader may rewrite it; otherwise only the grammar is used.
+        least_probability: threshold on the reader's rewriting, in [0, 1]; below, it is refused.
 
     Returns:
-        The most probable phrase trees, what was unknown and what was repaired.
+        The most probable phrase trees, unknown words and corrections.
 
     Raises:
-        LanguageError: no text, empty, too long, unsupported or not understood; one line that
+        LanguageError: not a string, empty, too long, unsupported or not understood; one line that
             names the word and its position.
     """
     if not isinstance(text, str):
         raise LanguageError(f"the instruction is of type {type(text).__name__}, but must be a text")
     if len(text) > MAX_CHARACTERS:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
-    reader = _Reader(text, labels, earlier)
+    reader = _TokenizedText(text, labels, earlier)
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
     if not is_rewritten:
         return _read(reader, reader.tokens, is_measured=False)
     try:
-        as_said = _read(reader, reader.tokens)
+        verbatim = _read(reader, reader.tokens)
     except LanguageError as error:
         if error.position is None:
             raise
-        found = _read_freely(reader, None, least_probability)
-        if found is None:
+        rewritten = _read_rewritten(reader, None, least_probability)
+        if rewritten is None:
             raise
-        return found
-    return _read_freely(reader, as_said, LEAST_TO_OVERRULE) or as_said
+        return rewritten
+    return _read_rewritten(reader, verbatim, MIN_OVERRULE) or verbatim
 
 
-def _read_freely(reader: _Reader, as_said: Parse | None, least: float) -> Parse | None:
-    """Read a sentence by its likeliest meaning of at least ``least``, or as it stands, or None."""
-    # Sentences of one meaning share their probabilities.
-    found: dict[object, tuple[float, Parse]] = {}
-    proposals = propose_readings(reader.tokens, reader.labels, is_readable=as_said is not None)
-    probability, best, unread = 0.0, None, sum(one.probability for one in proposals)
-    for one in proposals:
-        others = [share for share, read in found.values() if read is not best]
+def _read_rewritten(reader: _TokenizedText, verbatim: Parse | None, least: float) -> Parse | None:
+    """Parse the likeliest rewriting if its probability is at least ``least``, else ``verbatim``."""
+    # Probabilities of rewritings with equal meanings are summed.
+    meanings: dict[object, tuple[float, Parse]] = {}
+    proposals = propose_readings(reader.tokens, reader.labels, is_readable=verbatim is not None)
+    probability, best, unread = 0.0, None, sum(p.probability for p in proposals)
+    for proposal in proposals:
+        others = [prob for prob, read in meanings.values() if read is not best]
         if probability + unread < least or (
             probability >= least and probability > max(others, default=0.0) + unread
         ):
-            break  # whatever the rest may mean, this is decided
-        unread -= one.probability
-        if reader.earlier is not None and any(_CARRIED.search(was) for was, _ in one.changes):
+            break  # the remaining rewritings cannot change the result
+        unread -= proposal.probability
+        changes = proposal.changes
+        if reader.earlier is not None and any(_CARRIED.search(old) for old, _ in changes):
             continue
-        if list(one.tokens) == reader.tokens and as_said is not None:
-            read = as_said
+        if list(proposal.tokens) == reader.tokens and verbatim is not None:
+            read = verbatim
         else:
             try:
-                read = _read(reader, list(one.tokens), is_blame_sought=False)
+                read = _read(reader, list(proposal.tokens), is_blame_sought=False)
             except LanguageError:
                 continue
-            read = replace(read, rewrites=one.changes, unread=one.left_out)
+            read = replace(read, rewrites=changes, unread=proposal.left_out)
         meaning = (*map(str, read.clauses), read.kinds, read.measures)
-        share, first = found.get(meaning, (0.0, read))
-        found[meaning] = (share + one.probability, first)
-        probability, best = max(found.values(), key=lambda one: one[0])
-    return best if probability >= least else as_said
+        prob, first = meanings.get(meaning, (0.0, read))
+        meanings[meaning] = (prob + proposal.probability, first)
+        probability, best = max(meanings.values(), key=lambda pair: pair[0])
+    return best if probability >= least else verbatim
 
 
 def _read(
-    reader: _Reader,
-    said: list[SpokenToken],
+    reader: _TokenizedText,
+    words: list[SpokenToken],
     *,
     is_measured: bool = True,
     is_blame_sought: bool = True,
 ) -> Parse:
-    """Read the words of an instruction; a refusal names the true cause where that is sought."""
-    spoken, measured = take_out(said) if is_measured else (said, [])
+    """Parse the tokens of an instruction; ``is_blame_sought``: locate the cause of a failure."""
+    spoken, measures = split_measures(words) if is_measured else (words, [])
     _check_symbols(spoken)
-    tokens = join_nouns([_to_token(one) for one in spoken], reader.labels)
+    tokens = join_nouns([_to_token(token) for token in spoken], reader.labels)
     tokens = [
-        replace(one, terminal=UNKNOWN)  # "the lily"
-        if one.terminal == UNKNOWN_ADVERB and is_noun_place(tokens, index)
-        else one
-        for index, one in enumerate(tokens)
+        replace(token, terminal=UNKNOWN)  # "the lily"
+        if token.terminal == UNKNOWN_ADVERB and must_be_noun(tokens, index)
+        else token
+        for index, token in enumerate(tokens)
     ]
-    unknown = [one for one in tokens if one.terminal.startswith("?") and one.terminal != NOUN]
+    unknown = [t for t in tokens if t.terminal.startswith("?") and t.terminal != NOUN]
     if len(unknown) > MAX_UNKNOWN:
         first = unknown[0]
         raise LanguageError(
@@ -270,5 +270,5 @@ def _read(
         unknown_words=tuple(guessed),
         repairs=tuple(reader.repairs),
         probability=probability,
-        measures=of_clauses(clauses, measured),
+        measures=measures_of(clauses, measures),
     )

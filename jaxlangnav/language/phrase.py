@@ -1,7 +1,7 @@
-"""The phrase tree: what the parser says and grounding reads (section 3.1, λ of eq. 4).
+"""Records of parse trees: the output of the parser, the input of grounding (λ of eq. 4).
 
 A phrase has its own words and child phrases; the words of a child are not repeated in its parent.
-Labels are those of the Penn Treebank. Host-side records, no JAX: strings end in ``language/``.
+Labels are those of the Penn Treebank. Host-side records without JAX.
 """
 
 from collections.abc import Iterator
@@ -12,21 +12,21 @@ from jaxlangnav.inputs.sanitize import sanitize
 
 COMMAND = "command"
 STATEMENT = "statement"
-LEAST_PROBABILITY = 0.1
-"""Of what the reader makes of a sentence: at less it is refused (its curve: docs/language.md)."""
+MIN_PROBABILITY = 0.1
+"""Threshold on the reader's probability; below, a sentence is refused (docs/language.md)."""
 
 
 class LanguageError(ValueError):
     """A sentence that is refused; the message is one line naming the word and its position."""
 
     def __init__(self, message: str, *, position: int | None = None) -> None:
-        """Keep the message, made printable, and the position of the word that stands in the way."""
+        """Store the sanitized message, and the position of the offending word."""
         super().__init__(sanitize(message))
         self.position = position
 
     @classmethod
     def at(cls, words: str, position: int, reason: str) -> "LanguageError":
-        """Refuse words of the sentence, the first of which is at ``position``."""
+        """Build the error for words of the sentence that start at ``position``."""
         return cls(f"'{words}' (word {position}): {reason}", position=position)
 
 
@@ -34,7 +34,7 @@ class LanguageError(ValueError):
 class Word:
     """One word of an instruction."""
 
-    text: str  # lower case, as written (after repair of a typing error)
+    text: str  # lower case, as written (after spelling correction)
     tag: str  # Penn Treebank part of speech
     lemma: str  # singular, infinitive
     senses: tuple[str, ...] = ()  # "type:hydrant", "relation:behind", "action:find", ...
@@ -42,20 +42,20 @@ class Word:
 
     @property
     def type_sense(self) -> str | None:
-        """The sense that names an object type, such as "type:hydrant"; None where none does."""
+        """The sense that names an object type, such as "type:hydrant", or None."""
         return next((sense for sense in self.senses if sense.startswith("type:")), None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Phrase:
-    """One node of the tree."""
+    """A node of the parse tree."""
 
     label: str  # VP, PP, NP, ADJP, SBAR, S
-    words: tuple[Word, ...]  # its own, in order of the sentence; may be empty
+    words: tuple[Word, ...]  # of this node, in sentence order; may be empty
     children: tuple["Phrase", ...] = ()
 
     def __str__(self) -> str:
-        """Write the phrase on one line, for example ``PP[behind]{NP[the cone]}``."""
+        """Format the phrase on one line, for example ``PP[behind]{NP[the cone]}``."""
         below = "{" + ", ".join(map(str, self.children)) + "}" if self.children else ""
         return self.head + below
 
@@ -65,7 +65,7 @@ class Phrase:
         return f"{self.label}[{' '.join(word.text for word in self.words)}]"
 
     def says(self, *senses: str) -> bool:
-        """Tell whether a word of its own has one of some senses."""
+        """Check whether one of the phrase's own words has one of the senses."""
         return any(sense in word.senses for word in self.words for sense in senses)
 
     def walk(self) -> Iterator["Phrase"]:
@@ -75,7 +75,7 @@ class Phrase:
         yield self
 
     def all_words(self) -> list[Word]:
-        """Collect the words of the phrase and of all below it, in order of the sentence."""
+        """Collect the words of the phrase and its descendants, in sentence order."""
         words = [word for phrase in self.walk() for word in phrase.words]
         return sorted(words, key=lambda word: word.position)
 
@@ -90,31 +90,31 @@ class Phrase:
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """How far a command goes, and from where, as far as it is told in metres and turns."""
+    """Metric part of a command: distance and reference frame, from metres and turns."""
 
-    metres: float = 0.0  # from its landmark to the goal place; 0: as far as the relation suggests
+    metres: float = 0.0  # from landmark to goal; 0: the relation's typical distance
     frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """From where it is meant: x, y, heading; metres, radians, frame of the robot as it hears it."""
+    """Reference pose: x, y, heading; metres, radians, frame of the robot when it hears it."""
     end: tuple[float, float] | None = None
-    """Where it ends, in the same frame, where it is told from the robot itself."""
+    """End position in the same frame, if given relative to the robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parse:
-    """What the parser makes of an instruction."""
+    """Result of parsing an instruction: a tree per clause, and how it was read."""
 
     instruction: str  # as given
     clauses: tuple[Phrase, ...]  # roots, in order; one for an ordinary command
-    kinds: tuple[str, ...]  # per clause: COMMAND or STATEMENT (informs, asks for nothing)
+    kinds: tuple[str, ...]  # per clause: COMMAND or STATEMENT
     unknown_words: tuple[tuple[str, int], ...]  # (word, position), part of speech was guessed
     repairs: tuple[tuple[str, str], ...]  # (as typed, as read)
-    probability: float  # of this tree among all trees of the sentence
+    probability: float  # posterior of this tree among all trees of the sentence
     rewrites: tuple[tuple[str, str], ...] = ()  # (as said, as read), in the order of the rules
-    unread: tuple[str, ...] = ()  # small talk and reasons, which say nothing of the task
+    unread: tuple[str, ...] = ()  # small talk and reasons, irrelevant to the task
     measures: tuple[Measure, ...] = ()  # per clause
 
     def to_dict(self) -> dict[str, Any]:
-        """Build a JSON document; several clauses stand below one node labelled ROOT."""
+        """Build a JSON document; several clauses are children of a node labelled ROOT."""
         trees = [clause.to_dict() for clause in self.clauses]
         joined = {"label": "ROOT", "words": [], "children": trees}
         return {
@@ -125,6 +125,6 @@ class Parse:
             "repairs": [{"from": a, "to": b} for a, b in self.repairs],
             "rewrites": [{"from": a, "to": b} for a, b in self.rewrites],
             "unread": list(self.unread),
-            "measures": [{"metres": one.metres, "frame": list(one.frame)} for one in self.measures],
+            "measures": [{"metres": m.metres, "frame": list(m.frame)} for m in self.measures],
             "probability": self.probability,
         }

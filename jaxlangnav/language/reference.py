@@ -1,9 +1,9 @@
-"""What "it", "there" and a repeated "the cone" stand for, across the clauses of a sentence.
+"""Anaphora resolution across the clauses of a sentence: pronouns and repeated noun phrases.
 
-"Go to the cone, then stop behind it": a pronoun takes the type of the goal of the command before
-(sense ``same``: that very object), or of what a statement before was about, with all that was said
-of it. "The hydrant is behind the cone. Go to the hydrant": what a statement says of a thing holds
-for the same thing named again. Where more than one thing could be meant, the sentence is refused.
+"Go to the cone, then stop behind it": a pronoun takes the type of the previous command's goal
+(sense ``same``: that very object), or of the subject of the previous statement, with its modifiers.
+"The hydrant is behind the cone. Go to the hydrant": the modifiers that a statement gives an object
+hold for a later mention of it. Ambiguous references are refused.
 """
 
 from collections.abc import Sequence
@@ -19,18 +19,18 @@ def _has(phrase: Phrase, prefix: str) -> bool:
 
 
 def type_sense(phrase: Phrase) -> str | None:
-    """Find the sense of a phrase's own words that names an object type; None where none does."""
+    """Find the object type sense of a phrase's own words, or None."""
     return next((word.type_sense for word in phrase.words if word.type_sense), None)
 
 
-def is_thing(phrase: Phrase) -> bool:
-    """Tell whether a noun phrase names a thing by no type: "the thing", "the one"."""
+def is_untyped(phrase: Phrase) -> bool:
+    """Check whether a noun phrase is untyped: "the thing", "the one"."""
     is_bare = phrase.label == "NP" and not phrase.children and type_sense(phrase) is None
     return is_bare and phrase.says("anaphor") and not phrase.says("other")
 
 
 def leaves(phrase: Phrase) -> list[Phrase]:
-    """List the noun phrases that name a thing, constraints left out."""
+    """List the noun phrases that name an object type, except in constraints."""
     if phrase.label == "NP" and not phrase.children:
         return [phrase] if type_sense(phrase) else []
     inner = [child for child in phrase.children if child.label != "VP"]
@@ -38,7 +38,7 @@ def leaves(phrase: Phrase) -> list[Phrase]:
 
 
 def head_of(phrase: Phrase) -> Phrase | None:
-    """Find the noun phrase that a clause is about: the goal of a command, what is said to be."""
+    """Find the head noun phrase of a clause: the goal of a command, the subject of a statement."""
     if phrase.label == "NP" and not phrase.children:
         return phrase
     inner = [child for child in phrase.children if child.label != "VP"]
@@ -53,20 +53,20 @@ def _refuse(word: Word, reason: str) -> LanguageError:
 
 @dataclass(frozen=True, kw_only=True)
 class Antecedent:
-    """What earlier utterances have been about."""
+    """Antecedent from earlier utterances, for pronouns."""
 
     kind: str  # object type
-    is_at: bool  # the robot is at one of them, or on its way to it: "it" is that very one
+    is_at: bool  # the robot is at such an object, or heading to it: "it" is that one
 
     @property
     def clause(self) -> Phrase:
-        """The shortest command that is about it."""
+        """A minimal command whose goal it is."""
         word = Word(text=self.kind, tag="NN", lemma=self.kind, senses=(f"type:{self.kind}",))
         return Phrase(label="VP", words=(), children=(Phrase(label="NP", words=(word,)),))
 
 
 class _Resolver:
-    """Resolves the pronouns of one clause against the clause before."""
+    """Resolver of the pronouns of one clause against the previous clause."""
 
     def __init__(
         self, before: Phrase | None, *, is_statement: bool, earlier: Antecedent | None = None
@@ -79,7 +79,7 @@ class _Resolver:
         self.kind = None if self.head is None else type_sense(self.head)
 
     def resolve(self, phrase: Phrase, *, is_landmark: bool = False) -> Phrase:
-        """Put what is meant into every pronoun below a phrase."""
+        """Replace the senses of every pronoun below a phrase by those of its antecedent."""
         if phrase.label == "NP" and _has(phrase, PRONOUN):
             return self._meant(phrase, is_landmark)
         if phrase.label == "NP" and not phrase.children:
@@ -89,7 +89,7 @@ class _Resolver:
         children = []
         for index, child in enumerate(phrase.children):
             is_figure = phrase.label == "NP" and index == 0
-            # "The cone near the car" is another cone than the one before: it is told apart.
+            # "The cone near the car" is not the previous cone: its modifier distinguishes it.
             if is_figure and len(phrase.children) > 1 and not _has(child, PRONOUN):
                 children.append(self._again(child) if _has(child, "anaphor") else child)
             else:
@@ -97,7 +97,7 @@ class _Resolver:
         return replace(phrase, children=tuple(children))
 
     def _meant(self, pronoun: Phrase, is_landmark: bool) -> Phrase:
-        """Give a pronoun the type of the thing it stands for."""
+        """Give a pronoun the type of its antecedent."""
         word = next(w for w in pronoun.words if PRONOUN in w.senses)
         before, kind = self.before, self.kind
         if before is None or self.head is None:
@@ -111,53 +111,53 @@ class _Resolver:
         is_command = before.label == "VP" and not self.is_statement
         is_very = is_command and (self.is_at or not self.is_far)
         resolved = _with_senses(pronoun, word, (kind, SAME) if is_very else (kind,))
-        said = _said_of(before) if before.label == "S" else ()
-        return _restricted(resolved, said) if said else resolved
+        modifiers = _modifiers(before) if before.label == "S" else ()
+        return _modified(resolved, modifiers) if modifiers else resolved
 
     def _again(self, leaf: Phrase) -> Phrase:
-        """Mark "the cone" as the very cone that the command before went to."""
+        """Mark "the cone" as coreferent with the goal of the previous command."""
         one = next((w for w in leaf.words if w.text == "one" and "anaphor" in w.senses), None)
         if one is not None and self.kind is not None and not _has(leaf, "other"):
             return _with_senses(leaf, one, (self.kind,))
-        # "The cone" of an earlier utterance may be another cone than this one.
+        # "The cone" of an earlier utterance may be a different cone.
         is_goal = self.before is not None and self.before.label == "VP" and not self.is_far
-        is_alike = self.kind is not None and self.kind == type_sense(leaf)
-        if self.is_statement or not is_goal or not is_alike or not _is_definite(leaf):
+        is_same_type = self.kind is not None and self.kind == type_sense(leaf)
+        if self.is_statement or not is_goal or not is_same_type or not _is_definite(leaf):
             return leaf
         named = next(word for word in leaf.words if self.kind in word.senses)
         return _with_senses(leaf, named, (*named.senses, SAME))
 
 
 def _with_senses(phrase: Phrase, word: Word, senses: tuple[str, ...]) -> Phrase:
-    words = (replace(one, senses=senses) if one is word else one for one in phrase.words)
+    words = (replace(w, senses=senses) if w is word else w for w in phrase.words)
     return replace(phrase, words=tuple(words))
 
 
 def _is_definite(leaf: Phrase) -> bool:
-    """Tell whether a noun phrase is "the cone": nothing tells it apart from the one before."""
-    is_told = any(word.text in ("the", "that", "this") for word in leaf.words)
+    """Check for a definite singular noun phrase ("the cone") without "other"."""
+    is_definite = any(word.text in ("the", "that", "this") for word in leaf.words)
     is_other = leaf.says("other", "anaphor", "place", SAME)
-    return is_told and leaf.words[-1].tag == "NN" and not is_other
+    return is_definite and leaf.words[-1].tag == "NN" and not is_other
 
 
-def _said_of(statement: Phrase) -> tuple[Phrase, ...]:
-    """List what a statement says of the thing it is about."""
+def _modifiers(statement: Phrase) -> tuple[Phrase, ...]:
+    """List the modifiers that a statement gives its subject."""
     figures = [child for child in statement.children if child.label == "NP"]
-    own = figures[0].children[1:] if figures else ()
-    return (*own, *(child for child in statement.children if child.label != "NP"))
+    inner = figures[0].children[1:] if figures else ()
+    return (*inner, *(child for child in statement.children if child.label != "NP"))
 
 
-def _restricted(leaf: Phrase, said: tuple[Phrase, ...]) -> Phrase:
-    return Phrase(label="NP", words=(), children=(leaf, *said))
+def _modified(leaf: Phrase, modifiers: tuple[Phrase, ...]) -> Phrase:
+    return Phrase(label="NP", words=(), children=(leaf, *modifiers))
 
 
 def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
-    """Let a command's bare goal have what a statement says of the same thing."""
-    # "Find a cone. It is behind the car": right after a command, "it" is what that is about.
-    figure, said = head_of(statement), _said_of(statement)
+    """Add a statement's modifiers to the unmodified goal of a command about the same object."""
+    # "Find a cone. It is behind the car": right after a command, "it" is its goal.
+    figure, modifiers = head_of(statement), _modifiers(statement)
     kind = None if figure is None else type_sense(figure)
     first = next((i for i, c in enumerate(command.children) if c.label != "VP"), None)
-    if figure is None or kind is None or not said or first is None:
+    if figure is None or kind is None or not modifiers or first is None:
         return command
     is_it = is_next and any(word.text == "it" for word in figure.words)
 
@@ -165,17 +165,17 @@ def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
         if phrase.label != "NP":
             return replace(phrase, children=tuple(map(put, phrase.children)))
         is_leaf = not phrase.children and type_sense(phrase) == kind
-        is_alike = is_leaf and (is_it or _is_definite(phrase))
-        return _restricted(phrase, said) if is_alike else phrase
+        is_same = is_leaf and (is_it or _is_definite(phrase))
+        return _modified(phrase, modifiers) if is_same else phrase
 
     children = [put(c) if i == first else c for i, c in enumerate(command.children)]
     return replace(command, children=tuple(children))
 
 
 def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Phrase]:
-    """Resolve what refers back, clause by clause; ``earlier`` utterances have been about that.
+    """Resolve anaphora clause by clause; ``earlier`` is the antecedent from earlier utterances.
 
-    Words of a statement stand again in a command that they hold for.
+    Modifiers of a statement are copied into the commands that they hold for.
 
     Raises:
         LanguageError: a pronoun could stand for nothing, or for more than one thing.
@@ -187,8 +187,8 @@ def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Ph
         resolved.append(resolver.resolve(clause))
     statements = [(i, clause) for i, clause in enumerate(resolved) if clause.label == "S"]
     for index, clause in enumerate(resolved):
-        for place, statement in statements if clause.label == "VP" else ():
-            clause = _inform(clause, statement, is_next=place == index + 1)
+        for position, statement in statements if clause.label == "VP" else ():
+            clause = _inform(clause, statement, is_next=position == index + 1)
         resolved[index] = clause
     return resolved
 
@@ -200,19 +200,19 @@ def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Ph
 
 
 def is_constraint(clause: Phrase) -> bool:
-    """Tell whether a clause names nothing to do, only what to keep away from."""
+    """Check whether a clause is a constraint without an action."""
     return clause.label == "VP" and _has(clause, "constraint") and not _has(clause, "action")
 
 
 def join_constraints(clauses: Sequence[Phrase]) -> list[Phrase]:
-    """Put constraints that stand alone below the commands they are said with.
+    """Attach constraint clauses to the commands of the same sentence.
 
     Returns:
         The clauses, where each constraint has become a part of every command after it, or of the
         last command before it if none follows. Without any command they stay as they are; so does
         one on the very goal of the command before ("go to the car, then stay away from it").
     """
-    commands = [i for i, one in enumerate(clauses) if one.label == "VP" and not is_constraint(one)]
+    commands = [i for i, c in enumerate(clauses) if c.label == "VP" and not is_constraint(c)]
     joined, done = list(clauses), set()
     for index, clause in enumerate(clauses):
         is_same = any(SAME in word.senses for word in clause.all_words())
@@ -222,4 +222,4 @@ def join_constraints(clauses: Sequence[Phrase]) -> list[Phrase]:
         for command in [i for i in commands if i > index] or commands[-1:]:
             whole = joined[command]
             joined[command] = replace(whole, children=(*whole.children, clause))
-    return [one for index, one in enumerate(joined) if index not in done]
+    return [clause for index, clause in enumerate(joined) if index not in done]

@@ -1,4 +1,4 @@
-"""Why a sentence is refused: one line that names the word and its position."""
+"""Error messages of refused sentences: one line that names the word and its position."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,10 +6,10 @@ from itertools import pairwise
 
 from jaxlangnav.language.lexicon import REASONS, WORDS, load_lexicon
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
-from jaxlangnav.language.reference import is_thing
+from jaxlangnav.language.reference import is_untyped
 
 NOUN = "?noun"
-"""Terminal of what can only be a noun."""
+"""Terminal of a token that can only be a noun."""
 UNKNOWN_HERE = "unknown word, and no reading fits it; say it in other words"
 _NO_PLACE = "cannot be read here; say it in plainer words, or in commands joined by 'then'"
 _STRONG = (REASONS["negation"], REASONS["condition"])
@@ -18,41 +18,40 @@ _SMALL, _ARTICLES = WORDS["small"], WORDS["pointing_articles"]
 
 @dataclass(frozen=True, kw_only=True)
 class Token:
-    """One word or mark, as written and as the grammar sees it."""
+    """A word or mark: its text, and its terminal in the grammar."""
 
     text: str
     terminal: str
-    position: int  # 1-based, of words; marks have the position of the word before
+    position: int  # 1-based word index; marks have that of the word before
 
 
 def explain(tokens: list[Token], index: int) -> LanguageError:
-    """Say in one line which word stands in the way.
+    """Choose the word to blame for a failed parse, and explain why in one line.
 
-    A refused expression before all; a negation anywhere; of the words up to where no tree can go
-    on: a condition, else the last word that is unsupported or unknown, else a small word just
-    before, else the one there. ``index`` is of the first token that continues no tree, the number
-    of tokens at the end.
+    In order: a refused expression; a negation anywhere; among the words up to the failure: a
+    condition, the last unsupported or unknown word, a function word just before, the word there.
+    ``index`` is the first token that continues no tree, or the number of tokens at the end.
     """
     texts = tuple(token.text for token in tokens)
-    for place, token in enumerate(tokens[: index + 1]):
+    for start, token in enumerate(tokens[: index + 1]):
         for words, reason in load_lexicon().refused_expressions.items():
-            if texts[place : place + len(words)] == words:
+            if texts[start : start + len(words)] == words:
                 return LanguageError.at(" ".join(words), token.position, reason)
     refused = load_lexicon().refused
     read = [token for token in tokens[: index + 1] if token.text]
     reasons = {token.position: refused.get(token.text) for token in read}
     strong = [t for t in read if refused.get(t.text) in _STRONG]
-    denied = [t for t in tokens if refused.get(t.text) == REASONS["negation"] and _is_telling(t)]
-    first = min([*strong[:1], *denied[:1]], key=lambda token: token.position, default=None)
+    negated = [t for t in tokens if refused.get(t.text) == REASONS["negation"] and _explains(t)]
+    first = min([*strong[:1], *negated[:1]], key=lambda token: token.position, default=None)
     if first is not None:
         reasons[first.position] = refused[first.text]
     stuck = None if index >= len(tokens) or not tokens[index].text else read[-1]
-    unread = [t for t in read if _is_unknown(t) and not _is_read(t, tokens, index)]
-    nearest = [t for t in reversed(read) if _is_telling(t) or t in unread]
-    near = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
-    if first is None and stuck is not None and stuck.text not in _SMALL and _is_telling(stuck):
+    unread = [t for t in read if _is_unknown(t) and not _is_parsed_noun(t, tokens, index)]
+    suspects = [t for t in reversed(read) if _explains(t) or t in unread]
+    recent_small = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
+    if first is None and stuck is not None and stuck.text not in _SMALL and _explains(stuck):
         first = stuck
-    blamed = [first] if first is not None else [*nearest[:1], *near[-1:]]
+    blamed = [first] if first is not None else [*suspects[:1], *recent_small[-1:]]
     if blamed:
         position = blamed[0].position
         after = next((t.text for t in tokens if t.position == position + 1), "")
@@ -75,35 +74,35 @@ def _refusal(words: Sequence[Token | Word], reason: str) -> LanguageError:
 
 
 def _is_unknown(token: Token) -> bool:
-    """Tell whether a word is neither of the lexicon nor a name that the detector knows."""
+    """Check whether a word is neither in the lexicon nor a label of the detector."""
     return token.terminal.startswith("?") and token.terminal != NOUN
 
 
-def _is_read(token: Token, tokens: list[Token], index: int) -> bool:
-    """Tell whether an unknown word was read as a noun: "the pillar", with more words after it."""
-    place = tokens.index(token)
-    is_named = [one.text in _ARTICLES for one in tokens[max(place - 2, 0) : place]]
-    if place + 1 == len(tokens):  # "the box on the workbench": what stands before is to blame
-        return bool(is_named) and is_named[-1]
-    return any(is_named) and place < index and not tokens[place + 1].terminal.startswith("?")
+def _is_parsed_noun(token: Token, tokens: list[Token], index: int) -> bool:
+    """Check whether an unknown word was parsed as a noun: "the pillar", with words after it."""
+    i = tokens.index(token)
+    has_article = [t.text in _ARTICLES for t in tokens[max(i - 2, 0) : i]]
+    if i + 1 == len(tokens):  # "the box on the workbench": an earlier word is to blame
+        return bool(has_article) and has_article[-1]
+    return any(has_article) and i < index and not tokens[i + 1].terminal.startswith("?")
 
 
-def _is_telling(token: Token) -> bool:
-    """Tell whether a refused word is reason enough wherever it stands."""
+def _explains(token: Token) -> bool:
+    """Check whether a refused word explains a failure at any position."""
     return token.text in load_lexicon().refused and token.text not in _SMALL | WORDS["silent"]
 
 
-# -------------------------------------------------- readings that the grammar allows: guesses
-# A wrong reading is worse than a refusal (issue 3): a noun compound with a type inside that is no
-# known compound ("car park"), "go by the cone" (past it, or near it?), a fragment or an unknown
-# verb with nothing known to hold on to.
+# -------------------------------------------------- grammatical but doubtful readings
+# A wrong reading is worse than a refusal (issue 3): an unknown noun compound that contains a type
+# ("car park"), "go by the cone" (past it, or near it?), a fragment or an unknown verb without a
+# known word.
 
 
 _OF_WHAT = "of what kind? name the object"
 
 
 def _check_compound(phrase: Phrase) -> None:
-    """Refuse a noun phrase whose modifying noun is an object type of its own."""
+    """Refuse a noun phrase whose modifier is itself an object type."""
     nouns = [word for word in phrase.words if word.tag.startswith("NN")]
     if phrase.says("foreign"):
         raise _refusal(nouns, "is no object I know; name another")
@@ -116,20 +115,20 @@ def _check_verb(clause: Phrase, guessed: set[int]) -> None:
     """Refuse a command in which neither verb nor object is known."""
     verbs = [word for word in clause.words if word.tag.startswith("VB") and not word.senses]
     has_action = any(s.startswith(("action", "constraint")) for w in clause.words for s in w.senses)
-    said = clause.all_words()
-    is_known = any(word.type_sense and word.position not in guessed for word in said)
-    if has_action or is_known or any({"anaphor", "place"} & set(w.senses) for w in said):
+    every = clause.all_words()
+    is_known = any(word.type_sense and word.position not in guessed for word in every)
+    if has_action or is_known or any({"anaphor", "place"} & set(w.senses) for w in every):
         return
-    words = [one for one in (*verbs, *said) if one.position in guessed] or verbs or said
+    words = [word for word in (*verbs, *every) if word.position in guessed] or verbs or every
     reason = "neither a verb nor an object that I know; say for example 'go to the cone'"
     raise _refusal(words[:1], reason)
 
 
 def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
-    """Refuse a guess that rests on a guess: an unknown verb says nothing of its object."""
+    """Refuse too many unknown words: an unknown verb does not explain its object."""
     # "Smash the box" is not "go to the box"; only "to" makes a verb of motion. An unknown verb
     # before an unknown adjective, or three unknown words on one noun, is another language.
-    # What a rule has put in stands where another word stood, and is known by its senses.
+    # Words inserted by a rule have the position of the replaced word, but have senses.
     guesses = [w for w in clause.words if w.position in unknown and not w.senses]
     verbs = [w for w in guesses if w.tag.startswith("VB")]
     is_motion = any(w.text in ("to", "toward", "towards") for c in clause.children for w in c.words)
@@ -142,48 +141,48 @@ def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
 
 
 def _check_one(phrase: Phrase) -> None:
-    """Refuse "the nearest one" where nothing says one of what; "the one behind it" is of any."""
+    """Refuse "the nearest one" without a type; "the one behind it" may be of any type."""
     leaf, *others = phrase.children if phrase.label == "NP" else (phrase.children[0],)
     if leaf.label != "NP" or leaf.children:
         return
     is_known = leaf.says("other") or any(word.type_sense for word in leaf.words)
     words = [word for other in others for word in other.all_words()]
     is_ranked = any("superlative" in word.senses for word in words)
-    is_told = bool(others) and (not is_ranked or any(word.type_sense for word in words))
-    if leaf.says("anaphor") and not is_known and not is_told:
+    is_modified = bool(others) and (not is_ranked or any(word.type_sense for word in words))
+    if leaf.says("anaphor") and not is_known and not is_modified:
         raise _refusal(leaf.words[-1:], _OF_WHAT)
 
 
 def _check_landmark(phrase: Phrase) -> None:
     """Refuse "the hydrant behind the thing on your left": a landmark has a type."""
     figure, *others = phrase.children
-    if phrase.label != "NP" or is_thing(figure):
+    if phrase.label != "NP" or is_untyped(figure):
         return
-    for one in (inner for other in others for inner in other.walk()):
-        if one.label == "NP" and one.children and is_thing(one.children[0]):
-            raise _refusal(one.children[0].words[-1:], _OF_WHAT)
+    for np in (inner for other in others for inner in other.walk()):
+        if np.label == "NP" and np.children and is_untyped(np.children[0]):
+            raise _refusal(np.children[0].words[-1:], _OF_WHAT)
 
 
 def _check_between(phrase: Phrase) -> None:
-    """Refuse "between" with one landmark, and what is said to lie between twice over."""
-    parts = [one for child in phrase.children[1:] for one in (child, *child.children)]
-    told = [one for one in parts if one.says("between")]
-    if len(told) > 1:
-        raise _refusal(_head(told[1]), "said of one thing twice; say one of them")
+    """Refuse "between" with one landmark, and two uses of "between" for one figure."""
+    parts = [part for child in phrase.children[1:] for part in (child, *child.children)]
+    between = [part for part in parts if part.says("between")]
+    if len(between) > 1:
+        raise _refusal(_head(between[1]), "said of one thing twice; say one of them")
     nouns = [word for word in phrase.children[0].all_words() if word.tag.startswith("NN")]
     if phrase.says("between") and len(phrase.children) == 1 and nouns[0].tag != "NNS":
         raise _refusal(_head(phrase), "between that and what? name both")
 
 
 def _head(phrase: Phrase) -> list[Word]:
-    """Find the words that carry the senses of a phrase."""
+    """List the words of a phrase that have senses."""
     return [word for word in phrase.words if word.senses]
 
 
 def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
-    """Refuse what would be a guess with a LanguageError; ``unknown`` are positions of words."""
+    """Refuse doubtful readings with a LanguageError; ``unknown`` are positions of words."""
     for first in (clause.words[0] for clause in clauses[1:] if clause.words):
-        # No connective stands before it.
+        # No connective precedes it.
         if first.tag == "VB" and first.position in unknown:
             reason = "unknown word; it may be a verb or a mistyped relation: say it in other words"
             raise _refusal([first], reason)

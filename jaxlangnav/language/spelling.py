@@ -1,4 +1,4 @@
-"""Repair of typing errors: one edit or transposition, in words of five letters and more.
+"""Spelling correction at Damerau-Levenshtein distance one, for words of five letters or more.
 
 A word that is itself English is left alone: "beach" is not "bench". ``data/not_errors.txt`` lists
 the English words within one edit of a word of the lexicon.
@@ -14,18 +14,18 @@ MIN_LETTERS, _MAX_LETTERS = 5, 20
 
 
 def edits(word: str) -> set[str]:
-    """List all strings at Damerau-Levenshtein distance one over a-z, and the word itself."""
-    parts = [(word[:cut], word[cut:]) for cut in range(len(word) + 1)]
-    found = {a + b[1:] for a, b in parts if b}
-    found |= {a + b[1] + b[0] + b[2:] for a, b in parts if len(b) > 1}
-    found |= {a + letter + b[1:] for a, b in parts if b for letter in ascii_lowercase}
-    found |= {a + letter + b for a, b in parts for letter in ascii_lowercase}
-    return found
+    """List all strings at Damerau-Levenshtein distance at most one over a-z."""
+    splits = [(word[:cut], word[cut:]) for cut in range(len(word) + 1)]
+    edited = {a + b[1:] for a, b in splits if b}
+    edited |= {a + b[1] + b[0] + b[2:] for a, b in splits if len(b) > 1}
+    edited |= {a + letter + b[1:] for a, b in splits if b for letter in ascii_lowercase}
+    edited |= {a + letter + b for a, b in splits for letter in ascii_lowercase}
+    return edited
 
 
 @cache
 def repairable() -> frozenset[str]:
-    """Collect the words of the lexicon that typing errors are repaired to."""
+    """Collect the words of the lexicon that are candidates for corrections."""
     lexicon = load_lexicon()
     classes = [
         entries for name, entries in lexicon.entries.items() if name not in WORDS["small_talk"]
@@ -36,15 +36,15 @@ def repairable() -> frozenset[str]:
 
 @cache
 def not_errors() -> frozenset[str]:
-    """Read the English words that look like typing errors but are none."""
+    """Load the English words that look like misspellings but are not."""
     lines = read_shipped("language", "not_errors.txt").splitlines()
     return frozenset(line.strip() for line in lines if line and not line.startswith("#"))
 
 
 def _meanings(word: str) -> frozenset[tuple[str, tuple[str, ...]]]:
-    """Collect what a word can mean alone: class and senses."""
-    found = ((name, one.get((word,))) for name, one in load_lexicon().entries.items())
-    return frozenset((name, entry[0].senses) for name, entry in found if entry is not None)
+    """Collect the readings of a single word: pairs of class and senses."""
+    readings = ((name, table.get((word,))) for name, table in load_lexicon().entries.items())
+    return frozenset((name, entry[0].senses) for name, entry in readings if entry is not None)
 
 
 @cache
@@ -55,21 +55,21 @@ def _nominal() -> frozenset[str]:
 
 @cache
 def repair(word: str, *, is_noun: bool = False) -> str | None:
-    """Find the one word of the lexicon that a mistyped word must be.
+    """Correct a misspelled word to the only word of the lexicon that it can be.
 
-    None where the word, in lower case, is short, English, hopeless, or could be any of several
-    words of different meaning. ``is_noun``: it is the noun of a phrase, so that "the easel" has
-    nothing to do with "ease".
+    None if the word, in lower case, is short, English, or has no candidate or several of different
+    meaning. ``is_noun``: it is the noun of a phrase, so that "the easel" is not corrected to
+    "ease".
     """
     lexicon = load_lexicon()
-    if word in lexicon.slips:
-        return lexicon.slips[word]
+    if word in lexicon.typos:
+        return lexicon.typos[word]
     is_plain = word.isascii() and word.isalpha() and word not in not_errors()
     if not (is_plain and MIN_LETTERS <= len(word) <= _MAX_LETTERS):
         return None
     allowed = repairable() & _nominal() if is_noun else repairable()
     candidates = sorted(c for c in edits(word) & allowed if len(c) >= MIN_LETTERS - 1)
-    # "Carefuly" is "carefully" and not "careful", which only stands in longer expressions.
+    # "Carefuly" is "carefully" and not "careful", which only occurs in longer expressions.
     candidates = [c for c in candidates if _meanings(c) or c in lexicon.refused] or candidates
     if len(set(map(_meanings, candidates))) > 1:
         candidates = [c for c in candidates if sorted(c) == sorted(word)]

@@ -1,4 +1,4 @@
-"""How a text falls into tokens: words, numbers and marks, written plainly (section 3.1)."""
+"""Tokenization of a text into words, numbers and punctuation marks, normalized (section 3.1)."""
 
 import re
 import unicodedata
@@ -11,7 +11,7 @@ TOKEN = re.compile(
 """One token: a word (with hyphens and apostrophes inside), a number, a run of marks, a sign."""
 
 MARKS = (COMMA_MARK, FULLSTOP_MARK) = (",", ".")
-"""How a pause and an end of a sentence are written among the words."""
+"""Tokens of a pause and of the end of a sentence."""
 _WORD = re.compile(r"[^\W_]+(?:['\u2018\u2019`][^\W_]+)*")
 _APOSTROPHES = re.compile(r"['\u2018\u2019`]")
 _SPLIT_CONTRACTION = re.compile(r"\b([^\W\d_]+) ('(?:s|d|m|ll|re|ve|t)\b)")
@@ -20,16 +20,16 @@ _SPLIT_NEGATION = re.compile(r"\b(do|does|did|ca|wo|is|are|was|could|would|shoul
 
 @dataclass(frozen=True, kw_only=True)
 class SpokenToken:
-    """One word or mark of a sentence, before it is known what it can be."""
+    """A word or mark of a sentence, before lookup in the lexicon."""
 
-    text: str  # small letters, typing errors repaired; or one of ``MARKS``
-    position: int  # 1-based, of words; marks have the position of the word before
+    text: str  # lower case, spelling corrected; or one of ``MARKS``
+    position: int  # 1-based word index; marks have that of the word before
 
 
-def plainly(text: str) -> str:
-    """Write letters plainly: small, without ligatures, full width or marks that nobody sees.
+def normalize(text: str) -> str:
+    """Normalize a text: NFKC, lower case, plain apostrophes, no invisible format characters.
 
-    Some signs stand for whole words, so the result may be longer.
+    NFKC expands some signs, so the result may be longer.
     """
     text = unicodedata.normalize("NFKC", text).lower()
     text = "".join(letter for letter in text if unicodedata.category(letter) != "Cf")
@@ -37,27 +37,27 @@ def plainly(text: str) -> str:
 
 
 def words_of(text: str) -> list[tuple[str, int, int]]:
-    """Find the words of a text, plain and without apostrophes, and where each begins and ends."""
-    found = _WORD.finditer(text)
-    return [(_APOSTROPHES.sub("", plainly(one[0])), one.start(), one.end()) for one in found]
+    """Find the words of a text, normalized, without apostrophes: (word, start, end) of each."""
+    matches = _WORD.finditer(text)
+    return [(_APOSTROPHES.sub("", normalize(m[0])), m.start(), m.end()) for m in matches]
 
 
 def join_contractions(text: str) -> str:
-    """Put contractions together that a tokenizer has parted: "let 's", "do n't"."""
+    """Join contractions that a tokenizer has split: "let 's", "do n't"."""
     return _SPLIT_NEGATION.sub(r"\1\2", _SPLIT_CONTRACTION.sub(r"\1\2", text))
 
 
 def is_word(text: str) -> bool:
-    """Tell whether a text, written plainly, is read as one word."""
+    """Check whether a normalized text is a single word token."""
     return text[:1].isalnum() and TOKEN.fullmatch(text) is not None and not text.endswith("'s")
 
 
-def without_idle_marks(tokens: Iterable[SpokenToken]) -> list[SpokenToken]:
-    """Leave out marks at both ends, and all but the last of a run of them."""
-    found: list[SpokenToken] = []
+def strip_marks(tokens: Iterable[SpokenToken]) -> list[SpokenToken]:
+    """Remove marks at both ends, and all but the last of consecutive marks."""
+    stripped: list[SpokenToken] = []
     for token in tokens:
-        if token.text in MARKS and found and found[-1].text in MARKS:
-            found.pop()
-        if found or token.text not in MARKS:
-            found.append(token)
-    return found[:-1] if found and found[-1].text in MARKS else found
+        if token.text in MARKS and stripped and stripped[-1].text in MARKS:
+            stripped.pop()
+        if stripped or token.text not in MARKS:
+            stripped.append(token)
+    return stripped[:-1] if stripped and stripped[-1].text in MARKS else stripped

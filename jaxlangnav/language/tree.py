@@ -1,10 +1,10 @@
-"""From a packed parse forest to the most probable tree, and from it to the phrases of grounding.
+"""Most probable tree of a packed parse forest, and its conversion to phrases for grounding.
 
-Lark's Earley parser leaves all derivations of a sentence in one forest. Viterbi finds the best,
-inside sums weigh it against the rest; both are linear in the size of the forest.
+Lark's Earley parser packs all derivations of a sentence in one forest. Viterbi finds the best one,
+the inside algorithm its posterior; both are linear in the size of the forest.
 
-Left sides in capitals become phrases; the others hand their words and phrases up. "The nearest
-cone to the tree" is parted as "the cone nearest to the tree", so that one construction has one
+Left sides in capitals become phrases; others pass their words and phrases to the parent. "The
+nearest cone to the tree" is split as "the cone nearest to the tree", so that both have the same
 tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 """
 
@@ -22,10 +22,10 @@ from jaxlangnav.language.refusal import NOUN, Token
 
 @dataclass(frozen=True)
 class Production:
-    """One rule: what it makes, of what, how probable, and the words it names if it is lexical."""
+    """A rule of the PCFG, with its log-probability, and its expression if it is lexical."""
 
     left: str
-    right: tuple[str, ...]  # nonterminals, or terminals (quoted words, unknown marks)
+    right: tuple[str, ...]  # nonterminals, or terminals (quoted words, classes of unknown words)
     log_probability: float
     entry: LexicalEntry | None = None  # lexical: the expression
 
@@ -39,8 +39,8 @@ class Derivation:
 
 
 @dataclass
-class _Best:
-    """Of one forest node: best score, sum over all, and the best way (children in order)."""
+class _NodeScore:
+    """Viterbi score, inside score and best derivation (children in order) of one forest node."""
 
     log_best: float
     log_sum: float
@@ -52,43 +52,43 @@ def read_forest(
 ) -> tuple[Derivation, float]:
     """Find the best derivation of a packed parse forest and its posterior probability.
 
-    Viterbi and inside sums, without recursion; productions go by the symbols of their lark rules.
+    Viterbi and inside algorithms, without recursion; ``by_rule`` maps lark rules to productions.
     """
-    memo: dict[int, _Best] = {}
+    memo: dict[int, _NodeScore] = {}
 
-    def score(node: SymbolNode, packed: PackedNode) -> _Best:
-        """Score one way to make a node: its rule and its parts."""
+    def score(node: SymbolNode, packed: PackedNode) -> _NodeScore:
+        """Compute the scores of one packed alternative of a node."""
         log_best = log_sum = 0.0
         children: tuple[Derivation | int, ...] = ()
         for part in packed.children:
             if not isinstance(part, SymbolNode):
-                # The wheels of ROS 2 bring lark 0.12 in place of 1: a token is its own node there.
+                # ROS 2 installs lark 0.12 in place of 1: there, a token is itself a node.
                 children += (getattr(part, "token", part).start_pos,)
                 continue
             value = memo[id(part)]
             log_best, log_sum = log_best + value.log_best, log_sum + value.log_sum
             children += value.children
         if node.is_intermediate:
-            return _Best(log_best, log_sum, children)
+            return _NodeScore(log_best, log_sum, children)
         rule = packed.rule
         production = by_rule[rule.origin.name, *(symbol.name for symbol in rule.expansion)]
         log_p = production.log_probability
-        return _Best(log_best + log_p, log_sum + log_p, (Derivation(production, children),))
+        return _NodeScore(log_best + log_p, log_sum + log_p, (Derivation(production, children),))
 
     stack: list[Any] = [root]
     while stack:
         node = stack[-1]
         parts = [c for p in node.children for c in p.children if isinstance(c, SymbolNode)]
-        waiting = [child for child in parts if id(child) not in memo]
-        if id(node) not in memo and waiting:
-            stack.extend(waiting)
+        pending = [child for child in parts if id(child) not in memo]
+        if id(node) not in memo and pending:
+            stack.extend(pending)
             continue
         stack.pop()
-        ways = [score(node, packed) for packed in node.children]
-        best = max(ways, key=lambda way: way.log_best)
-        top = max(way.log_sum for way in ways)
-        log_sum = top + math.log(sum(math.exp(way.log_sum - top) for way in ways))
-        memo.setdefault(id(node), _Best(best.log_best, log_sum, best.children))
+        scores = [score(node, packed) for packed in node.children]
+        best = max(scores, key=lambda s: s.log_best)
+        top = max(s.log_sum for s in scores)
+        log_sum = top + math.log(sum(math.exp(s.log_sum - top) for s in scores))
+        memo.setdefault(id(node), _NodeScore(best.log_best, log_sum, best.children))
     best = memo[id(root)]
     derivation: Any = best.children[0]
     return derivation, math.exp(best.log_best - best.log_sum)
@@ -107,10 +107,10 @@ UNKNOWN_CLASSES = {
     "g_obj": ("VBG", {UNKNOWN_ING: 0.05}),
     "adv": ("RB", {UNKNOWN_ADVERB: 0.5}),
 }
-"""Classes that an unknown word may be of: its tag, and its weight beside their known words."""
+"""Classes of unknown words → tag, and weight by class relative to the class's known words."""
 PUNCTUATION = ("comma", "fullstop")
-"""How the rules name ``MARKS``."""
-PARTED = "NPX"
+"""Names of ``MARKS`` in the rules."""
+SPLIT_NP = "NPX"
 
 
 def build_phrases(
@@ -118,12 +118,12 @@ def build_phrases(
 ) -> tuple[list[Phrase], list[tuple[str, int]]]:
     """Build the clauses of a derivation of ``start``, in order.
 
-    Also the words, with their positions, whose part of speech was guessed.
+    Also returns the words, with positions, whose part of speech was guessed.
     """
     unknown: list[tuple[str, int]] = []
 
     def word(node: Derivation, index: int, token: Token) -> Word:
-        """Make the word of a token under a lexical or literal production."""
+        """Build the word of a token under a lexical or literal production."""
         text, position, entry = token.text, token.position, node.production.entry
         if entry is not None:
             return replace(entry[index], text=text, position=position)
@@ -138,34 +138,34 @@ def build_phrases(
         return Word(text=text, tag=LITERAL_TAGS.get(text, "IN"), lemma=text, position=position)
 
     def parts(node: Derivation) -> tuple[list[Word], list[Phrase]]:
-        """Collect the words and phrases a node hands up."""
+        """Collect the words and phrases that a node passes to its parent."""
         left, words, phrases = node.production.left, [], []
         for index, child in enumerate(node.children if left not in PUNCTUATION else ()):
             if isinstance(child, int):
                 words.append(word(node, index, tokens[child]))
             else:
-                own = parts(child)
-                words, phrases = words + own[0], phrases + own[1]
+                more_words, more_phrases = parts(child)
+                words, phrases = words + more_words, phrases + more_phrases
         return ([], [_phrase(left, words, phrases)]) if left[0].isupper() else (words, phrases)
 
     return parts(root)[1], unknown
 
 
-def _in_order(words: Iterable[Word]) -> tuple[Word, ...]:
+def _sorted(words: Iterable[Word]) -> tuple[Word, ...]:
     return tuple(sorted(words, key=lambda word: word.position))
 
 
 def _phrase(left: str, words: list[Word], phrases: list[Phrase]) -> Phrase:
-    """Make a phrase; part superlatives, ordinals and sides from the noun they stand before."""
+    """Build a phrase; split superlatives, ordinals and sides from the noun that follows them."""
     label = left.split("_")[0]
-    if left == PARTED:
+    if left == SPLIT_NP:
         # NPX[the cone]{ADJP[nearest], PP[to]{X}} becomes NP[]{NP[the cone], PP[nearest to]{X}}.
-        base = Phrase(label="NP", words=_in_order(words))
+        base = Phrase(label="NP", words=_sorted(words))
         modifier, *rest = phrases
         if rest:
-            joined = _in_order(modifier.words + rest[0].words)
+            joined = _sorted(modifier.words + rest[0].words)
             modifier = Phrase(label="PP", words=joined, children=rest[0].children)
         return Phrase(label="NP", words=(), children=(base, modifier))
     if label == "NP" and not words and not phrases[0].words:
         return Phrase(label=label, words=(), children=phrases[0].children + tuple(phrases[1:]))
-    return Phrase(label=label, words=_in_order(words), children=tuple(phrases))
+    return Phrase(label=label, words=_sorted(words), children=tuple(phrases))

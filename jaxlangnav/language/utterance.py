@@ -1,9 +1,9 @@
-"""What an utterance of a conversation is: the words that say so, and what is left to understand.
+"""Dialogue act classification of an utterance by its wording, and the remainder to parse.
 
-Most utterances are sentences, which the parser understands: commands, statements, constraints.
-Some are told by their wording (``data/utterances.toml``): "the other one" speaks of what the robot
-is at, "then …" of what comes after it, "the left one" of a question. This module knows no state
-but whether a question has been asked; what the wording comes to is the navigator's business.
+Most utterances are sentences, which the parser reads: commands, statements, constraints. Some are
+recognised by their wording (``data/utterances.toml``): "the other one" corrects the current goal,
+"then …" adds a command, "the left one" answers a question. The only dialogue state used here is
+whether a question has been asked; the navigator interprets the result.
 """
 
 import enum
@@ -15,22 +15,22 @@ from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.halting import MAX_HALTING_CHARACTERS, act_of
 from jaxlangnav.language.tokens import words_of
 
-_LEFT_OVER = " \t\r\n,.;:!?-\u2013\u2014\u2026"
+_SEPARATORS = " \t\r\n,.;:!?-\u2013\u2014\u2026"
 
 
 class Kind(enum.StrEnum):
-    """What an utterance was taken for."""
+    """Dialogue act of an utterance."""
 
-    COMMAND = "command"  # a task in place of the present one
-    ADDITION = "addition"  # something to be done after it
-    STATEMENT = "statement"  # says something of the map, and changes no task
-    CORRECTION = "correction"  # rules out, or names, what is meant
+    COMMAND = "command"  # a task that replaces the current one
+    ADDITION = "addition"  # a task that follows the current one
+    STATEMENT = "statement"  # informs about the map, leaves the task
+    CORRECTION = "correction"  # rejects or replaces the current goal
     HALT = "halt"
     RESUME = "resume"
     CANCEL = "cancel"
-    RETURN = "return"  # to where the conversation began
-    CONSTRAINT = "constraint"  # what to keep away from
-    ANSWER = "answer"  # to a question of the robot's
+    RETURN = "return"  # to the start of the dialogue
+    CONSTRAINT = "constraint"  # objects to avoid
+    ANSWER = "answer"  # to a question of the robot
 
 
 Wording = enum.StrEnum(
@@ -38,8 +38,8 @@ Wording = enum.StrEnum(
     "OTHER CLOSER RETURN YES NO DENIAL ANY LEFT RIGHT NEAREST FARTHEST "
     "FIRST SECOND THIRD FOURTH FIFTH SIXTH LAST",
 )
-"""Wordings that are all that was said, by their names in the table. ``DENIAL`` is "no", and nothing
-else: to a question, or of what is being approached."""
+"""Wordings of whole utterances, named as in the table. ``DENIAL`` is "no" alone: the answer to a
+question, or a rejection of the current goal."""
 
 
 _KINDS = {
@@ -51,57 +51,57 @@ _KINDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Utterance:
-    """What was said, as far as its wording tells."""
+    """An utterance classified by its wording."""
 
-    kind: Kind | None  # None: what it is shows once the rest is understood
-    wording: Wording | None = None  # where the wording is all that was said
-    rest: str = ""  # what is left to be understood
-    is_not_that: bool = False  # what is being approached is not what is meant
+    kind: Kind | None  # None: undecided until the rest is parsed
+    wording: Wording | None = None  # if it is the whole utterance
+    rest: str = ""  # remainder to parse
+    is_not_that: bool = False  # the current goal is rejected
 
 
 def classify(text: str, *, is_asked: bool = False) -> Utterance:
-    """Tell what an utterance is, as far as its wording does, and what is left to be understood.
+    """Classify an utterance by its wording, and return the remainder to parse.
 
-    ``is_asked``: the robot has asked a question, to which this may be the answer. What is no text
-    is left to the parser.
+    ``is_asked``: the robot has asked a question, to which this may be the answer. Input that is not
+    a string is left to the parser.
     """
     act = act_of(text)
     if not isinstance(text, str) or len(text) > MAX_HALTING_CHARACTERS:
         return Utterance(kind=None, rest=text)
-    wording = _whole(text, is_asked=is_asked)
-    # "No" and "right" answer a question, whatever they mean elsewhere.
+    wording = _match_whole(text, is_asked=is_asked)
+    # After a question, "no" and "right" are answers.
     if act is not None and not (is_asked and wording is not None):
         return Utterance(kind=Kind(act.value))
     if wording is not None:
         return Utterance(kind=_KINDS.get(wording, Kind.ANSWER), wording=wording)
-    return _opened(text)
+    return _classify_opening(text)
 
 
-def _opened(text: str) -> Utterance:
-    """Look for an opening that says how what follows bears on what the robot is at."""
-    opening, rest = _opening(text, ("not_that", "meant", "then"))
+def _classify_opening(text: str) -> Utterance:
+    """Classify an utterance by its opening words ("no, …", "I meant …", "then …")."""
+    opening, rest = _match_opening(text, ("not_that", "meant", "then"))
     if opening is None or not rest:
         return Utterance(kind=None, rest=text)
     if opening == "then":
         return Utterance(kind=Kind.ADDITION, rest=rest)
-    inner, shorter = _opening(rest, ("not_that", "meant"))
-    rest = shorter or rest
-    if _whole(rest, is_asked=False) == Wording.OTHER:
+    inner, inner_rest = _match_opening(rest, ("not_that", "meant"))
+    rest = inner_rest or rest
+    if _match_whole(rest, is_asked=False) == Wording.OTHER:
         return Utterance(kind=Kind.CORRECTION, wording=Wording.OTHER)
     is_not_that = "not_that" in (opening, inner)
     return Utterance(kind=Kind.CORRECTION, rest=rest, is_not_that=is_not_that)
 
 
-def _whole(text: str, *, is_asked: bool) -> Wording | None:
-    """Look up a wording that is all that was said; answers only where there is a question."""
+def _match_whole(text: str, *, is_asked: bool) -> Wording | None:
+    """Look up a whole utterance, ignoring polite words around it; answers need a question."""
     table, _, around = _wordings()
     words = tuple(word for word, _, _ in words_of(text))
     while words:
-        found = table.get(words)
-        if found == Wording.DENIAL:
-            found = Wording.NO if is_asked else Wording.OTHER
-        if found is not None and (is_asked or found in _KINDS):
-            return found
+        wording = table.get(words)
+        if wording == Wording.DENIAL:
+            wording = Wording.NO if is_asked else Wording.OTHER
+        if wording is not None and (is_asked or wording in _KINDS):
+            return wording
         ends = [n for n in range(1, 4) if words[:n] in around or words[-n:] in around]
         if not ends:
             return None
@@ -110,17 +110,17 @@ def _whole(text: str, *, is_asked: bool) -> Wording | None:
     return None
 
 
-def _opening(text: str, allowed: Collection[str]) -> tuple[str | None, str]:
-    """Find the longest opening that a text begins with, and what follows it."""
+def _match_opening(text: str, allowed: Collection[str]) -> tuple[str | None, str]:
+    """Find the longest opening phrase of a text, and the remainder after it."""
     _, openings, around = _wordings()
-    found = words_of(text)
-    words = tuple(word for word, _, _ in found)
+    spans = words_of(text)
+    words = tuple(word for word, _, _ in spans)
     first = next((i for i in range(len(words)) if words[i : i + 1] not in around), len(words))
     for start in sorted({0, first}):
         for end in range(min(len(words), start + 6), start, -1):
             name = openings.get(words[start:end])
             if name in allowed:
-                return name, text[found[end - 1][2] :].lstrip(_LEFT_OVER)
+                return name, text[spans[end - 1][2] :].lstrip(_SEPARATORS)
     return None, ""
 
 
@@ -128,8 +128,8 @@ def _opening(text: str, allowed: Collection[str]) -> tuple[str | None, str]:
 def _wordings() -> tuple[
     dict[tuple[str, ...], Wording], dict[tuple[str, ...], str], frozenset[tuple[str, ...]]
 ]:
-    """Read the wordings, the openings, and what is said around them."""
+    """Load wordings of whole utterances, openings, and polite words around them."""
     table = parse_toml(read_shipped("language", "utterances.toml"))
-    whole = {tuple(said.split()): one for one in Wording for said in table["whole"][one.value]}
-    begin = {tuple(said.split()): name for name, row in table["begin"].items() for said in row}
-    return whole, begin, frozenset(tuple(said.split()) for said in table["around"])
+    whole = {tuple(text.split()): w for w in Wording for text in table["whole"][w.value]}
+    begin = {tuple(text.split()): name for name, row in table["begin"].items() for text in row}
+    return whole, begin, frozenset(tuple(text.split()) for text in table["around"])

@@ -21,7 +21,7 @@ from jaxlangnav.grounding.instruction import Spoken
 from jaxlangnav.inputs.object_types import is_anything, label_of, noun_of
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.language.halting import Act, alarm_in, opening_of
-from jaxlangnav.language.lexicon import type_called
+from jaxlangnav.language.lexicon import find_type
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState, speech_acts
@@ -84,7 +84,7 @@ class Listener:
         """Halt a robot under way for words that alarm and were refused; else refuse them."""
 
         def is_object(words: str) -> bool:
-            return type_called(words) is not None or words in names_of(self.grounder)
+            return find_type(words) is not None or words in names_of(self.grounder)
 
         taken = None if bool(state.is_resting) else alarm_in(text, is_object)
         if taken is None:

@@ -32,7 +32,7 @@ from jaxlangnav.grounding.worlds import reading_world
 from jaxlangnav.inputs.documents import naming, parse_json, read_lines
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.language.geometry import PlacedWorld
-from jaxlangnav.language.lexicon import type_called
+from jaxlangnav.language.lexicon import find_type
 from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior
 from jaxlangnav.planner.goals import region_offset
 from jaxlangnav.pytree import replace
@@ -179,7 +179,7 @@ def _read_line(number: int, document: Any) -> LabelledSentence:
         if isinstance(line.label, str):
             raise ValueError(f"label is {quote(line.label)}, but must be 'refuse' or an object")
         reading, types = read_meaning(line.label, path="label")
-        meaning = Meaning(reading, tuple(type_called(name.lower()) or name for name in types))
+        meaning = Meaning(reading, tuple(find_type(name.lower()) or name for name in types))
     texts = {"text": line.text, "construction": line.construction, "set": line.set}
     return LabelledSentence(line=number, **texts, meaning=meaning)
 

@@ -16,8 +16,8 @@ from jaxlangnav.grounding.rewrites import (
     default_rewrite_params,
     verify_rewrites,
 )
-from jaxlangnav.language.own_words import is_of_grammar
-from jaxlangnav.language.phrase import LEAST_PROBABILITY
+from jaxlangnav.language.own_words import is_reserved
+from jaxlangnav.language.phrase import MIN_PROBABILITY
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.training.shipped import Judged, TemperatureFit, fit_source_temperature
@@ -44,7 +44,7 @@ def score_sentences(
     model: GroundingModel,
     on_progress: Callable[[int], None] | None = None,
     arm: Wrapping = lambda graph: graph,
-    least_probability: float = LEAST_PROBABILITY,
+    least_probability: float = MIN_PROBABILITY,
 ) -> list[Score]:
     """Score labelled sentences, in order.
 
@@ -132,7 +132,7 @@ def _context_of(sentence: LabelledSentence) -> Context:
 def _labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> tuple[str, ...]:
     """List what a detector tells apart for whom the sentences are meant."""
     meanings = [one.meaning for one in sentences if one.meaning is not None]
-    named = [n for one in meanings for n in one.type_names if not is_of_grammar(n.lower())]
+    named = [n for one in meanings for n in one.type_names if not is_reserved(n.lower())]
     return tuple(dict.fromkeys([*model.type_names, *named]))
 
 

@@ -16,9 +16,9 @@ from jaxlangnav.inputs.object_types import ATTRIBUTES, attribute_code, attribute
 from jaxlangnav.inputs.observations import SLOTS
 from jaxlangnav.inputs.sanitize import LONGEST_NAME, as_text, sanitize, shorten
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, no_choice
-from jaxlangnav.language.lexicon import load_lexicon, type_called
+from jaxlangnav.language.lexicon import find_type, load_lexicon
 from jaxlangnav.language.spelling import repair
-from jaxlangnav.language.tokens import is_word, plainly
+from jaxlangnav.language.tokens import is_word, normalize
 from jaxlangnav.messages import DRIFTS, NONE, MotionParams, SensorParams
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.geodesic import among_walls
@@ -258,8 +258,8 @@ def _to_world(world: _World, stem: str) -> WorldFile:
 
 def _type_index(text: str, type_names: list[str], where: str) -> int:
     """Find a type by any of its names, or any noun, which is known from then on."""
-    name = " ".join(plainly(text).split())
-    name = type_called(name) or name
+    name = " ".join(normalize(text).split())
+    name = find_type(name) or name
     if name not in type_names:
         slip = repair(name, is_noun=True)
         if slip is not None:

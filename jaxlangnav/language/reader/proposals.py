@@ -32,7 +32,7 @@ from jaxlangnav.language.reader.model import (
     load_reader,
     log_partition,
 )
-from jaxlangnav.language.tokens import MARKS, SpokenToken, without_idle_marks
+from jaxlangnav.language.tokens import MARKS, SpokenToken, strip_marks
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations.table import REGISTRY
 
@@ -233,7 +233,7 @@ class Labelling:
                 left_out.append(said)
         return Proposal(
             probability=probability,
-            tokens=tuple(without_idle_marks(put)),
+            tokens=tuple(strip_marks(put)),
             left_out=tuple(left_out),
             changes=tuple(changes),
         )
