@@ -112,9 +112,7 @@ def _span(text: str, match: re.Match[str], group: int = 0) -> tuple[int, int]:
     return first, first + len(match[group].split())
 
 
-def split_measures(
-    tokens: Sequence[SpokenToken],
-) -> tuple[list[SpokenToken], list[PlacedMeasure]]:
+def split_measures(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[PlacedMeasure]]:
     """Extract turns and distances from a sentence.
 
     Returns:
