@@ -231,10 +231,10 @@ def test_a_refusal_names_the_cause(text, begins):
     assert str(error.value).startswith(begins)
 
 
-@pytest.mark.parametrize("slip", sorted(load_lexicon().slips))
+@pytest.mark.parametrize("slip", sorted(load_lexicon().typos))
 def test_a_slip_is_no_word(slip):
     assert slip not in load_lexicon().vocabulary
-    assert load_lexicon().slips[slip] in load_lexicon().vocabulary
+    assert load_lexicon().typos[slip] in load_lexicon().vocabulary
 
 
 def test_a_verb_after_that_is_no_noun() -> None:
