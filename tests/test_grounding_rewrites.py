@@ -25,7 +25,7 @@ from jaxlangnav.grounding.readings import unpad_readings
 from jaxlangnav.grounding.rewrites import MAX_REWRITES
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.messages import BEHIND, FRONT, NONE
-from jaxlangnav.training.shipped import COLDEST, Judged, fit_source_temperature, log_likelihood
+from jaxlangnav.training.shipped import MIN_TEMP, Judged, fit_source_temperature, log_likelihood
 
 START = Context(is_under_way=False)
 TYPES = load_shipped().type_names
@@ -246,7 +246,7 @@ def test_the_temperature_that_labels_were_drawn_at_is_found() -> None:
 def test_a_source_that_is_always_right_is_believed_to_the_bound() -> None:
     fit = fit_source_temperature([Judged((-1.0, -2.0), (True, False))])
     assert fit.is_at_bound
-    assert fit.temperature == pytest.approx(COLDEST)
+    assert fit.temperature == pytest.approx(MIN_TEMP)
     with pytest.raises(ValueError, match="none of the 1 sentences"):
         fit_source_temperature([Judged((-1.0,), (True,))])
 

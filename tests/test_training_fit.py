@@ -99,7 +99,7 @@ def test_equal_factors_are_joined_and_split_by_instruction():
         counts = expected.setdefault(key, np.zeros((3, 2)))
         counts[:, int(factors.label[n])] += factors.times[n] * shares[:, factors.instruction[n]]
     design = pool(factors, {"symbol": slice(0, 3)}, 2)
-    assert len(np.unique(design.place // 2)) == len(expected)
+    assert len(np.unique(design.cell // 2)) == len(expected)
     for u, g in itertools.product(*map(range, design.properties.shape[:2])):
         counted = design.counts(shares)[:, u, g]
         if counted.any():

@@ -1,4 +1,4 @@
-"""Training of the log-linear factors, and how good they are (section 4.1)."""
+"""Training and evaluation of the log-linear correspondence models (section 4.1)."""
 
 from jaxlangnav.training.fit import Fit, TrainingConfig, train_graph
 

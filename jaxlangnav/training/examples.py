@@ -1,8 +1,8 @@
-"""Labelled instructions, the training examples that they give, and their factors (section 4.1).
+"""Training data: labelled instructions, examples per phrase, and counted factors (section 4.1).
 
-Training is teacher-forced: the groundings of child phrases are the gold ones. One example of the
-paper is one factor, (phrase, symbol); one of ours is a phrase with the factors of its symbols. What
-training reads of them are distinct factors, counted.
+Training is teacher-forced: the groundings of child phrases are the gold ones. An example of the
+paper is one factor, (phrase, symbol); one of ours is a phrase with the factors of its symbols.
+Training uses the distinct factors with their counts.
 """
 
 import dataclasses
@@ -39,11 +39,11 @@ class LabelledInstruction:
     parse: Parse
     annotated: tuple[Labelled[None], ...]  # its clauses
     behaving: tuple[tuple[Labelled[World], ...], ...]  # its commands in each world
-    rank: Mapping[Path, int]  # phrases that say "nearest" have 1, "second" 2; others 0
+    rank: Mapping[Path, int]  # of phrases: "nearest" 1, "second" 2; others 0
 
 
 def read_annotation(text: str, type_names: tuple[str, ...]) -> AnnotationSymbol:
-    """Read an annotation symbol such as ``relation(hydrant,behind,cone)``."""
+    """Parse an annotation symbol such as ``relation(hydrant,behind,cone)``."""
 
     def index(name: str) -> int:
         return ROBOT if name == "robot" else type_names.index(name)
@@ -59,7 +59,7 @@ def read_annotation(text: str, type_names: tuple[str, ...]) -> AnnotationSymbol:
 
 
 def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
-    """Read a behavior symbol such as ``goal(at,3)``; the robot's slot comes after the objects."""
+    """Parse a behavior symbol such as ``goal(at,3)``; the robot has the last slot."""
     name, first, *rest = re.split(r"[(,)]", text)[:-1]
     kind = KINDS.index(name)
     if name in ("action", "mode"):
@@ -71,7 +71,7 @@ def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
 
 
 def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
-    """Turn an example of a corpus into training data; statements have no behavior."""
+    """Convert a corpus example to training data; statements have no behavior."""
     roots, annotated, behaving, rank = example.parse.clauses, [], [], {}
     for clause, (root, labels) in enumerate(zip(roots, example.clauses, strict=True)):
         expressed = [
@@ -100,12 +100,12 @@ def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> Label
 def read_examples(
     examples: Sequence[Example], type_names: tuple[str, ...]
 ) -> list[LabelledInstruction]:
-    """Turn a corpus into training data; see ``labelled_instruction``."""
+    """Convert a corpus to training data; see ``labelled_instruction``."""
     return [labelled_instruction(example, type_names) for example in examples]
 
 
 class Rows(NamedTuple):
-    """Factors of one kind of symbol of one phrase."""
+    """Features and labels of a phrase's symbols of one kind."""
 
     properties: np.ndarray  # f32[S, F]
     labels: np.ndarray  # bool[S]
@@ -117,13 +117,13 @@ class PhraseExample:
 
     phrase: Phrase
     rows: Mapping[str, Rows]  # kind → factors
-    instruction: int  # which instruction it comes from
+    instruction: int  # index of its instruction
 
 
 def examples_of(
     space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]
 ) -> list[PhraseExample]:
-    """Build the training examples of trees: of every phrase, given the labels of its children.
+    """Build one training example per phrase of trees, given the gold labels of its children.
 
     Each tree counts as an instruction.
 
@@ -133,40 +133,40 @@ def examples_of(
     """
     return [
         example
-        for index, one in enumerate(labelled)
-        for example in _tree_examples(space, one, index)
+        for index, tree in enumerate(labelled)
+        for example in _tree_examples(space, tree, index)
     ]
 
 
 def _tree_examples(
-    space: SymbolSpace[AnyWorld], one: Labelled[AnyWorld], instruction: int
+    space: SymbolSpace[AnyWorld], ex: Labelled[AnyWorld], instruction: int
 ) -> Iterator[PhraseExample]:
-    nodes, symbols = post_order(one.root, one.clause), space.symbols_in(one.world)
-    ranks = one.ranks or [0] * len(nodes)
-    for labels in (one.expressed, ranks):
+    nodes, symbols = post_order(ex.root, ex.clause), space.symbols_in(ex.world)
+    ranks = ex.ranks or [0] * len(nodes)
+    for labels in (ex.expressed, ranks):
         if len(labels) != len(nodes):
             raise ValueError(
-                f"tree {instruction}: {len(labels)} labels, but {one.root} has {len(nodes)} phrases"
+                f"tree {instruction}: {len(labels)} labels, but {ex.root} has {len(nodes)} phrases"
             )
-    unknown = sorted(set().union(*one.expressed) - set(symbols.index))
+    unknown = sorted(set().union(*ex.expressed) - set(symbols.index))
     if unknown:
         raise ValueError(f"tree {instruction}: {unknown[0]} is no symbol of its world")
-    gold = [symbols.mask(expressed) for expressed in one.expressed]
+    gold = [symbols.mask(expressed) for expressed in ex.expressed]
     for node, expressed, rank in zip(nodes, gold, ranks, strict=True):
-        described = space.describe(node.phrase, node.path, one.world)
+        described = space.describe(node.phrase, node.path, ex.world)
         blocks = described.given([gold[child] for child in node.children])
         rows = {
             kind: Rows(np.asarray(block.properties, np.float32), expressed[block.indices])
             for kind, block in blocks.items()
         }
         if described.ranks is not None:
-            own = np.arange(1, len(described.ranks) + 1) == rank
-            rows[RANKS] = Rows(np.asarray(described.ranks, np.float32), own)
+            is_rank = np.arange(1, len(described.ranks) + 1) == rank
+            rows[RANKS] = Rows(np.asarray(described.ranks, np.float32), is_rank)
         for kind, (properties, labels) in rows.items():
-            wanted = len(labels), len(space.columns[kind])
-            if properties.shape != wanted:
+            expected = len(labels), len(space.columns[kind])
+            if properties.shape != expected:
                 raise ValueError(
-                    f"tree {instruction}: properties are {properties.shape}, but must be {wanted}"
+                    f"tree {instruction}: properties are {properties.shape}, but must be {expected}"
                 )
         yield PhraseExample(node.phrase, rows, instruction)
 
@@ -187,7 +187,7 @@ def annotation_examples(
 def behavior_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> list[PhraseExample]:
-    """Build the examples of the behavior model, one per phrase and world, empty slots left out."""
+    """Build the examples of the behavior model, one per phrase and world, without empty slots."""
     return [
         example
         for index, labelled in enumerate(instructions)
@@ -197,37 +197,37 @@ def behavior_examples(
     ]
 
 
-# ---------------------------------------------------------------- distinct factors, counted
+# ---------------------------------------------------------------- counts of distinct factors
 
 
-def identify(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find equal rows of f32[N, F]: i[D] where each distinct row first is, i[N] which one each is.
+def deduplicate(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Deduplicate rows of f32[N, F]: i[D] first index of each distinct row, i[N] inverse index.
 
-    Rows are compared by their bytes, which takes a hundredth of the time of number by number.
+    Rows are compared by their bytes, a hundred times faster than number by number.
     """
-    whole = np.dtype((np.void, rows.shape[1] * np.dtype(np.float32).itemsize))
-    keys = np.ascontiguousarray(rows, np.float32).view(whole)[:, 0]
-    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    return first, which.ravel()
+    row_type = np.dtype((np.void, rows.shape[1] * np.dtype(np.float32).itemsize))
+    keys = np.ascontiguousarray(rows, np.float32).view(row_type)[:, 0]
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return first, inverse.ravel()
 
 
 class Factors(NamedTuple):
-    """Factors of any source before equal ones are joined: one row of words each.
+    """Factors before equal ones are merged, as flat arrays.
 
-    The least that training needs, for data that come from no ``PhraseExample``.
+    The minimal input of training, for data without ``PhraseExample``.
     """
 
     words: np.ndarray  # f32[H, W] word features of a phrase
     properties: np.ndarray  # f32[N, F] properties of a symbol
     label: np.ndarray  # bool[N] whether the phrase expresses it
     phrase: np.ndarray  # i[N] row of ``words``
-    instruction: np.ndarray  # i[N] which instruction the factor comes from
-    times: np.ndarray | None = None  # f32[N] how often it occurs there; once each by default
+    instruction: np.ndarray  # i[N] index of the factor's instruction
+    times: np.ndarray | None = None  # f32[N] count of each factor; 1 by default
 
 
 @dataclasses.dataclass(frozen=True)
 class Design:
-    """Distinct factors by distinct words, and where they occur.
+    """Distinct factors by distinct word features, with their occurrences (a sparse design).
 
     U distinct words, up to G distinct symbols of each, W word features, F properties of all kinds
     side by side, I instructions, C occurrences. Padded symbols have no occurrence.
@@ -236,42 +236,42 @@ class Design:
     words: np.ndarray  # f32[U, W]
     properties: np.ndarray  # f32[U, G, F]
     columns: dict[str, slice]  # kind → its properties
-    place: np.ndarray  # i[C] flat index into [U, G, 2]: words, symbol, φ
+    cell: np.ndarray  # i[C] flat index into [U, G, 2]: words, symbol, φ
     instruction: np.ndarray  # i[C]
     times: np.ndarray  # f32[C]
     num_instructions: int
 
     def counts(self, instruction_weights: np.ndarray) -> np.ndarray:
-        """Count factors with φ = 0 and 1 by weights f32[K, I] of instructions: f32[K, U, G, 2]."""
+        """Count factors with φ = 0 and 1, given f32[K, I] instruction weights: f32[K, U, G, 2]."""
         shape = (*self.properties.shape[:2], 2)
         rows = [
-            np.bincount(self.place, weights * self.times, minlength=math.prod(shape))
+            np.bincount(self.cell, weights * self.times, minlength=math.prod(shape))
             for weights in instruction_weights[:, self.instruction]
         ]
         return np.stack(rows).astype(np.float32).reshape(-1, *shape)
 
 
 def pool(factors: Factors, columns: dict[str, slice], num_instructions: int) -> Design:
-    """Join equal factors of I instructions and count them; ``columns`` are those of each kind."""
-    first_words, words = identify(factors.words)
-    first_rows, rows = identify(factors.properties)
+    """Merge equal factors of I instructions and count them; ``columns`` are by kind."""
+    first_words, words = deduplicate(factors.words)
+    first_rows, rows = deduplicate(factors.properties)
     pair = words[factors.phrase] * len(first_rows) + rows
-    distinct, which = np.unique(pair, return_inverse=True)
+    distinct, inverse = np.unique(pair, return_inverse=True)
     owner, row = distinct // len(first_rows), distinct % len(first_rows)
     begin = np.searchsorted(owner, np.arange(len(first_words)))
     slot = np.arange(len(distinct)) - begin[owner]
     depth = int(slot.max()) + 1
     properties = np.zeros((len(first_words), depth, factors.properties.shape[1]), np.float32)
     properties[owner, slot] = factors.properties[first_rows[row]]
-    place = (owner * depth + slot)[which.ravel()] * 2 + factors.label
+    cell = (owner * depth + slot)[inverse.ravel()] * 2 + factors.label
     size = len(first_words) * depth * 2
-    occurrence, which = np.unique(factors.instruction * size + place, return_inverse=True)
+    occurrence, which = np.unique(factors.instruction * size + cell, return_inverse=True)
     times = np.bincount(which.ravel(), factors.times)
     return Design(
         words=factors.words[first_words],
         properties=properties,
         columns=columns,
-        place=occurrence % size,
+        cell=occurrence % size,
         instruction=occurrence // size,
         times=times.astype(np.float32),
         num_instructions=num_instructions,
@@ -281,17 +281,17 @@ def pool(factors: Factors, columns: dict[str, slice], num_instructions: int) -> 
 def flatten(
     examples: Sequence[PhraseExample], kinds: Sequence[str], vocabulary: Vocabulary
 ) -> tuple[Factors, dict[str, slice]]:
-    """Write the factors of all kinds of symbol one under the other, and the columns of each kind.
+    """Stack the factors of all kinds of symbols, and list the columns of each kind.
 
-    A kind has columns of its own, so one weight matrix holds the weights of all.
+    Kinds have separate columns, so one weight matrix holds the weights of all.
 
     Raises:
         ValueError: a kind has no example.
     """
     columns, end = {}, 0
     for kind in kinds:
-        found = (e.rows[kind].properties.shape[1] for e in examples if kind in e.rows)
-        width = next(found, None)
+        widths = (e.rows[kind].properties.shape[1] for e in examples if kind in e.rows)
+        width = next(widths, None)
         if width is None:
             raise ValueError(f"no example has a symbol of kind '{kind}' to learn from")
         columns[kind] = slice(end, end + width)
@@ -321,7 +321,7 @@ def flatten(
 
 
 def _distinct(rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Join equal factors of one phrase, of which there may be many: distinct ones, how often."""
-    first, which = identify(rows.properties)
+    """Merge equal factors of one phrase: distinct features, labels and counts."""
+    first, which = deduplicate(rows.properties)
     pair, times = np.unique(2 * which + rows.labels, return_counts=True)
     return rows.properties[first[pair // 2]], pair % 2 == 1, times

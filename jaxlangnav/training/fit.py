@@ -4,8 +4,8 @@ The objective is the regularised negative log-likelihood of the correspondences,
 
     J(W) = Σ_e Σ_g Σ_φ n_egφ softplus(−(2φ − 1) x_eᵀ W y_eg) + ½ Σ_w λ_w ‖W_w‖²
 
-which is convex. λ is one number, or one for each group of word features. Several hold-out splits
-train at once by ``vmap`` over the counts n. What is searched is √λ W, with the words x / √λ.
+which is convex. λ is a scalar, or one per group of word features. Several hold-out splits are
+trained at once by ``vmap`` over the counts n. The optimised variable is √λ W, with words x / √λ.
 """
 
 import dataclasses
@@ -32,42 +32,42 @@ from jaxlangnav.training.examples import Design, PhraseExample, examples_of, fla
 from jaxlangnav.training.optimum import Problem, Search, data_loss, minimise
 
 SPLITS_AT_ONCE = 8
-"""Splits that are fitted side by side; all of them wait for the slowest."""
+"""Number of splits that are fitted in parallel; each batch takes as long as its slowest."""
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig:
-    """How a model is trained."""
+    """Hyperparameters of training: regularisation and stopping."""
 
     l2: float = 0.01
     max_steps: int = 300
-    gap: float = 1.25e-3  # nats; J ends nearer than this to its minimum for certain, if float32 can
+    gap: float = 1.25e-3  # nats; guaranteed bound on J − min J at the end, if float32 allows
 
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """What training measured."""
+    """Diagnostics of training: losses, steps and times."""
 
     loss: np.ndarray  # f32[K] objective at the end
     steps: np.ndarray  # i32[K]
-    seconds: float  # counting, fitting and reading back, compilation left out
-    compile_seconds: float  # next to none where a fit of this size has been compiled before
+    seconds: float  # of counting, fitting and transfers, without compilation
+    compile_seconds: float  # near 0 if a fit of this size was compiled before
 
 
 class Factored(NamedTuple):
-    """The distinct factors of a design on the device: what training reads of them."""
+    """The distinct factors of a design on the device."""
 
     words: Array  # f32[U, W]
     properties: Array  # f32[U, G, F]
 
 
 def factorise(design: Design) -> Factored:
-    """Put the distinct factors of a design on the device."""
+    """Copy the distinct factors of a design to the device."""
     return Factored(jnp.asarray(design.words), jnp.asarray(design.properties))
 
 
 def strengths(vocabulary: Vocabulary, by_group: Mapping[str, Array | float]) -> Array:
-    """Spread λ of "bias" and each of ``FEATURE_GROUPS`` over its word features, f32[W]."""
+    """Expand λ by group ("bias" and ``FEATURE_GROUPS``) to word features, f32[W]."""
     groups = tuple(by_group)
     which = np.array([groups.index(feature_group(name)) for name in vocabulary.names])
     return jnp.stack([jnp.asarray(by_group[group], jnp.float32) for group in groups])[which]
@@ -76,7 +76,7 @@ def strengths(vocabulary: Vocabulary, by_group: Mapping[str, Array | float]) -> 
 def train_weights(
     factored: Factored, counts: Array, l2: Array, *, config: TrainingConfig
 ) -> tuple[Array, Search]:
-    """Train one model: a pure function, differentiable by the counts and by the regularisation.
+    """Train one model: a pure function, differentiable in the counts and the regularisation.
 
     Args:
         factored: of ``factorise``.
@@ -85,15 +85,15 @@ def train_weights(
         config: stopping; its own ``l2`` is not read.
 
     Returns:
-        f32[W, F], the weights of all kinds side by side (``by_kind``), and what was measured.
+        f32[W, F], the weights of all kinds side by side (``by_kind``), and diagnostics.
     """
     chex.assert_shape(counts, (*factored.properties.shape[:2], 2))
     chex.assert_shape(factored.words, (factored.properties.shape[0], *l2.shape))
     chex.assert_type((counts, l2), jnp.float32)
     scale = 1.0 / jnp.sqrt(l2)
     problem = Problem(factored.words * scale[None], factored.properties, counts)
-    found, search = minimise(problem, jnp.float32(config.gap), jnp.float32(config.max_steps))
-    return found * scale[:, None], search
+    scaled, search = minimise(problem, jnp.float32(config.gap), jnp.float32(config.max_steps))
+    return scaled * scale[:, None], search
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -103,7 +103,7 @@ def _fit_splits(
     """Fit K sets of counts f32[K, U, G, 2] to the same words and properties."""
     lanes = min(SPLITS_AT_ONCE, counts.shape[0])
     return jax.lax.map(
-        lambda one: train_weights(factored, one, l2, config=config),
+        lambda n: train_weights(factored, n, l2, config=config),
         counts,
         batch_size=lanes if lanes > 1 else None,
     )
@@ -111,17 +111,17 @@ def _fit_splits(
 
 @functools.lru_cache(maxsize=8)
 def _compile(shapes: tuple, config: TrainingConfig) -> jax.stages.Compiled:
-    """Compile the fits of designs and numbers of splits of one size, once."""
+    """Compile the fit for array shapes of designs and splits, cached."""
     return _fit_splits.lower(*shapes, config=config).compile()
 
 
 def by_kind(weights: Array, design: Design) -> dict[str, Array]:
-    """Part weights f32[W, F] of all kinds side by side, kind → f32[W, F of the kind]."""
+    """Split weights f32[W, F] of all kinds side by side, kind → f32[W, F of the kind]."""
     return {kind: weights[:, columns] for kind, columns in design.columns.items()}
 
 
 def loss(weights: Mapping[str, Array], design: Design, counts: Array, l2: Array | float) -> Array:
-    """Evaluate the objective J(W), f32[]; differentiable by the weights and by the counts.
+    """Evaluate the objective J(W), f32[]; differentiable in the weights and the counts.
 
     Args:
         weights: kind → f32[W, F].
@@ -142,9 +142,9 @@ def build_design(
     num_instructions: int,
     without: frozenset[str] = frozenset(),
 ) -> tuple[Vocabulary, Design]:
-    """Prepare the examples of a model, one per phrase (and world), of so many instructions.
+    """Build vocabulary and design from a model's examples, one per phrase (and world).
 
-    Returned are the word side, but for the groups left out, and the distinct factors, counted.
+    The vocabulary lacks the feature groups ``without``; the design counts the distinct factors.
 
     Raises:
         ValueError: a kind has no example.
@@ -160,11 +160,11 @@ def fit(
 
     Args:
         design: the factors.
-        instruction_weights: f32[K, I], how much each instruction counts in each of K fits.
+        instruction_weights: f32[K, I], weight of each instruction in each of K fits.
         config: regularisation and stopping; the default is that of the shipped weights.
 
     Returns:
-        K times kind → f32[W, F], and what was measured.
+        K times kind → f32[W, F], and diagnostics.
 
     Raises:
         ValueError: the regularisation is not above zero: the minimum would not be unique.
@@ -175,16 +175,16 @@ def fit(
         raise ValueError(f"l2 is {config.l2:g}, but must be above 0")
     begin = time.perf_counter()
     factored, counts = factorise(design), jnp.asarray(design.counts(instruction_weights))
-    given = (factored, counts, jnp.full(design.words.shape[1:], config.l2, jnp.float32))
+    inputs = (factored, counts, jnp.full(design.words.shape[1:], config.l2, jnp.float32))
     prepared = time.perf_counter() - begin
     begin = time.perf_counter()
-    shapes = jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape, one.dtype), given)
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), inputs)
     compiled = _compile(shapes, config)
     compile_seconds = time.perf_counter() - begin
     begin = time.perf_counter()
-    found, search = jax.block_until_ready(compiled(*given))
-    weights = np.array(found)
-    # What never met has a weight of zero but for rounding; a zero takes no place in a file.
+    trained, search = jax.block_until_ready(compiled(*inputs))
+    weights = np.array(trained)
+    # Weights of pairs that never co-occur are zero up to rounding; exact zeros compress well.
     weights[np.abs(weights) < 1e-6 * np.abs(weights).max()] = 0.0
     models = [{kind: w[:, columns] for kind, columns in design.columns.items()} for w in weights]
     measured = Fit(
@@ -203,7 +203,7 @@ def train_graph(
     config: TrainingConfig | None = None,
     without: frozenset[str] = frozenset(),
 ) -> tuple[CorrespondenceGraph[AnyWorld], Fit]:
-    """Train a model on labelled trees.
+    """Train a correspondence graph on labelled trees.
 
     Args:
         space: the symbols.
@@ -218,9 +218,9 @@ def train_graph(
         raise ValueError("there is no tree to train on")
     if without - set(FEATURE_GROUPS):
         raise ValueError(f"groups of features are {', '.join(FEATURE_GROUPS)}, not {set(without)}")
-    number = len(labelled)
+    count = len(labelled)
     vocabulary, design = build_design(
-        examples_of(space, labelled), tuple(space.columns), number, without
+        examples_of(space, labelled), tuple(space.columns), count, without
     )
-    (weights,), measured = fit(design, np.ones((1, number), np.float32), config=config)
+    (weights,), measured = fit(design, np.ones((1, count), np.float32), config=config)
     return CorrespondenceGraph(space, CorrespondenceModel(vocabulary, weights)), measured

@@ -1,10 +1,10 @@
-"""Training of the reader: a linear-chain CRF, maximum a posteriori by optax's Adam (ours).
+"""Training of the reader, a linear-chain CRF, by MAP estimation with Adam (ours).
 
     J = mean_s −log p(labels_s | words_s) + λ/2 Σ w²
 
-A corpus line is ``{"text": what was said, "read": the same in the controlled language}``, or
-``"read": null`` where nothing may be made of it; ``names`` lists what a detector of that sentence
-tells apart. The labels come from aligning the two, word by word.
+A corpus line is ``{"text": free speech, "read": its rewriting in the controlled language}``, or
+``"read": null`` if it must be refused; ``names`` lists labels of a detector for that sentence. The
+labels come from aligning the two, word by word.
 """
 
 import dataclasses
@@ -33,30 +33,30 @@ from jaxlangnav.language.reader.model import KEPT, LEFT_OUT, UNREADABLE, ReaderM
 from jaxlangnav.language.reader.proposals import Labelling
 from jaxlangnav.language.tokens import MARKS
 
-_LARGEST = 1 << 24
-"""Bytes of a corpus."""
-_TELLING = WORDS["contrary"] | WORDS["impossible"]
+_MAX_BYTES = 1 << 24
+"""Size limit of a corpus."""
+_DECISIVE = WORDS["contrary"] | WORDS["impossible"]
 _PLAIN = frozenset({"=go", "=go to", "=stop"})
-_TALKATIVE = 0.3
-"""Share of plain sentences to which talk is added."""
-_BARRED = -1e4
-"""Log score of a transition that cannot be."""
+_SMALL_TALK_RATE = 0.3
+"""Probability of adding small talk to a verbatim sentence."""
+_IMPOSSIBLE = -1e4
+"""Log score of an impossible transition."""
 _PADDING = 8
-"""Lengths are rounded up to a multiple, so that few programs are compiled."""
+"""Lengths are rounded up to a multiple of this, to limit compilations."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReaderConfig:
-    """How a reader is trained."""
+    """Hyperparameters of the training of a reader."""
 
     epochs: int = 5
     batch: int = 128  # sentences
-    rate: float = 0.06  # of Adam, falling to 0 by a cosine
+    rate: float = 0.06  # of Adam, with cosine decay to 0
     l2: float = 6e-5
-    copies: int = 6  # of each sentence, as often as it is varied: another verb, or talk
-    least_features: int = 3  # a feature that is met more rarely has no weight
-    least_labels: int = 3  # sentences; a label that is met more rarely is not learned
-    smallest: float = 0.03  # weights below are left out
+    copies: int = 6  # of each sentence, each with a variation
+    least_features: int = 3  # rarer features are dropped
+    least_labels: int = 3  # sentences; rarer labels are dropped
+    smallest: float = 0.03  # smaller weights are set to 0
     seed: int = 0
 
 
@@ -69,16 +69,16 @@ class ReaderExample(NamedTuple):
 
 
 class ReaderWeights(NamedTuple):
-    """What is trained."""
+    """Trainable weights of the CRF."""
 
-    emission: Array  # f32[F + 1, L]; row 0 is of no feature
+    emission: Array  # f32[F + 1, L]; row 0 is padding
     transition: Array  # f32[L, L]
     begin: Array  # f32[L]
     end: Array  # f32[L]
 
 
 class Batch(NamedTuple):
-    """Sentences of about one length."""
+    """A padded batch of sentences of similar length."""
 
     features: np.ndarray  # i32[B, T, K] rows of the emission; 0: none
     labels: np.ndarray  # i32[B, T]
@@ -87,116 +87,116 @@ class Batch(NamedTuple):
 
 
 def align(said: Sequence[str], read: Sequence[str]) -> tuple[str, ...] | None:
-    """Label each word (or mark) of a sentence by what stands for it in the controlled language.
+    """Label each word (or mark) of a sentence by its alignment to the controlled language.
 
-    None where words are added at the end, which no label says.
+    None if words are added at the end, which labels cannot express.
     """
-    labels, put = [KEPT] * len(said), ""
+    labels, inserted = [KEPT] * len(said), ""
     matcher = SequenceMatcher(None, said, read, autojunk=False)
     for kind, first, last, begin, end in matcher.get_opcodes():
         words = " ".join(read[begin:end])
-        if put:  # what was added before: only a kept word has room for it
-            labels[first], put = f"{KEPT}>{put}", ""
+        if inserted:  # inserted before: only a kept word can carry it
+            labels[first], inserted = f"{KEPT}>{inserted}", ""
         if kind == "insert":
-            put = words
+            inserted = words
         elif kind != "equal":
             labels[first:last] = [LEFT_OUT] * (last - first)
             labels[first] = f"={words}" if words else LEFT_OUT
-    return None if put else tuple(labels)
+    return None if inserted else tuple(labels)
 
 
 def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
-    """Read a corpus of the reader; the package's own by default.
+    """Read a corpus of the reader; the package's by default.
 
-    Sentences that cannot be labelled are left out.
+    Sentences that cannot be labelled are skipped.
 
     Raises:
-        ValueError: a line is none; one line that names it.
+        ValueError: a line is invalid; the message has its number.
     """
     path = shipped_file("language", "readings.jsonl") if path is None else path
     rows = []
-    for number, line in read_lines(path, at_most=_LARGEST):
+    for line_no, line in read_lines(path, at_most=_MAX_BYTES):
         row = parse_json(line)
         if not (isinstance(row, dict) and set(row) - {"names"} == {"text", "read"}):
-            raise ValueError(f"{path.name} line {number} must have text, read, and maybe names")
+            raise ValueError(f"{path.name} line {line_no} must have text, read, and maybe names")
         if type(row["text"]) is not str or type(row["read"]) not in (str, type(None)):
             raise ValueError(
-                f"{path.name} line {number}: text and read must be texts, or read null"
+                f"{path.name} line {line_no}: text and read must be texts, or read null"
             )
         rows.append(row)
-    names = frozenset(one for row in rows for one in row.get("names", ()))
-    found = []
+    names = frozenset(name for row in rows for name in row.get("names", ()))
+    examples = []
     for row in rows:
-        said = tuple(token.text for token in split_text(row["text"], names))
+        words = tuple(token.text for token in split_text(row["text"], names))
         labels = (
-            (UNREADABLE,) * len(said) if row["read"] is None else align(said, row["read"].split())
+            (UNREADABLE,) * len(words) if row["read"] is None else align(words, row["read"].split())
         )
-        if said and labels is not None:
-            found.append(ReaderExample(said, labels, names))
-    return found
+        if words and labels is not None:
+            examples.append(ReaderExample(words, labels, names))
+    return examples
 
 
 def vary_sentences(
     examples: Sequence[ReaderExample], seed: int, copies: int = 1
 ) -> list[ReaderExample]:
-    """Make sentences as others would say them: another verb of the class, talk before or behind.
+    """Augment the data: replace a verb by another of its class, or add small talk at either end.
 
-    Each of the labelled sentences stands, and is varied, ``copies`` times; those that were made of
-    them come last. ``seed`` is of the choices.
+    Each sentence is repeated, and varied, ``copies`` times; the variations come last. ``seed`` is
+    that of the random choices.
     """
-    rng, made = np.random.default_rng(seed), []
-    talk = []  # clauses that are left out whole and name nothing
-    for one in examples:
-        sentence = ReaderSentence(one.words, one.names)
+    rng, more = np.random.default_rng(seed), []
+    talk = []  # deleted clauses without object names
+    for ex in examples:
+        sentence = ReaderSentence(ex.words, ex.names)
         for clause in sentence.clauses:
-            is_idle = [one.labels[i] == LEFT_OUT and not sentence.is_name[i] for i in clause]
+            is_idle = [ex.labels[i] == LEFT_OUT and not sentence.is_name[i] for i in clause]
             if len(clause) > 1 and all(is_idle):
-                talk.append(tuple(one.words[i] for i in clause))
+                talk.append(tuple(ex.words[i] for i in clause))
     classes = [sorted(verbs) for _, verbs in sorted(load_verbs().items())]
-    for one in [*examples] * copies:
-        verbs = [i for i, label in enumerate(one.labels) if label in _PLAIN]
+    for ex in [*examples] * copies:
+        verbs = [i for i, label in enumerate(ex.labels) if label in _PLAIN]
         for index in verbs[:1]:
-            alike = next((verbs for verbs in classes if one.words[index] in verbs), [])
-            if alike:
-                words = list(one.words)
-                words[index] = alike[rng.integers(len(alike))]
-                made.append(one._replace(words=tuple(words)))
-        if talk and set(one.labels) == {KEPT} and rng.random() < _TALKATIVE:
-            said = talk[rng.integers(len(talk))]
-            gone = (LEFT_OUT,) * (len(said) + 1)
+            same = next((verbs for verbs in classes if ex.words[index] in verbs), [])
+            if same:
+                words = list(ex.words)
+                words[index] = same[rng.integers(len(same))]
+                more.append(ex._replace(words=tuple(words)))
+        if talk and set(ex.labels) == {KEPT} and rng.random() < _SMALL_TALK_RATE:
+            chat = talk[rng.integers(len(talk))]
+            cut = (LEFT_OUT,) * (len(chat) + 1)
             mark = (MARKS[int(rng.integers(len(MARKS)))],)
             if rng.random() < 0.5:
-                made.append(ReaderExample((*said, *mark, *one.words), gone + one.labels, one.names))
+                more.append(ReaderExample((*chat, *mark, *ex.words), cut + ex.labels, ex.names))
             else:
-                made.append(ReaderExample((*one.words, *mark, *said), one.labels + gone, one.names))
-    return [*examples] * copies + made
+                more.append(ReaderExample((*ex.words, *mark, *chat), ex.labels + cut, ex.names))
+    return [*examples] * copies + more
 
 
 def negative_log_likelihood(weights: ReaderWeights, batch: Batch) -> Array:
-    """Sum -log p(labels | words) over a batch, by the forward algorithm: f32[], nats."""
+    """Compute Σ −log p(labels | words) over a batch by the forward algorithm, f32[], nats."""
     scores = weights.emission.at[0].set(0.0)[batch.features].sum(axis=2)  # [B, T, L]
 
-    def step(ahead: Array, at: tuple[Array, Array]) -> tuple[Array, None]:
-        row, is_word = at
-        summed = jax.nn.logsumexp(ahead[:, :, None] + weights.transition[None], axis=1) + row
-        return jnp.where(is_word[:, None] > 0, summed, ahead), None
+    def step(alpha: Array, inputs: tuple[Array, Array]) -> tuple[Array, None]:
+        row, is_word = inputs
+        summed = jax.nn.logsumexp(alpha[:, :, None] + weights.transition[None], axis=1) + row
+        return jnp.where(is_word[:, None] > 0, summed, alpha), None
 
     rest = jnp.moveaxis(scores[:, 1:], 1, 0), jnp.asarray(batch.is_word[:, 1:]).T
-    ahead, _ = jax.lax.scan(step, weights.begin[None] + scores[:, 0], rest)
-    log_total = jax.nn.logsumexp(ahead + weights.end[None], axis=1)
+    alpha, _ = jax.lax.scan(step, weights.begin[None] + scores[:, 0], rest)
+    log_total = jax.nn.logsumexp(alpha + weights.end[None], axis=1)
     labels, is_word = jnp.asarray(batch.labels), jnp.asarray(batch.is_word)
     chosen = jnp.take_along_axis(scores, labels[..., None], axis=2)[..., 0]
     moved = weights.transition[labels[:, :-1], labels[:, 1:]]
     last = jnp.maximum(is_word.sum(axis=1).astype(jnp.int32) - 1, 0)
     ended = weights.end[jnp.take_along_axis(labels, last[:, None], axis=1)[:, 0]]
-    own = (chosen * is_word).sum(1) + (moved * is_word[:, 1:]).sum(1)
-    return ((log_total - own - weights.begin[labels[:, 0]] - ended) * batch.weight).sum()
+    path_score = (chosen * is_word).sum(1) + (moved * is_word[:, 1:]).sum(1)
+    return ((log_total - path_score - weights.begin[labels[:, 0]] - ended) * batch.weight).sum()
 
 
 def train_reader(
     examples: Sequence[ReaderExample], *, config: ReaderConfig
 ) -> tuple[ReaderModel, dict[str, Any]]:
-    """Train a reader on labelled sentences.
+    """Train a reader on labelled sentences, and report on the training.
 
     The report has sentences, features, labels, loss in nats a sentence, and seconds.
 
@@ -204,39 +204,39 @@ def train_reader(
         ValueError: too few sentences to learn from.
     """
     started = time.perf_counter()
-    counted = Counter(label for one in examples for label in set(one.labels))
-    names = frozenset().union(*(one.names for one in examples))
+    counted = Counter(label for ex in examples for label in set(ex.labels))
+    names = frozenset().union(*(ex.names for ex in examples))
     frequent = sorted(label for label, n in counted.items() if n >= config.least_labels)
-    # What names a thing would name it whatever was said.
+    # A label that inserts an object name would insert it for any sentence.
     read = {label: tuple(label.lstrip("K>=").split()) for label in frequent}
-    labels = tuple(one for one in frequent if not any(ReaderSentence(read[one], names).is_name))
-    used = [one for one in examples if set(one.labels) <= set(labels)]
+    labels = tuple(ex for ex in frequent if not any(ReaderSentence(read[ex], names).is_name))
+    used = [ex for ex in examples if set(ex.labels) <= set(labels)]
     if len(used) < config.batch:
         raise ValueError(f"{len(used)} sentences are too few to train on: {config.batch} at least")
     used = vary_sentences(used, config.seed, config.copies)
-    named = [featurize(one.words, one.names) for one in used]
-    met = Counter(name for sentence in named for word in sentence for name in set(word))
-    least = config.least_features * config.copies
-    features = tuple(sorted(name for name, n in met.items() if n >= least))
+    named = [featurize(ex.words, ex.names) for ex in used]
+    counts = Counter(name for sentence in named for word in sentence for name in set(word))
+    min_count = config.least_features * config.copies
+    features = tuple(sorted(name for name, n in counts.items() if n >= min_count))
     batches = _batches(used, named, features, labels, config)
     weights, loss = _fit(batches, len(features), labels, config)
     emission = np.where(np.abs(weights.emission[1:]) < config.smallest, 0.0, weights.emission[1:])
     is_used = np.abs(emission).max(axis=1) > 0
-    pairs = (pair for one in used for pair in zip(one.words, one.labels, strict=True))
-    labelled = [Labelling(ReaderSentence(one.words, one.names), one.labels) for one in used]
+    pairs = (pair for ex in used for pair in zip(ex.words, ex.labels, strict=True))
+    labelled = [Labelling(ReaderSentence(ex.words, ex.names), ex.labels) for ex in used]
     model = ReaderModel(
         features=tuple(name for name, used in zip(features, is_used, strict=True) if used),
         labels=labels,
         seen=frozenset((word, label) for word, label in pairs if label[0] == "="),
-        left_out=_left_out(used),
-        # The stretches of words that are not kept, with what is read for them. Not what only
-        # chooses, and for which nothing is read: "both" may go in one sentence alone.
+        left_out=_deleted_trigrams(used),
+        # Edited spans with their replacement, except deletions of words that only select objects:
+        # "both" may be deleted in one sentence, but not in others.
         met=frozenset(
-            one.stretch(run)
-            for one in labelled
-            for run in one.runs
-            if any(one.labels[i] != LEFT_OUT for i in run)
-            or any(WORDS["choosing"].isdisjoint(one.sentence.classes[i]) for i in run)
+            ex.stretch(run)
+            for ex in labelled
+            for run in ex.runs
+            if any(ex.labels[i] != LEFT_OUT for i in run)
+            or any(WORDS["choosing"].isdisjoint(ex.sentence.classes[i]) for i in run)
         ),
         emission=np.round(emission[is_used], 3),
         transition=np.asarray(weights.transition),
@@ -253,26 +253,26 @@ def train_reader(
     }
 
 
-def _left_out(examples: Sequence[ReaderExample]) -> frozenset[str]:
-    """Collect the telling words that were left out, with the two after them: "if you could".
+def _deleted_trigrams(examples: Sequence[ReaderExample]) -> frozenset[str]:
+    """Collect deleted trigrams that begin with a negation, condition or the like: "if you could".
 
-    Not what names something, nor what forbids to do something: "don't go anywhere" may go on.
+    Not those with object names or prohibitions, as in "don't go anywhere".
     """
-    found = set()
-    for one in examples:
-        sentence = ReaderSentence(one.words, one.names)
-        for index, label in enumerate(one.labels):
+    trigrams = set()
+    for ex in examples:
+        sentence = ReaderSentence(ex.words, ex.names)
+        for index, label in enumerate(ex.labels):
             classes = sentence.classes[index]
-            after = range(index + 1, min(index + 3, len(one.words)))
+            after = range(index + 1, min(index + 3, len(ex.words)))
             names = any(sentence.is_name[i] or "det" in sentence.classes[i] for i in after)
             forbids = "refused:negation" in classes and any(
                 sentence.is_verb(i) or not WORDS["impossible"].isdisjoint(sentence.classes[i])
                 for i in after
             )
-            is_telling = not _TELLING.isdisjoint(classes)
+            is_telling = not _DECISIVE.isdisjoint(classes)
             if label == LEFT_OUT and is_telling and not (names or forbids):
-                found.add(" ".join(one.words[index : index + 3]))
-    return frozenset(found)
+                trigrams.add(" ".join(ex.words[index : index + 3]))
+    return frozenset(trigrams)
 
 
 def _batches(
@@ -282,7 +282,7 @@ def _batches(
     labels: Sequence[str],
     config: ReaderConfig,
 ) -> list[Batch]:
-    """Write sentences as arrays, those of about one length together."""
+    """Pack sentences of similar length into padded batches."""
     row = {name: index for index, name in enumerate(features, start=1)}
     column = {label: index for index, label in enumerate(labels)}
     width = max(len(word) for sentence in named for word in sentence)
@@ -300,10 +300,10 @@ def _batches(
         )
         for lane, index in enumerate(chosen):
             for time_step, word in enumerate(named[index]):
-                on = [row[name] for name in word if name in row]
-                batch.features[lane, time_step, : len(on)] = on
+                active = [row[name] for name in word if name in row]
+                batch.features[lane, time_step, : len(active)] = active
             size = len(named[index])
-            batch.labels[lane, :size] = [column[one] for one in examples[index].labels]
+            batch.labels[lane, :size] = [column[label] for label in examples[index].labels]
             batch.is_word[lane, :size] = 1.0
         batches.append(batch)
     return batches
@@ -312,26 +312,26 @@ def _batches(
 def _fit(
     batches: Sequence[Batch], num_features: int, labels: Sequence[str], config: ReaderConfig
 ) -> tuple[ReaderWeights, float]:
-    """Minimise the objective; the same batches and seed give the same weights."""
+    """Minimise the objective with Adam, deterministically for the same batches and seed."""
     size = len(labels)
     weights = ReaderWeights(*map(jnp.zeros, ((num_features + 1, size), (size, size), size, size)))
-    # From a sentence that is refused to one that is read there is no transition, nor back.
+    # Transitions between the refusal label and all others are impossible.
     is_refused = np.array([label == UNREADABLE for label in labels])
-    bars = np.where(is_refused[:, None] == is_refused, 0.0, _BARRED).astype(np.float32)
+    mask = np.where(is_refused[:, None] == is_refused, 0.0, _IMPOSSIBLE).astype(np.float32)
     num_steps = config.epochs * len(batches)
     optimizer = optax.adam(optax.cosine_decay_schedule(config.rate, num_steps))
 
     def objective(weights: ReaderWeights, batch: Batch) -> Array:
-        barred = weights._replace(transition=weights.transition + bars)
-        mean = negative_log_likelihood(barred, batch) / jnp.maximum(batch.weight.sum(), 1.0)
+        masked = weights._replace(transition=weights.transition + mask)
+        mean = negative_log_likelihood(masked, batch) / jnp.maximum(batch.weight.sum(), 1.0)
         return mean + 0.5 * config.l2 * sum((leaf**2).sum() for leaf in weights)
 
     @jax.jit
     def update(
         weights: ReaderWeights, state: optax.OptState, batch: Batch
     ) -> tuple[Any, optax.OptState, Array]:
-        loss, slope = jax.value_and_grad(objective)(weights, batch)
-        change, state = optimizer.update(slope, state)
+        loss, gradient = jax.value_and_grad(objective)(weights, batch)
+        change, state = optimizer.update(gradient, state)
         return optax.apply_updates(weights, change), state, loss
 
     state, losses = optimizer.init(weights), []
@@ -341,5 +341,5 @@ def _fit(
         for index in rng.permutation(len(batches)):
             weights, state, loss = update(weights, state, batches[index])
             losses.append(loss)
-    weights = weights._replace(transition=weights.transition + bars)
+    weights = weights._replace(transition=weights.transition + mask)
     return jax.tree.map(np.asarray, weights), float(np.mean(losses))

@@ -1,10 +1,10 @@
-"""How often each of many models is right on the sentences held out from it (section 4.1).
+"""Accuracy and calibration of models on held-out sentences (section 4.1).
 
-A sentence counts as right when the likeliest sets of symbols at the roots of its clauses are the
-gold ones, whatever the ranks. Confidence is the probability of those sets.
+A sentence is correct if the likeliest sets of symbols at the roots of its clauses are the gold
+ones, regardless of ranks. Confidence is the probability of those sets.
 
-The splits of a hold-out differ in their weights alone. So a sentence is described once for all
-models that have not seen it.
+Models of different splits differ only in their weights, so the features of a sentence are computed
+once for all models that are tested on it.
 """
 
 import dataclasses
@@ -29,69 +29,69 @@ from jaxlangnav.grounding.symbols import Path
 from jaxlangnav.training.examples import LabelledInstruction
 
 LOG_FLOOR = -12.0
-"""Log-probability that a gold answer counts with where the beam has not got it."""
+"""Log-probability assigned to a gold answer that the beam does not contain."""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Judged:
+class _Accuracy:
     is_right: np.ndarray  # bool[E]
 
     @property
     def accuracy(self) -> float:
-        """Share that is right."""
+        """Fraction that is correct."""
         return float(self.is_right.mean()) if len(self.is_right) else float("nan")
 
 
 @dataclasses.dataclass(frozen=True)
-class Scores(_Judged):
-    """Results on labelled sentences (and worlds)."""
+class Scores(_Accuracy):
+    """Beam search results on labelled sentences (and worlds)."""
 
-    confidence: np.ndarray  # f64[E] probability of the answer given
+    confidence: np.ndarray  # f64[E] probability of the inferred answer
     log_gold: np.ndarray  # f64[E] log-probability of the gold answer, floored
 
 
 @dataclasses.dataclass(frozen=True)
-class ExactScores(_Judged):
-    """Results of the likeliest set of all, by enumeration as far as it is needed."""
+class ExactScores(_Accuracy):
+    """Results of exact inference, by beams that widen until the best set is proven."""
 
     is_proven: np.ndarray  # bool[E] no other set can be likelier (``search.search_exactly``)
 
 
 class Results(NamedTuple):
-    """What each of K models got, in the order of its sentences and their worlds."""
+    """Scores of K models, in the order of sentences and worlds."""
 
     by_width: dict[int, list[Scores]]  # beam width → K scores
-    exact: list[ExactScores]  # K scores; empty where the exact search was left out
+    exact: list[ExactScores]  # K scores; empty without exact search
 
 
 class _Tally:
-    """Results of K models as they come in."""
+    """Accumulator of the results of K models."""
 
     def __init__(self, num_models: int, widths: Sequence[int], is_exact: bool) -> None:
-        """Begin with none."""
+        """Start empty."""
         self.rows = {width: [[] for _ in range(num_models)] for width in widths}
         self.exact = [[] for _ in range(num_models)] if is_exact else []
 
     def count(self, index: int, model: CorrespondenceModel, clauses: "Clauses") -> None:
-        """Compare what a model infers of the clauses of a sentence with the gold sets."""
+        """Compare a model's inferred sets for the clauses of a sentence with the gold sets."""
         trees = [(ScoredTree(described, model), gold) for described, gold in clauses]
         for width, rows in self.rows.items():
             right, confidence, log_gold = True, 1.0, 0.0
             for tree, gold in trees:
                 beam = tree.search(width)
-                is_gold = [bool((one.expressed == gold).all()) for one in beam]
+                is_gold = [bool((h.expressed == gold).all()) for h in beam]
                 right &= is_gold[0]
                 confidence *= np.exp(beam[0].log_probability)
-                gold_ones = itertools.compress(beam, is_gold)
-                log_gold += next((one.log_probability for one in gold_ones), LOG_FLOOR)
+                matches = itertools.compress(beam, is_gold)
+                log_gold += next((h.log_probability for h in matches), LOG_FLOOR)
             rows[index].append((right, confidence, max(log_gold, LOG_FLOOR)))
         if self.exact:
             best = [(*search_exactly(tree.search), gold) for tree, gold in trees]
-            right = all((found == gold).all() for found, _, gold in best)
+            right = all((inferred == gold).all() for inferred, _, gold in best)
             self.exact[index].append((right, all(is_proven for _, is_proven, _ in best)))
 
     def results(self) -> Results:
-        """Stack what has come in."""
+        """Stack the accumulated results."""
 
         def scores(rows: list[tuple[bool, float, float]]) -> Scores:
             right, confidence, log_gold = np.array(rows, float).reshape(-1, 3).T
@@ -107,10 +107,10 @@ Clauses = Sequence[tuple[TreeFeatures, np.ndarray]]
 """The clauses of a sentence in a world, each with the gold set bool[S]."""
 
 
-def _described(space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]) -> Clauses:
-    trees = [TreeFeatures(space, one.root, one.world, one.clause) for one in labelled]
-    gold = [one.expressed[-1] for one in labelled]
-    return [(tree, tree.symbols.mask(own)) for tree, own in zip(trees, gold, strict=True)]
+def _features(space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]) -> Clauses:
+    trees = [TreeFeatures(space, x.root, x.world, x.clause) for x in labelled]
+    gold = [x.expressed[-1] for x in labelled]
+    return [(tree, tree.symbols.mask(root)) for tree, root in zip(trees, gold, strict=True)]
 
 
 def _tested(
@@ -119,7 +119,7 @@ def _tested(
     num_models: int,
     on_sentence: Callable[[], None],
 ) -> Iterator[tuple[LabelledInstruction, np.ndarray]]:
-    """Yield sentences with the models i[M] that are tested on them, bool[K, I]; by default all."""
+    """Yield sentences with indices i[M] of models tested on them, bool[K, I]; all by default."""
     shape = num_models, len(instructions)
     is_tested = np.ones(shape, bool) if is_tested is None else is_tested
     chex.assert_shape(is_tested, shape)
@@ -154,7 +154,7 @@ def score_annotations(
     """
     tally = _Tally(len(models), widths, is_exact)
     for labelled, which in _tested(instructions, is_tested, len(models), on_sentence):
-        clauses = _described(Annotations(type_names), labelled.annotated)
+        clauses = _features(Annotations(type_names), labelled.annotated)
         for index in which:
             tally.count(index, models[index], clauses)
     return tally.results()
@@ -173,22 +173,22 @@ def score_behaviors(
 ) -> Results:
     """Compare inferred behaviors with the gold ones, one result per model, sentence and world.
 
-    Of K behavior models, and K annotation models for ranks ("the second"); the rest as in
+    Takes K behavior models, and K annotation models for ranks ("the second"); otherwise as
     ``score_annotations``.
     """
     chex.assert_equal(len(annotation), len(behavior))
     tally = _Tally(len(behavior), widths, is_exact)
     for labelled, which in _tested(instructions, is_tested, len(behavior), on_sentence):
-        said = _described(Annotations(type_names), labelled.annotated)
+        annotations = _features(Annotations(type_names), labelled.annotated)
         worlds: dict[tuple[int, ...], list[Clauses]] = {}  # by the ranks that a model infers
         for index in which:
             rank: dict[Path, int] = {}
-            for described, _ in said:
-                found = ScoredTree(described, annotation[index]).log_ranks()
-                rank |= {path: int(np.argmax(chances)) for path, chances in found.items()}
+            for described, _ in annotations:
+                log_ranks = ScoredTree(described, annotation[index]).log_ranks()
+                rank |= {path: int(np.argmax(values)) for path, values in log_ranks.items()}
             if (key := tuple(rank.values())) not in worlds:
                 space = Behaviors(type_names, rank)
-                worlds[key] = [_described(space, trees) for trees in labelled.behaving]
+                worlds[key] = [_features(space, trees) for trees in labelled.behaving]
             for clauses in worlds[key]:
                 tally.count(index, behavior[index], clauses)
     return tally.results()
@@ -209,5 +209,5 @@ TEMPERATURES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0)
 
 
 def fit_temperature(score: Callable[[float], Scores]) -> float:
-    """Choose of ``TEMPERATURES`` the one under which gold answers held out are likeliest."""
+    """Select the temperature that maximises the mean log-probability of held-out gold answers."""
     return max(TEMPERATURES, key=lambda t: float(score(t).log_gold.mean()))

@@ -1,4 +1,4 @@
-"""Training of the shipped models from a corpus, start to end (section 4.1).
+"""End-to-end training of the shipped models from a corpus (section 4.1).
 
 Weights are fitted on the sentences marked "train". The temperature that divides the log-odds is
 chosen on a fifth of those, left out of a first fit, so that the hold-out stays untouched.
@@ -43,15 +43,15 @@ from jaxlangnav.training.scoring import (
     score_behaviors,
 )
 
-COLDEST, HOTTEST = 0.05, 20.0
-"""Temperatures beyond these are not looked for."""
+MIN_TEMP, MAX_TEMP = 0.05, 20.0
+"""Bounds of the temperature search."""
 _GRID = 61
-"""Temperatures at which the best is first looked for: the likelihood may have several peaks."""
+"""Number of temperatures of the initial grid search: the likelihood may have several peaks."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Judged:
-    """The rewritings of one labelled sentence that can be read."""
+    """Parsed rewritings of one labelled sentence: log-probabilities and correctness."""
 
     log_probability: tuple[float, ...]
     is_right: tuple[bool, ...]
@@ -59,32 +59,32 @@ class Judged:
 
 @dataclasses.dataclass(frozen=True)
 class TemperatureFit:
-    """The likeliest temperature."""
+    """Maximum likelihood temperature, with the likelihoods."""
 
     temperature: float
-    log_likelihood: float  # mean over the sentences that tell anything
+    log_likelihood: float  # mean over the informative sentences
     log_likelihood_at_one: float  # the same at temperature 1
     used: int  # sentences
     left_out: int
-    is_at_bound: bool  # it would be lower or higher still
+    is_at_bound: bool  # the optimum lies beyond the bounds
 
 
 def log_likelihood(sentences: Sequence[Judged], temperature: float) -> float:
     """Compute the mean log-likelihood of labels of sentences that each have a right rewriting."""
     total = 0.0
-    for one in sentences:
-        scores = np.array(one.log_probability) / temperature
-        total += np.logaddexp.reduce(scores[np.array(one.is_right)]) - np.logaddexp.reduce(scores)
+    for s in sentences:
+        scores = np.array(s.log_probability) / temperature
+        total += np.logaddexp.reduce(scores[np.array(s.is_right)]) - np.logaddexp.reduce(scores)
     return float(total / len(sentences))
 
 
 def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
-    """Find the likeliest temperature between ``COLDEST`` and ``HOTTEST``.
+    """Fit the temperature by maximum likelihood between ``MIN_TEMP`` and ``MAX_TEMP``.
 
     Raises:
-        ValueError: no sentence tells anything about it; one line.
+        ValueError: no sentence is informative; one line.
     """
-    used = [one for one in sentences if any(one.is_right) and not all(one.is_right)]
+    used = [s for s in sentences if any(s.is_right) and not all(s.is_right)]
     if not used:
         raise ValueError(
             f"none of the {len(sentences)} sentences has both a right and a wrong rewriting that "
@@ -94,12 +94,12 @@ def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
     def loss(log_temperature: float) -> float:
         return -log_likelihood(used, math.exp(log_temperature))
 
-    grid = np.linspace(math.log(COLDEST), math.log(HOTTEST), _GRID)
-    best = int(np.argmin([loss(one) for one in grid]))
-    around = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
-    found = minimize(lambda at: loss(float(at[0])), x0=grid[best : best + 1], bounds=[around])
+    grid = np.linspace(math.log(MIN_TEMP), math.log(MAX_TEMP), _GRID)
+    best = int(np.argmin([loss(point) for point in grid]))
+    bounds = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
+    result = minimize(lambda x: loss(float(x[0])), x0=grid[best : best + 1], bounds=[bounds])
     is_at_bound = best in (0, _GRID - 1)
-    temperature = math.exp(grid[best] if is_at_bound else found.x[0])
+    temperature = math.exp(grid[best] if is_at_bound else result.x[0])
     return TemperatureFit(
         temperature=temperature,
         log_likelihood=log_likelihood(used, temperature),
@@ -119,7 +119,7 @@ _BUILDS = {
 
 @dataclasses.dataclass(frozen=True)
 class LaidOut:
-    """What all fits of one model to the same sentences have in common."""
+    """Training data of one model: vocabulary, design and number of factors."""
 
     vocabulary: Vocabulary
     design: Design
@@ -131,7 +131,7 @@ def lay_out(
     instructions: Sequence[LabelledInstruction],
     type_names: tuple[str, ...],
 ) -> LaidOut:
-    """Lay out the factors of one of ``MODELS``."""
+    """Build the training data of one of ``MODELS``."""
     build, kinds = _BUILDS[name]
     examples = build(instructions, type_names)
     sizes = np.zeros(len(instructions))
@@ -142,14 +142,14 @@ def lay_out(
 
 @dataclasses.dataclass(frozen=True)
 class Trained:
-    """A trained model and what was measured on the way."""
+    """Trained models, with a report of training and evaluation."""
 
     model: GroundingModel
     report: dict[str, Any]
 
 
 def corpus_hash(examples: Sequence[Example]) -> str:
-    """Hash the sentences and labels of a corpus, whatever file they came from."""
+    """Hash the sentences and labels of a corpus, independent of the file format."""
     digest = hashlib.sha256()
     for example in examples:
         labels = [[sorted(symbols) for symbols in c.annotation] for c in example.clauses]
@@ -166,16 +166,16 @@ def train_models(
     base: GroundingModel | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Trained:
-    """Train one or both models on a corpus and measure them on its hold-out.
+    """Train one or both models on a corpus and evaluate them on its hold-out.
 
     Args:
         corpus: a corpus file, or a directory with ``corpus.jsonl``; the package's by default.
         kinds: "annotation", "behavior" or both.
-        base: where a model that is not trained comes from.
+        base: source of a model that is not trained.
         on_progress: called with a line about each stage.
 
     Raises:
-        ValueError: the corpus is unsound, or has no sentence to train on.
+        ValueError: the corpus is invalid, or has no sentence to train on.
     """
     say = on_progress or (lambda line: None)
     say("reading the corpus")
@@ -186,11 +186,11 @@ def train_models(
     train = [example for example in examples if example.split == "train"]
     if not train:
         raise ValueError("the corpus has no sentence marked 'train'")
-    kept = set(sorted({example.template for example in train})[::5])
+    tuning = set(sorted({example.template for example in train})[::5])
     type_names = load_lexicon().type_names
-    is_tuning = np.array([example.template in kept for example in train])
+    is_tuning = np.array([example.template in tuning for example in train])
     learned = read_examples(train, type_names)
-    held_out = read_examples([one for one in examples if one.split == "test"], type_names)
+    held_out = read_examples([e for e in examples if e.split == "test"], type_names)
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
     for name in [name for name in MODELS if name in kinds]:
@@ -213,28 +213,28 @@ def _train_one(
 ) -> tuple[CorrespondenceModel, dict[str, Any]]:
     """Fit, tune and test one model; the behavior model is tested with the annotation model."""
     begin = time.perf_counter()
-    laid_out = lay_out(name, train, type_names)
-    # On all sentences, and on those not kept for tuning, in one go.
-    shares = np.stack([np.ones(len(train)), ~is_tuning]).astype(np.float32)
-    weights, measured = fit(laid_out.design, shares)
-    full, part = (CorrespondenceModel(laid_out.vocabulary, one) for one in weights)
+    data = lay_out(name, train, type_names)
+    # Fits to all sentences, and to those not used for tuning, in one batch.
+    fit_weights = np.stack([np.ones(len(train)), ~is_tuning]).astype(np.float32)
+    weights, measured = fit(data.design, fit_weights)
+    full, part = (CorrespondenceModel(data.vocabulary, w) for w in weights)
     fitted = time.perf_counter() - begin
 
     def score(
         model: CorrespondenceModel, temperature: float, which: Sequence[LabelledInstruction]
     ) -> Scores:
-        judged = [dataclasses.replace(model, temperature=temperature)]
+        scaled = [dataclasses.replace(model, temperature=temperature)]
         if name == "annotation":
-            return score_annotations(which, judged, None, type_names).by_width[BEAM_WIDTH][0]
+            return score_annotations(which, scaled, None, type_names).by_width[BEAM_WIDTH][0]
         if "annotation" not in models:
             raise ValueError("the behavior model needs an annotation model: give weights as base")
         ranks = [models["annotation"]]
-        return score_behaviors(which, ranks, judged, None, type_names).by_width[BEAM_WIDTH][0]
+        return score_behaviors(which, ranks, scaled, None, type_names).by_width[BEAM_WIDTH][0]
 
     tuning = [*itertools.compress(train, is_tuning)]
     temperature = fit_temperature(lambda t: score(part, t, tuning)) if tuning else 1.0
     report = {
-        "examples": int(laid_out.sizes.sum()),
+        "examples": int(data.sizes.sum()),
         "features": full.num_features,
         "train_s": round(measured.seconds, 3),
         "train_compile_s": round(measured.compile_seconds, 3),
