@@ -42,7 +42,7 @@ from jaxlangnav.semantic_map.gating import check_place
 from jaxlangnav.terrain import OPEN, POSITIONS, SensorModel, Terrain
 
 DEFAULT_EXTENT = 15.0
-"""Metres to each side of the robot that are its operating area unless it is told otherwise."""
+"""Default operating area: metres to each side of the robot."""
 _log = logging.getLogger(__name__)
 
 _step = jax.jit(navigator.step, static_argnames="config")
@@ -56,7 +56,7 @@ class Navigator:
     params: NavigatorParams
     config: NavigatorConfig
     capacity: Capacity = dataclasses.field(default_factory=Capacity)
-    """How much of a conversation is kept."""
+    """Capacities of the dialogue state."""
 
     @classmethod
     def pretrained(
@@ -100,7 +100,7 @@ class Navigator:
         return cls(grounder=grounder, params=params, config=config)
 
     def __post_init__(self) -> None:
-        """Refuse parameters with which the robot could never stop, and sizes that do not fit."""
+        """Raise a ValueError for parameters that prevent any stop, and for inconsistent sizes."""
         navigator.check(self.params, policy=self.config.planner.chosen)
         num_objects, num_mentions = self.config.map.num_objects, self.capacity.num_mentions
         for name, size in {"num_objects": num_objects, "num_mentions": num_mentions}.items():

@@ -25,7 +25,7 @@ _in_map = jax.jit(to_map_frame)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A thing that may be meant, as a question would name it."""
+    """An object that may be meant, as a question names it."""
 
     slot: int  # observed slot
     type_name: str
@@ -42,7 +42,7 @@ def candidates(state: NavigatorState, names: Sequence[str]) -> list[Candidate]:
 
 
 def thing_at(state: NavigatorState, slot: int, names: Sequence[str]) -> Candidate:
-    """Name the thing in an observed slot, as the belief has it; ``names`` are of object types."""
+    """Describe the object in an observed slot of the belief; ``names`` are of object types."""
     particles = state.belief.particles
     weight = np.exp(np.asarray(state.belief.log_weight))
     own = weight * (np.asarray(particles.object_type)[slot] != NONE)
@@ -59,7 +59,7 @@ def thing_at(state: NavigatorState, slot: int, names: Sequence[str]) -> Candidat
 def chosen_by(
     wording: Wording | None, found: Sequence[Candidate], pose: np.ndarray
 ) -> Candidate | None:
-    """Find the candidate that an answer names; None where it names none."""
+    """Resolve an answer to a candidate; None if it names none."""
     if not found:
         return None
     if wording == Wording.YES:
@@ -76,13 +76,13 @@ def chosen_by(
 
 
 def type_at(state: NavigatorState, slot: int) -> int:
-    """Look up the type of an observed slot, as the weightiest particle has it."""
+    """Look up the type of an observed slot in the particle of highest weight."""
     best = int(np.argmax(np.asarray(state.belief.log_weight)))
     return int(np.asarray(state.belief.particles.object_type)[slot, best])
 
 
 def believed_pose(state: NavigatorState) -> np.ndarray:
-    """Tell where the robot is, f32[3], map frame."""
+    """Compute the believed robot pose, f32[3], map frame."""
     return np.asarray(_in_map(state.belief, state.belief.last_pose))
 
 
@@ -95,7 +95,7 @@ def mentioned_types(state: NavigatorState) -> list[int]:
 
 
 def unseen_types(state: NavigatorState) -> list[int]:
-    """List the types that the task speaks of and no particle has an observed object of."""
+    """List the types that the task mentions and of which no particle has an observed object."""
     readings, is_asked = state.instruction.readings, np.asarray(state.talk.words.is_asked)
     mentioned = np.where(is_asked, np.asarray(readings.mention_type), NONE)
     types = np.asarray(state.belief.particles.object_type)

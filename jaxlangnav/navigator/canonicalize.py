@@ -16,7 +16,7 @@ from jaxlangnav.navigator.records import NavigatorState
 from jaxlangnav.pytree import replace
 
 MOST_BITS = 31
-"""Slots and mentions of which sets are held, a bit each."""
+"""Maximum number of slots and mentions of a bit set."""
 _FILLERS: dict[str, tuple[Any, Any]] = {
     "detection_type": (np.int32, NONE),
     "detection_range": (np.float32, 0),
@@ -24,7 +24,7 @@ _FILLERS: dict[str, tuple[Any, Any]] = {
     "is_detection": (bool, False),
     "detection_attribute": (np.int32, 0),
 }
-"""Of each field with a row a detection: dtype, and what empty slots hold."""
+"""Fields with one entry per detection: dtype and padding value."""
 
 
 def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -> NavigatorState:

@@ -53,7 +53,7 @@ _SPARE = 0.01  # metres by which odometry may round up what the robot has been s
 
 @pytree
 class NavigatorInfo:
-    """What a person or a test wants to know of one decision."""
+    """Diagnostics of one decision cycle."""
 
     filter: FilterInfo
     fault: Array  # i32[] bits of messages.Fault: why the robot stands still; 0: it need not
@@ -180,7 +180,7 @@ def _observe(
     params: NavigatorParams,
     config: NavigatorConfig,
 ) -> tuple[NavigatorState, FilterInfo]:
-    """Filter the semantic map by what is seen and by what the words say of it (section 3.2)."""
+    """Update the semantic map with the observation and the utterance (section 3.2)."""
     motion = params.map.motion
     # One cycle's step at the highest speed, as far as odometry may be out.
     farthest = jnp.max(params.mode_speed) * motion.step_length
@@ -203,7 +203,7 @@ def _observe(
 
 
 def _spoken(state: NavigatorState) -> Array:
-    """Tell of which types the task speaks, or what was gone up to is: bool[T]."""
+    """Mark the types that the task mentions, or that was approached: bool[T]."""
     instruction, slots = state.instruction, state.belief.particles.object_type
 
     def type_at(slot: Array) -> Array:
@@ -219,7 +219,7 @@ def _spoken(state: NavigatorState) -> Array:
 
 
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> InferredTask:
-    """Infer the behavior of the present clause, and where its goal may be (section 3.3)."""
+    """Infer the behavior of the current clause, and its goal distribution (section 3.3)."""
     particles, talk, clause = state.belief.particles, state.talk, state.clause
     readings, relations = state.instruction.readings, params.map.relations
     behavior = infer_clause_behaviors(particles, state.instruction, clause, state.previous_goal)
@@ -255,7 +255,7 @@ def _decide(
     params: NavigatorParams,
     config: NavigatorConfig,
 ) -> tuple[NavigatorState, policy.Decision]:
-    """Have the policy decide where to go (section 3.4); ``key`` is the whole cycle's."""
+    """Run the policy (section 3.4); ``key`` is the whole cycle's."""
     goals, planner = task.goals, params.planner
     robot_x, robot_y = task.robot
     visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)

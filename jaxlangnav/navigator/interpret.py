@@ -46,7 +46,7 @@ _rule_out = jax.jit(speech_acts.rule_out)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class UtteranceOutcome:
-    """What an utterance was taken for, and what it changed."""
+    """Result of an utterance: its interpretation, and what it changed."""
 
     text: str
     kind: Kind
@@ -56,7 +56,7 @@ class UtteranceOutcome:
 
 @dataclasses.dataclass(frozen=True)
 class Listener:
-    """Takes in utterances with a grounder."""
+    """Interpreter of utterances, with a grounder."""
 
     grounder: Grounder
 
@@ -126,7 +126,7 @@ class Listener:
         return _rule_out(state, jnp.int32(1 << at)), dataclasses.replace(heard, ruled_out=(at,))
 
     def _answered(self, state: NavigatorState, text: str, said: Utterance) -> _Updated:
-        """Take in the answer to a question."""
+        """Process the answer to a question."""
         heard = UtteranceOutcome(text=text, kind=Kind.ANSWER)
         found = candidates(state, names_of(self.grounder))
         if said.wording == Wording.ANY:
@@ -201,7 +201,7 @@ class Listener:
         how: How = How.REPLACE,
         is_loose: bool = True,
     ) -> Merged:
-        """Join what has been understood with what was said before."""
+        """Merge the new reading with the dialogue state."""
         return join(
             state.instruction.readings,
             state.talk.words,

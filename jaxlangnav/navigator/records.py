@@ -27,7 +27,7 @@ _MOST_LOOKED = 0.75  # share of the area beyond which a robot that waits as good
 
 @pytree
 class NavigatorParams:
-    """Everything a sweep may vary; traced."""
+    """All traced parameters."""
 
     map: MapParams
     planner: PlannerParams
@@ -36,7 +36,7 @@ class NavigatorParams:
     policy: Any = None  # one that holds arrays (``split_arrays``); None: the configuration's
 
     def policy_of(self, config: "NavigatorConfig") -> Policy:
-        """Look up who decides, with its arrays if it has any."""
+        """Return the policy, with its arrays if it has any."""
         return config.planner.chosen if self.policy is None else self.policy
 
 
@@ -65,7 +65,7 @@ class NavigatorConfig:
 
 @pytree
 class NavigatorState:
-    """What the next decision needs."""
+    """State between decision cycles."""
 
     belief: ParticleBelief
     instruction: Instruction
@@ -136,7 +136,7 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
 
 
 class InferredTask(NamedTuple):
-    """What a belief comes to: where the robot is, what it is asked to do, and where."""
+    """Marginals of the belief for planning: robot position, behavior, goal distribution."""
 
     fault: Array  # i32[] bits of Fault; 0 for a sound look and a task
     belief: ParticleBelief  # as far as the task speaks of it
@@ -149,7 +149,7 @@ class InferredTask(NamedTuple):
 
 
 def _is_last_clause(state: NavigatorState) -> Array:
-    """Tell whether nothing follows the present command, bool[]."""
+    """Test whether the current command is the last one, bool[]."""
     return state.clause + 1 >= state.instruction.num_clauses
 
 

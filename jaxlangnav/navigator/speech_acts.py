@@ -25,7 +25,7 @@ CLOSER, CLOSEST = 0.5, 0.25
 
 
 class How(enum.Enum):
-    """What a new utterance does to the task."""
+    """Effect of a new utterance on the task."""
 
     REPLACE = enum.auto()  # it is the task from now on
     APPEND = enum.auto()  # it is done after what is left of the task
@@ -164,12 +164,12 @@ def rule_out(state: NavigatorState, slots: Array) -> NavigatorState:
 
 
 def _slot_bit(slot: Array) -> Array:
-    """Mark an observed slot, i32[]; no bit for ``NONE``."""
+    """Compute the bit of an observed slot, i32[]; no bit for ``NONE``."""
     return jnp.where(slot == NONE, 0, jnp.left_shift(1, jnp.maximum(slot, 0))).astype(jnp.int32)
 
 
 def correct(state: NavigatorState) -> NavigatorState:
-    """Rule out what is being approached: "no, the other one"."""
+    """Exclude the object being approached: "no, the other one"."""
     return rule_out(state, _slot_bit(state.talk.approached))
 
 
@@ -182,7 +182,7 @@ def choose(state: NavigatorState, slot: Array) -> NavigatorState:
 
 
 def choose_freely(state: NavigatorState) -> NavigatorState:
-    """Let the robot choose by itself, and ask no more for this task."""
+    """Let the robot choose by itself, without further questions for this task."""
     return _under_way(replace(state, talk=replace(state.talk, may_ask=jnp.asarray(False))))
 
 

@@ -1,4 +1,4 @@
-"""What pleases XLA on CPU: all of it stands here, and the mathematics elsewhere reads as for one.
+"""Batching helpers for fast XLA programs on CPU; the mathematics elsewhere is for one item.
 
 The engine runs the same few hundred small loops for every particle of every lane at every step.
 XLA on CPU is good at long elementwise loops and at little else, so what counts is which axis is
@@ -49,7 +49,7 @@ def prepend_axes(values: Array, ndim: int) -> Array:
 
 
 def insert_axes(values: Array, ndim: int) -> Array:
-    """Put axes of length one behind the first of [n, ..., P], up to ``ndim``: a row beside all."""
+    """Insert axes of length one after the first of [n, ..., P], up to ``ndim``."""
     return values.reshape(values.shape[0], *(1,) * (ndim - values.ndim), *values.shape[1:])
 
 
@@ -61,8 +61,8 @@ def select_row(records: T, index: Array) -> T:
 
     def row(leaf: Array) -> Array:
         start, sizes = (index, *(0,) * (leaf.ndim - 1)), (1, *leaf.shape[1:])
-        found = jax.lax.dynamic_slice(leaf, start, sizes, allow_negative_indices=False)
-        return jax.lax.squeeze(found, (0,))
+        block = jax.lax.dynamic_slice(leaf, start, sizes, allow_negative_indices=False)
+        return jax.lax.squeeze(block, (0,))
 
     return jax.tree.map(row, records)
 
@@ -101,17 +101,17 @@ def skip_unless_any(is_meant: Array, weigh: Callable[[T], Array], records: T) ->
         weigh: gives f32[n, ...] of ``records``.
         records: leaves [n, ...].
     """
-    kinds = dict.fromkeys(leaf.dtype for leaf in jax.tree.leaves(records))
+    dtypes = dict.fromkeys(leaf.dtype for leaf in jax.tree.leaves(records))
 
     # The index, always 0, enters all that is read, or XLA would hoist what it can.
     def body(index: Array, _: Array) -> Array:
-        zero = {kind: index.astype(kind) for kind in kinds}
+        zero = {dtype: index.astype(dtype) for dtype in dtypes}
         return weigh(jax.tree.map(lambda leaf: leaf + zero[leaf.dtype], records))
 
     rounds = jnp.any(is_meant).astype(jnp.int32)
-    nothing = jnp.zeros_like(jax.tree.leaves(records)[0])
-    found = jax.lax.fori_loop(0, rounds, body, nothing)
-    return jnp.where(is_meant[None], found, 0.0)
+    zeros = jnp.zeros_like(jax.tree.leaves(records)[0])
+    result = jax.lax.fori_loop(0, rounds, body, zeros)
+    return jnp.where(is_meant[None], result, 0.0)
 
 
 @jax.custom_jvp
@@ -155,7 +155,7 @@ def take(particles: T, ancestors: Array) -> T:
 
 
 def pack(particles: Any) -> Array:
-    """Write records as one table, f32[rows, P], from leaves [..., P] as ``take`` can hold them."""
+    """Pack records into one table, f32[rows, P], from leaves [..., P] of the types of ``take``."""
     leaves = jax.tree.leaves(particles)
     return jnp.concatenate(
         [leaf.astype(jnp.float32).reshape(-1, leaf.shape[-1]) for leaf in leaves]
@@ -163,7 +163,7 @@ def pack(particles: Any) -> Array:
 
 
 def unpack(table: Array, form: T) -> T:
-    """Read records from a table, f32[rows, n], that ``pack`` has written and columns picked from.
+    """Unpack records from a table, f32[rows, n], of ``pack``, with any selection of columns.
 
     ``form`` are the records that were packed, or others of their shapes and types, [..., P]; the
     leaves are [..., n].
@@ -172,8 +172,8 @@ def unpack(table: Array, form: T) -> T:
     taken, start = [], 0
     for leaf in leaves:
         size = math.prod(leaf.shape[:-1])
-        own = jax.lax.slice_in_dim(table, start, start + size)
-        taken.append(own.reshape(*leaf.shape[:-1], table.shape[-1]).astype(leaf.dtype))
+        part = jax.lax.slice_in_dim(table, start, start + size)
+        taken.append(part.reshape(*leaf.shape[:-1], table.shape[-1]).astype(leaf.dtype))
         start += size
     return jax.tree.unflatten(tree, taken)
 
@@ -189,12 +189,12 @@ def uniforms(keys: Array, size: int) -> Array:
 
 
 def between(uniform: Array, low: float, high: float) -> Array:
-    """Stretch numbers of the unit interval to [low, high), as ``jax.random.uniform`` does."""
-    least, most = np.float32(low), np.float32(high)
-    return jnp.maximum(least, uniform * (most - least) + least)
+    """Scale uniform numbers in [0, 1) to [low, high), as ``jax.random.uniform`` does."""
+    lower, upper = np.float32(low), np.float32(high)
+    return jnp.maximum(lower, uniform * (upper - lower) + lower)
 
 
 def normal(uniform: Array) -> Array:
-    """Turn numbers of the unit interval into normal ones, as ``jax.random.normal`` does."""
+    """Transform uniform numbers in [0, 1) to standard normals, as ``jax.random.normal`` does."""
     low = np.nextafter(np.float32(-1.0), np.float32(0.0))
     return np.float32(np.sqrt(2)) * jax.lax.erf_inv(between(uniform, float(low), 1.0))

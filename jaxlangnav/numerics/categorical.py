@@ -1,4 +1,4 @@
-"""Draws from unnormalised log-weights."""
+"""Categorical sampling and normalisation of log-weights."""
 
 import itertools
 import math
@@ -29,9 +29,9 @@ def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
     safe_top = jnp.where(jnp.isfinite(top), top, 0.0)
     weight = jnp.exp(jnp.clip(log_weight - safe_top[None], _LOG_MIN, _LOG_MAX))
     weight = jnp.where(log_weight == -jnp.inf, 0.0, weight)
-    number, batch = weight.shape[0], weight.shape[1:]
-    size = math.isqrt(number - 1) + 1
-    weight = jnp.pad(weight, [(0, -number % size)] + [(0, 0)] * len(batch))
+    count, batch = weight.shape[0], weight.shape[1:]
+    size = math.isqrt(count - 1) + 1
+    weight = jnp.pad(weight, [(0, -count % size)] + [(0, 0)] * len(batch))
     groups = weight.reshape(-1, size, *batch)
     ends = _running_sum(jnp.sum(groups, axis=1))
     total = ends[-1]
@@ -40,10 +40,10 @@ def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
     below = jnp.max(jnp.where(ends <= target, ends, 0.0), axis=0)
     is_group = append_axes(jnp.arange(ends.shape[0]), ends.ndim) == group[None]
     chosen = jnp.sum(jnp.where(is_group[:, None], groups, 0.0), axis=0)
-    place = jnp.sum(below[None] + _running_sum(chosen) <= target, axis=0)
+    offset = jnp.sum(below[None] + _running_sum(chosen) <= target, axis=0)
     # Rounding may step past the last positive weight of the group: fall back on it.
     last = jnp.max(jnp.where(chosen > 0, append_axes(jnp.arange(size), chosen.ndim), 0), axis=0)
-    index = group * size + jnp.minimum(place, last)
+    index = group * size + jnp.minimum(offset, last)
     return index.astype(jnp.int32), jnp.log(total) + safe_top
 
 

@@ -1,4 +1,4 @@
-"""The minimum of a smooth function by L-BFGS (optax), compiled whole."""
+"""Minimisation of a smooth function by L-BFGS (optax), in one compiled program."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,14 +14,14 @@ _NOISE = 1e-5
 """Share of a value within which float32 hides a rise: no step is refused for it."""
 _SEARCHES = 20
 """Times that a step may be halved."""
-_FALL = 1e-6, 0.1
+_DECREASE = 1e-6, 0.1
 """Shares by which the value, or the square of the slope's length, is to fall below its lowest."""
 _PATIENCE = 10
 """Steps without either after which float32 gets no further."""
 
 
 class Descent(NamedTuple):
-    """Where a search stands."""
+    """Current point of a minimisation."""
 
     point: Array  # f32[...]
     value: Array  # f32[]
@@ -29,8 +29,8 @@ class Descent(NamedTuple):
     num_steps: Array  # f32[], like all that a derivative passes
 
 
-class _Course(NamedTuple):
-    """A search on its way."""
+class _LoopState(NamedTuple):
+    """Loop state of a minimisation."""
 
     at: Descent
     memory: optax.OptState
@@ -45,7 +45,7 @@ def descend(
     slope_length: Array | float,
     max_steps: Array | float,
 ) -> Descent:
-    """Search for a minimum until the slope is short, or gets no shorter in float32.
+    """Minimise a function until the gradient is short, or stops shrinking in float32.
 
     The steps are those of ``optax.lbfgs`` with a line search that only ever shortens them: near a
     minimum a step of one is right, and its gradient is what the next step starts from. Where
@@ -66,28 +66,28 @@ def descend(
         ),
     )
 
-    def is_open(course: _Course) -> Array:
-        at = course.at
-        is_far = jnp.vdot(at.slope, at.slope) > slope_length**2
-        return is_far & (at.num_steps < max_steps) & (course.num_idle < _PATIENCE)
+    def is_running(state: _LoopState) -> Array:
+        at = state.at
+        is_steep = jnp.vdot(at.slope, at.slope) > slope_length**2
+        return is_steep & (at.num_steps < max_steps) & (state.num_idle < _PATIENCE)
 
-    def advance(course: _Course) -> _Course:
-        at = course.at
+    def advance(state: _LoopState) -> _LoopState:
+        at = state.at
         step, memory = search.update(
-            at.slope, course.memory, at.point, value=at.value, grad=at.slope, value_fn=value_of
+            at.slope, state.memory, at.point, value=at.value, grad=at.slope, value_fn=value_of
         )
         value, slope = (optax.tree.get(memory, name) for name in ("value", "grad"))
         reached = jnp.stack([value, jnp.vdot(slope, slope)])
-        is_lower = reached < course.lowest - jnp.array(_FALL) * jnp.abs(course.lowest)
-        return _Course(
+        is_lower = reached < state.lowest - jnp.array(_DECREASE) * jnp.abs(state.lowest)
+        return _LoopState(
             Descent(at.point + jnp.asarray(step), value, slope, at.num_steps + 1.0),
             memory,
-            jnp.where(is_lower, reached, course.lowest),
-            jnp.where(is_lower.any(), 0.0, course.num_idle + 1.0),
+            jnp.where(is_lower, reached, state.lowest),
+            jnp.where(is_lower.any(), 0.0, state.num_idle + 1.0),
         )
 
     value, slope = jax.value_and_grad(value_of)(start)
-    none = jnp.float32(0.0)
+    zero = jnp.float32(0.0)
     lowest = jnp.stack([value, jnp.vdot(slope, slope)])
-    begin = _Course(Descent(start, value, slope, none), search.init(start), lowest, none)
-    return jax.lax.while_loop(is_open, advance, begin).at
+    start_state = _LoopState(Descent(start, value, slope, zero), search.init(start), lowest, zero)
+    return jax.lax.while_loop(is_running, advance, start_state).at

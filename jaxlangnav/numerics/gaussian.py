@@ -37,7 +37,7 @@ def enter(
     offset_y: Array,
     variance: Array,
 ) -> Moments:
-    """Place coordinates relative to another one: x_i = x_origin + z_i + N(0, R).
+    """Add coordinates relative to an existing one: x_i = x_origin + z_i + N(0, R).
 
         Σ'_ij = Σ_{o(i) o(j)} + R δ_ij,   o(i) the origin where i is new and i itself elsewhere
 
@@ -52,14 +52,14 @@ def enter(
         variance: f32[n, ...] or f32[n, 1, ...], R, square metres per axis.
     """
     covariance, mean_x, mean_y = moments
-    here = slice(origin, origin + 1)
-    rows = jnp.where(is_new[:, None], covariance[here], covariance)
-    both = jnp.where(is_new[None], rows[:, here], rows)
-    own = append_axes(jnp.eye(covariance.shape[0], dtype=bool), covariance.ndim)
+    base = slice(origin, origin + 1)
+    rows = jnp.where(is_new[:, None], covariance[base], covariance)
+    both = jnp.where(is_new[None], rows[:, base], rows)
+    is_diagonal = append_axes(jnp.eye(covariance.shape[0], dtype=bool), covariance.ndim)
     return Moments(
-        both + jnp.where(own & is_new[None], variance[None], 0.0),
-        jnp.where(is_new, mean_x[here] + offset_x, mean_x),
-        jnp.where(is_new, mean_y[here] + offset_y, mean_y),
+        both + jnp.where(is_diagonal & is_new[None], variance[None], 0.0),
+        jnp.where(is_new, mean_x[base] + offset_x, mean_x),
+        jnp.where(is_new, mean_y[base] + offset_y, mean_y),
     )
 
 
@@ -92,14 +92,14 @@ def condition_offsets(
     table = jnp.concatenate(
         [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]], axis=1
     )
-    of, origin = np.array(edges, np.int32).T
-    measurements = (of, origin, is_used, offset_x, offset_y, variance[: len(edges)])
+    to, origin = np.array(edges, np.int32).T
+    measurements = (to, origin, is_used, offset_x, offset_y, variance[: len(edges)])
 
-    def update(table: Array, one: tuple[Array, ...]) -> tuple[Array, None]:
-        of, origin, is_used, offset_x, offset_y, variance = one
-        edge = select_row(table, of) - select_row(table, origin)
-        spread = jnp.maximum(select_row(edge, of) - select_row(edge, origin), 0.0) + variance
-        scale = jnp.where(is_used, jax.lax.rsqrt(spread), 0.0)
+    def update(table: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
+        to, origin, is_used, offset_x, offset_y, variance = row
+        edge = select_row(table, to) - select_row(table, origin)
+        innovation = jnp.maximum(select_row(edge, to) - select_row(edge, origin), 0.0) + variance
+        scale = jnp.where(is_used, jax.lax.rsqrt(innovation), 0.0)
         measured = jnp.stack([offset_x, offset_y])
         # Joined, XLA keeps the gain in memory. Written as one elementwise expression it is worked
         # out anew wherever it is used.

@@ -5,7 +5,7 @@ from jax import Array
 
 
 def effective_sample_size(weight: Array) -> Array:
-    """Count how many equal particles the weights f32[P], normalised, are worth: 1 / Σ wᵢ².
+    """Compute the effective sample size of normalised weights f32[P]: 1 / Σ wᵢ².
 
     Limits: P for equal weights, 1 for a single survivor.
     """
@@ -13,7 +13,7 @@ def effective_sample_size(weight: Array) -> Array:
 
 
 def systematic(weight: Array, uniform: Array) -> Array:
-    """Choose ancestors i32[P], ascending, so that particle i has P wᵢ offspring to within one.
+    """Systematic resampling: ancestors i32[P], ascending; particle i has P wᵢ ± 1 offspring.
 
     By weights f32[P], normalised, and one draw f32[] in [0, 1).
     """
@@ -28,7 +28,7 @@ def systematic(weight: Array, uniform: Array) -> Array:
 
 
 def independent(weight: Array, uniform: Array) -> Array:
-    """Choose an ancestor i32[P] for each slot by a draw of its own, f32[P] in [0, 1).
+    """Multinomial resampling: an independent ancestor i32[P] for each uniform draw f32[P].
 
     ``weight`` is f32[P], in proportion to the probabilities.
     """

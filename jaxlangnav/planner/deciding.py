@@ -83,15 +83,15 @@ def _value(
                 "situation.nodes"
             )
     total = valuation.goal_value + valuation.information_value
-    penalty = detour / (detour + _HALF_VALUE)
-    lost = jnp.where(detour > 0.0, penalty * jnp.minimum(jnp.abs(total), 1e9), 0.0)
-    value = total - lost
+    frac = detour / (detour + _HALF_VALUE)
+    cost = jnp.where(detour > 0.0, frac * jnp.minimum(jnp.abs(total), 1e9), 0.0)
+    value = total - cost
     is_object = nodes.kind == OBJECT_NODE
     # Standing still gives no information: at the robot's own position only a_stop applies.
     is_away = situation.distance > jnp.where(is_object, situation.params.reach, ARRIVAL_RADIUS)
     # While the robot looks on for more candidates, it approaches no object.
     is_open = open_nodes(nodes, situation.way).is_node & (~ask.looks_on | ~is_object)
-    return jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf), lost
+    return jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf), cost
 
 
 def decide(

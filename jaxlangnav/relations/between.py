@@ -1,9 +1,9 @@
-"""What lies between two landmarks: where, how it is drawn, and when it does (beyond eq. 7a).
+"""The relation "between": density, sampling and truth (beyond eq. 7a).
 
 "The hydrant between the cone and the car" has two landmarks and no viewer: a Gaussian about their
-middle, spread by the way d from one to the other, so that it looks alike at any scale,
+midpoint, scaled by the distance d from one to the other, so it is scale invariant,
 
-    f(o) = N(u; ½, α) N(v; 0, β) / d²,      u along and v across the way, in shares of d
+    f(o) = N(u; ½, α) N(v; 0, β) / d²,      u along and v across, in units of d
 """
 
 import math
@@ -16,11 +16,11 @@ from jax import Array
 _Point = tuple[Array, Array] | tuple[np.ndarray, np.ndarray]
 
 SPREAD = (0.2, 0.15)
-"""α and β (ours, not fitted): most of what lies between is in the middle four fifths of the way,
+"""α and β (ours, not fitted): most of the mass is in the middle four fifths of the segment,
 and no farther from it than three tenths of its length."""
-_DEVIATIONS = 2.45
-"""Standard deviations from the middle: just short of the landmarks."""
-_BEYOND = (0.8, 0.6)
+_MAX_DEVIATIONS = 2.45
+"""Standard deviations from the midpoint: just short of the landmarks."""
+_LANDMARK_SD = (0.8, 0.6)
 """Standard deviations with which a landmark is drawn beyond its figure: of the log of how far,
 against the way to the other one, and in radians. What ``SPREAD`` comes to there is about as wide,
 so that the weight, which makes up for the difference, has no heavy tail."""
@@ -29,7 +29,7 @@ so that the weight, which makes up for the difference, has no heavy tail."""
 def log_density(
     figure: tuple[Array, Array], landmark: tuple[Array, Array], other: tuple[Array, Array]
 ) -> Array:
-    """Evaluate how likely a thing lies where it does, given that it lies between two others.
+    """Evaluate the log-density of a figure that lies between two landmarks.
 
         log f = −(u − ½)² / 2α² − v² / 2β² − log 2πα β d²
 
@@ -44,29 +44,29 @@ def log_density(
 
 
 def lies_between(figure: _Point, landmark: _Point, other: _Point) -> Any:
-    """Decide whether people would say that a thing lies between two others, bool[...].
+    """Test whether a figure lies between two landmarks, bool[...].
 
-    It does within ``_DEVIATIONS`` of the density: in an ellipse about the middle of the way
+    It does within ``_MAX_DEVIATIONS`` of the density: in an ellipse about the middle of the way
     that ends at the landmarks, three quarters as wide as it is long. Nothing lies between itself
     and something else. All are f[...] x and y, metres, map frame; NumPy or JAX.
     """
     u, v, _ = _deviations(figure, landmark, other)
-    return u * u + v * v < _DEVIATIONS**2
+    return u * u + v * v < _MAX_DEVIATIONS**2
 
 
 def _deviations(figure: _Point, landmark: _Point, other: _Point) -> tuple[Any, Any, Any]:
-    """Measure a place in standard deviations along and across the way, and the way squared."""
+    """Compute standardised coordinates along and across, and the squared distance d²."""
     along, across = SPREAD
-    way_x, way_y = landmark[0] - other[0], landmark[1] - other[1]
+    dx, dy = landmark[0] - other[0], landmark[1] - other[1]
     x, y = figure[0] - other[0], figure[1] - other[1]
-    squared = way_x * way_x + way_y * way_y + 1e-6
-    u = ((x * way_x + y * way_y) / squared - 0.5) / along
-    v = ((y * way_x - x * way_y) / squared) / across
+    squared = dx * dx + dy * dy + 1e-6
+    u = ((x * dx + y * dy) / squared - 0.5) / along
+    v = ((y * dx - x * dy) / squared) / across
     return u, v, squared
 
 
 def sample(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Array]:
-    """Draw what is new of a figure and a landmark that are said with another landmark.
+    """Sample a new figure, or a new landmark, given the other landmark.
 
     The figure comes from ``log_density``; a landmark beyond its figure, as far from it as
     the other one is but for the spread, in a density of its own.
@@ -81,13 +81,13 @@ def sample(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Arr
         is new, to the figure where the landmark is; and f32[1, ...], the log-density with which the
         landmark was drawn, per square of that.
     """
-    (along, across), (range_sd, angle_sd) = SPREAD, _BEYOND
-    beyond, aside = along_normal[1:], across_normal[1:]
-    log_range, angle = range_sd * beyond, angle_sd * aside
+    (along, across), (range_sd, angle_sd) = SPREAD, _LANDMARK_SD
+    z_range, z_angle = along_normal[1:], across_normal[1:]
+    log_range, angle = range_sd * z_range, angle_sd * z_angle
     distance = jnp.exp(log_range)
     log_constant = math.log(2.0 * math.pi * range_sd * angle_sd)
     return (
         jnp.concatenate([along * along_normal[:1] - 0.5, -distance * jnp.cos(angle)]),
         jnp.concatenate([across * across_normal[:1], -distance * jnp.sin(angle)]),
-        -0.5 * (beyond * beyond + aside * aside) - log_constant - 2.0 * log_range,
+        -0.5 * (z_range * z_range + z_angle * z_angle) - log_constant - 2.0 * log_range,
     )

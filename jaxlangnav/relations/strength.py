@@ -1,4 +1,4 @@
-"""Whether a relation holds, how strongly, and who is the n-th: the only place, host and device."""
+"""Truth, degree and rank of relations, on host and device."""
 
 import math
 from typing import Any, TypeVar
@@ -32,7 +32,7 @@ _IS_RING = np.array([one.axis is None for one in REGISTRY])  # "near", "far"
 
 
 def degree(relation: ArrayLike, distance: Values, sideways: Values) -> Values:
-    """Measure how much a relation holds, to find the extreme, the second, ...: larger is more so.
+    """Compute the degree to which a relation holds, for superlatives and ranks: larger is more.
 
     Of f[...] metres from the landmark, and to the robot's left of it; NumPy or JAX. f[...], metres:
     "leftmost" is furthest to the left, "far" furthest, all others nearest. ``relation`` is an index
@@ -44,16 +44,16 @@ def degree(relation: ArrayLike, distance: Values, sideways: Values) -> Values:
 
 
 def num_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
-    """Count who comes before each figure, i[..., n] (host only): none before the first.
+    """Count the rivals that rank before each figure, i[..., n] (host only): 0 for the first.
 
     By f[..., n] of ``degree``, and bool[..., n, n], figure and who is compared with it.
     """
-    beats = strength[..., None, :] > strength[..., :, None]
-    return (beats & is_rival).sum(-1)
+    is_ahead = strength[..., None, :] > strength[..., :, None]
+    return (is_ahead & is_rival).sum(-1)
 
 
 def value_of_rank(rank: Array, values: Array, *, tie: float) -> Array:
-    """Find the rank-th smallest over the first axis; ∞ where there are fewer, or the rank is more.
+    """Find the rank-th smallest over the first axis; ∞ if fewer, or the rank is too large.
 
     Args:
         rank: i32[...], 1 is the first, of at most ``NUM_RANKS``.
@@ -61,15 +61,15 @@ def value_of_rank(rank: Array, values: Array, *, tie: float) -> Array:
         tie: values no farther apart are one.
     """
     last = jnp.full(values.shape[1:], -jnp.inf)
-    found = last
-    for place in range(1, NUM_RANKS + 1):
+    result = last
+    for n in range(1, NUM_RANKS + 1):
         last = jnp.min(jnp.where(values > last[None] + tie, values, jnp.inf), axis=0)
-        found = jnp.where(rank == place, last, found)
-    return jnp.where(rank > NUM_RANKS, jnp.inf, found)
+        result = jnp.where(rank == n, last, result)
+    return jnp.where(rank > NUM_RANKS, jnp.inf, result)
 
 
 def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: ReferenceFrame) -> Array:
-    """Tell on which side of the robot things are, to compare them there, bool[...]: half-planes.
+    """Test whether objects are in the half-plane of a side of the robot, bool[...].
 
     Args:
         relation: i32[...], relation index; all but front, behind, left, right hold everywhere.
@@ -83,7 +83,7 @@ def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Referen
 
 
 def is_so(relation: ArrayLike, along: Array, lateral: Array, *, has_range: ArrayLike) -> Array:
-    """Decide whether people would say a relation of a place: for map, judge, story and goals.
+    """Test whether a relation holds at an offset, by the same rule everywhere in the package.
 
     Directed relations hold within 45 degrees of their axis and 5 m of the landmark, "near"
     within 5 m, "far" beyond. A side of the robot ("on your left") says in which direction and not
@@ -109,7 +109,7 @@ def holds(
     viewer: ArrayLike,
     heading: float | None = None,
 ) -> Array:
-    """Decide whether a relation holds between known positions: ``is_so`` in its frame, bool[...].
+    """Test whether a relation holds between positions: ``is_so`` in its frame, bool[...].
 
     Args:
         relation: relation index in [0, 6).

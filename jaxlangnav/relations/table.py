@@ -19,7 +19,7 @@ from jaxlangnav.pytree import field, pytree
 
 @dataclasses.dataclass(frozen=True)
 class SpatialRelation:
-    """One relation: what it is called, and where it places its figure.
+    """One relation: its names and the parameters of its density.
 
     With one landmark the figure's distance is log-normal and its direction von Mises about the axis
     (``density``); with two landmarks the relation has a module of its own (``between``).
@@ -56,7 +56,7 @@ MODELLED = [i for i, one in enumerate(REGISTRY) if one.num_landmarks == 1 and i 
 """Relations with a row in ``RelationParams``: the six of section 3.1, and what is added."""
 ROW = [MODELLED.index(i if i in MODELLED else NEAR) for i in range(len(REGISTRY))]
 NUM_RANKS = 4
-"""Ranks that can be told: nearest (first), second, third, fourth."""
+"""Number of ranks: nearest (first), second, third, fourth."""
 
 
 def symbol_of(relation: Array) -> Array:
@@ -87,7 +87,7 @@ def default_params() -> RelationParams:
 
 @pytree
 class ReferenceFrame:
-    """Orthonormal directions in which a relation is understood, map frame."""
+    """Frame of reference of a relation: orthonormal directions in the map frame."""
 
     along_x: Array  # f32[...]
     along_y: Array  # f32[...]
@@ -98,7 +98,7 @@ class ReferenceFrame:
 def viewer_frame(
     viewer_x: ArrayLike, viewer_y: ArrayLike, landmark_x: ArrayLike, landmark_y: ArrayLike
 ) -> ReferenceFrame:
-    """Build the frame of somebody who looks at a landmark, both f32[...] x, y, map frame.
+    """Build the frame of a viewer who faces a landmark, both f32[...] x, y, map frame.
 
     ``along`` points from the viewer through the landmark, ``lateral`` to the viewer's left.
     """
@@ -109,7 +109,7 @@ def viewer_frame(
 
 
 def robot_frame(heading: Array) -> ReferenceFrame:
-    """Build the frame of the robot as its own landmark: "in front of you" is where it heads.
+    """Build the intrinsic frame of the robot as landmark: "in front of you" is its heading.
 
     Of headings f32[...], map frame, ``along`` points backwards (for "behind"), ``lateral`` left.
     """
@@ -118,12 +118,12 @@ def robot_frame(heading: Array) -> ReferenceFrame:
 
 
 def to_frame(frame: ReferenceFrame, x: Array, y: Array) -> tuple[Array, Array]:
-    """Turn offsets f32[...], metres, map axes, into along and lateral of a frame."""
+    """Transform offsets f32[...], metres, from map axes to along and lateral of a frame."""
     return x * frame.along_x + y * frame.along_y, x * frame.lateral_x + y * frame.lateral_y
 
 
 def to_map(frame: ReferenceFrame, along: Array, lateral: Array) -> tuple[Array, Array]:
-    """Turn frame coordinates f32[...], metres, into x and y in map axes."""
+    """Transform frame coordinates f32[...], metres, to x and y in map axes."""
     return (
         along * frame.along_x + lateral * frame.lateral_x,
         along * frame.along_y + lateral * frame.lateral_y,

@@ -1,8 +1,8 @@
-"""What a place does to sight and to walking: which share of it is in view, and how far it is.
+"""Terrain: visibility and travel distances of an environment.
 
-World and belief stand on this floor alike: the one senses by it, the other reckons with it. Both
-doors are records that go with the data, so a batch of worlds with walls of their own is one
-program; the open field has no numbers at all, and costs nothing.
+World and belief share these models: the world simulates with them, the belief assumes them. Both
+are records that are traced with the data, so a batch of worlds with different walls is one
+program; the open field has no arrays at all, and costs nothing.
 """
 
 from jaxlangnav.pytree import pytree
@@ -24,11 +24,11 @@ __all__ = [
 
 @pytree
 class Terrain:
-    """How far one sees in a place, and how far it is to walk there."""
+    """Visibility and travel distances of an environment."""
 
     view: View
     travel: Travel
 
 
 OPEN = Terrain(view=OpenField(), travel=StraightLines())
-"""The open field: nothing hides anything, and every way is straight."""
+"""The open field: no occlusion, and every path is straight."""

@@ -1,4 +1,4 @@
-"""Sensor models: how things in view are reported, and how probable reports are (eq. 7b, 8).
+"""Sensor models: simulation and likelihood of detections (eq. 7b, 8).
 
 World and belief use the same record: the one simulates by it, the other conditions on it. A report
 is a range and a bearing. A detector that does not measure ranges reports ``range_max``, the end of
@@ -24,50 +24,50 @@ class SensorModel:
 
     @property
     def is_located(self) -> bool:
-        """Whether a report tells how far the thing is; if not, no thing is kept out of the map."""
+        """Whether a report has a range; if not, bystanders stay in the particles' maps."""
         return True
 
     def simulate(
         self, normal: Array, x: Array, y: Array, sensor: SensorParams
     ) -> tuple[Array, Array]:
-        """Report things at f32[n] ahead and left, with noise by standard normal draws f32[2, n]."""
+        """Simulate reports of objects at f32[n] ahead and left; noise from normals f32[2, n]."""
         noise = sensor.noise * normal
         return x + noise[0], y + noise[1]
 
     def variance(self, x: Array, y: Array, sensor: SensorParams) -> Array:
-        """Compute R of the report of a thing at a place, square metres per axis."""
+        """Compute the noise variance R of a report of an object at x, y, square metres per axis."""
         return jnp.maximum(sensor.noise, MIN_NOISE) ** 2
 
     def draw_range(self, uniform: Array, metres: Array, sensor: SensorParams) -> Array:
-        """Draw how far something new is, f32[D] or f32[D, 1, P] metres, by uniform f32[D, P]."""
+        """Draw the range of a new object, f32[D] or f32[D, 1, P] metres, by uniform f32[D, P]."""
         return metres
 
     def log_volume(self, sensor: SensorParams) -> Array:
         """Compute the log of the square metres per unit of a report's density, f32[].
 
-        A density of things, 1/m², times this is that of reports of them.
+        A density of objects, 1/m², times this is that of reports of them.
         """
         return jnp.float32(0.0)
 
     def match(
         self, seen: tuple[Array, Array], place: tuple[Array, Array], variance: Array
     ) -> tuple[Array, Array, Array]:
-        """Hold a report against a thing that is expected at a place, to within a variance.
+        """Compute the log-likelihood of a report of an object with predicted position and variance.
 
-        The log-likelihood; and the position x and y that the thing is then conditioned on.
+        Returns it, and the position x and y that the object is then conditioned on.
         """
         return log_normal_isotropic(seen[0] - place[0], seen[1] - place[1], variance), *seen
 
     def log_fit(self, sensor: SensorParams) -> Array:
-        """Compute the mean log-likelihood of a report of a thing whose place is known, f32[]."""
+        """Compute the mean log-likelihood of a report of an object at a known position, f32[]."""
         return -(jnp.log(2.0 * jnp.pi * self.variance(sensor.noise, sensor.noise, sensor)) + 1.0)
 
     def report_probability(
         self, view: View, eye: Eye, x: Array, y: Array, softness: Array, sensor: SensorParams
     ) -> Array:
-        """Compute how probable the report of a thing in the map is, below 1; silence is the rest.
+        """Compute the detection probability of an object in the map, below 1.
 
-        ``softness``: metres over which the thing is spread.
+        ``softness``: metres over which the object's position is spread.
         """
         probability = jnp.minimum(sensor.detection_probability, 0.999)
         return probability * view.share(eye, x, y, softness)

@@ -1,7 +1,7 @@
-"""What is in view, and how far it is to walk: for the sensor, the belief and the planner.
+"""Visibility and travel: interfaces, and the open field, for sensor, belief and planner.
 
-A detector sees as far as its range and within its opening angle; what the place does to that is a
-``View``. In the open field nothing stands in the way; ``walls.Walls`` hide what is behind them.
+A detector sees within its range and field of view; the occlusion by the environment is a
+``View``. The open field has no occlusion; ``walls.Walls`` occlude objects behind them.
 """
 
 from typing import NamedTuple, Protocol
@@ -13,28 +13,28 @@ from jaxlangnav.messages import SensorParams
 from jaxlangnav.pytree import pytree
 
 NEVER = 1e9
-"""Metres after which comes into view what does not."""
+"""Metres that stand for infinity: a point that never comes into view, a missing path."""
 GLANCE = 0.5
-"""Metres of way from which a narrow view has to hold a thing to count on a look at it."""
+"""Metres of path on which a point must stay in a narrow view to count as observed."""
 
 
 class Eye(NamedTuple):
-    """Where somebody looks from; metres, radians, map frame."""
+    """Pose and field of view of a sensor; metres, radians, map frame."""
 
     x: Array  # f32[...]
     y: Array  # f32[...]
     range_max: Array  # f32[]
-    heading: Array | None = None  # f32[]; None: it turns round, and looks everywhere
+    heading: Array | None = None  # f32[]; None: all-round view
     field_of_view: Array | None = None  # f32[] full opening angle about the heading
 
 
 def eye_of(x: Array, y: Array, heading: Array, sensor: SensorParams) -> Eye:
-    """Put a detector at f32[...] metres, map frame, with a heading f32[], radians."""
+    """Build the eye of a detector at f32[...] metres, map frame, with a heading f32[], radians."""
     return Eye(x, y, sensor.range_max, heading, sensor.field_of_view)
 
 
 class Stretch(NamedTuple):
-    """Straight stretches of a way, metres, map frame."""
+    """Straight segments of a path, metres, map frame."""
 
     from_x: Array  # f32[...]
     from_y: Array  # f32[...]
@@ -43,40 +43,40 @@ class Stretch(NamedTuple):
 
 
 class View(Protocol):
-    """Which share of a place is seen from a pose: a record that JAX can trace (``@pytree``).
+    """Visibility model: which points are in view from a pose; a pytree (``@pytree``).
 
     ``x`` and ``y`` broadcast against the eye's; ``sees`` is the limit of ``share`` as softness → 0.
     """
 
     def share(self, eye: Eye, x: Array, y: Array, softness: Array) -> Array:
-        """Compute which share of something spread over metres is in view, f32[...] in [0, 1]."""
+        """Compute the fraction in view of a point blurred over ``softness`` metres, f32[...]."""
         ...
 
     def sees(self, eye: Eye, x: Array, y: Array) -> Array:
-        """Tell whether a point is in view, bounds inclusive, bool[...]."""
+        """Test whether a point is in view, bounds inclusive, bool[...]."""
         ...
 
     def first_sight(
         self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
-        """Compute after how many metres of straight stretches [...] points [C] come into view.
+        """Compute the distance along straight segments [...] after which points [C] are in view.
 
-        Who drives looks ahead, as wide as ``opening``, f32[] radians, or all round where None.
+        The robot faces its motion, with field of view ``opening``, f32[] radians; None: all round.
         f32[..., C] metres; ``NEVER`` where they do not.
         """
         ...
 
     def clear_share(self, stretch: Stretch, clearance: float) -> Array | None:
-        """Compute which share of straight stretches a body can go, f32[...]; None: all of each."""
+        """Compute the collision-free fraction of straight segments, f32[...]; None: all free."""
         ...
 
 
 @pytree
 class OpenField:
-    """Nothing stands in the way: range and opening angle alone."""
+    """Visibility without occlusion: range and field of view only."""
 
     def share(self, eye: Eye, x: Array, y: Array, softness: Array) -> Array:
-        """Compute which share of something spread over ``softness`` metres is in view, f32[...].
+        """Compute the fraction in view of a point blurred over ``softness`` metres, f32[...].
 
         Limits: 1 well inside, 0 well outside, and the 0/1 test as softness → 0.
         """
@@ -93,7 +93,7 @@ class OpenField:
         return in_range * jnp.where(half >= jnp.pi - 1e-4, 1.0, in_angle)
 
     def sees(self, eye: Eye, x: Array, y: Array) -> Array:
-        """Tell whether a point is within range and opening angle, both inclusive, bool[...]."""
+        """Test whether a point is within range and field of view, both inclusive, bool[...]."""
         offset_x, offset_y = x - eye.x, y - eye.y
         if eye.heading is None or eye.field_of_view is None:
             return offset_x * offset_x + offset_y * offset_y <= eye.range_max * eye.range_max
@@ -107,7 +107,7 @@ class OpenField:
     def first_sight(
         self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
-        """Compute after how many metres of stretches points come within a radius and into view.
+        """Compute the distance along segments after which points are within a radius and in view.
 
         A point ``aside`` of the way leaves a view of half-angle h at ``aside / tan h`` before it
         is passed. It counts where it stays in view for ``GLANCE`` metres: looks are a step apart.
@@ -141,22 +141,22 @@ class OpenField:
         return jnp.where(is_seen, enter, NEVER)
 
     def clear_share(self, stretch: Stretch, clearance: float) -> None:
-        """Say that nothing is in the way."""
+        """Return None: every segment is free."""
 
 
 def rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
-    """Turn offsets counter-clockwise, radians; exact where the angle is zero."""
+    """Rotate offsets counter-clockwise, radians; exact where the angle is zero."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return cosine * x - sine * y, sine * x + cosine * y
 
 
 def wrapped(angle: Array) -> Array:
-    """Bring an angle to within half a turn, radians."""
+    """Wrap an angle to [−π, π], radians."""
     return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
 
 
 def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Array) -> Array:
-    """Measure how far, f32[...] metres, out of range or out of the opening angle something is.
+    """Compute the distance, f32[...] metres, of a point to the range and field of view.
 
     Limits: 0 inside; more than a right angle past the edge, the way to the view is back
     to the eye; NaN of NaN.
@@ -173,19 +173,19 @@ def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Arr
 
 
 class Travel(Protocol):
-    """How a robot comes from place to place: a record that JAX can trace (``@pytree``).
+    """Travel model: shortest paths of the robot; a pytree (``@pytree``).
 
     All arguments are metres, map frame, and broadcast against each other.
     """
 
     def metres(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
-        """Compute the length of the shortest way, f32[...]; at least that of the straight line."""
+        """Compute the shortest path length, f32[...]; at least that of the straight line."""
         ...
 
     def next_place(
         self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
     ) -> tuple[Array, Array]:
-        """Find where to make for in a straight line on that way, f32[] x and y of one robot."""
+        """Find the next turning point of that path, f32[] x and y of one robot."""
         ...
 
     def first_sight(
@@ -197,23 +197,23 @@ class Travel(Protocol):
         radius: Array,
         opening: Array | None = None,
     ) -> Array:
-        """Compute after how many metres of ways [...] points [C] come into view, f32[..., C]."""
+        """Compute the distance along paths [...] until points [C] are in view, f32[..., C]."""
         ...
 
 
 @pytree
 class StraightLines:
-    """Nothing is in the way."""
+    """Travel model without obstacles."""
 
     def metres(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
-        """Compute the straight distance, f32[...]; its slope is finite at zero, too."""
+        """Compute the straight distance, f32[...]; its gradient is finite at zero, too."""
         span_x, span_y = to_x - from_x, to_y - from_y
         return jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
 
     def next_place(
         self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
     ) -> tuple[Array, Array]:
-        """Make for the end of the way itself."""
+        """Return the end of the path."""
         return to_x, to_y
 
     def first_sight(
@@ -225,5 +225,5 @@ class StraightLines:
         radius: Array,
         opening: Array | None = None,
     ) -> Array:
-        """Look about all along the line."""
+        """See ``View.first_sight``."""
         return view.first_sight(stretch, x, y, radius, opening)

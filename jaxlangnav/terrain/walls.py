@@ -1,7 +1,7 @@
-"""Walls as straight segments: what is behind one is not in view.
+"""Walls as straight segments that occlude what is behind them.
 
 Seen from an eye a wall throws a shadow: the wedge between the lines of sight past its two ends,
-from the wall on. It is convex, so how far outside of it a place lies is the greatest of its
+from the wall on. It is convex, so the distance of a point outside it is the maximum of its
 distances to three lines.
 """
 
@@ -14,18 +14,18 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain.view import NEVER, Eye, OpenField, Stretch
 
 NUM_GLANCES = 9
-"""Places along a stretch, both ends included, from which one looks past walls."""
-_CLEAR = 1e6  # metres outside of a shadow that there is none of
+"""Points along a segment, both ends included, at which visibility past walls is tested."""
+_CLEAR = 1e6  # metres: distance to a shadow if there are no walls
 
 
 @pytree
 class Walls:
-    """A field with walls in it; W of them, traced: other walls compile nothing."""
+    """Visibility among W walls; traced, so other walls need no compilation."""
 
     ends: Array  # f32[W, 4] x, y of one end and of the other, metres, map frame
 
     def share(self, eye: Eye, x: Array, y: Array, softness: Array) -> Array:
-        """Compute which share of something is within the eye's view and behind no wall.
+        """Compute the fraction in view of a blurred point, not occluded by walls.
 
         Limits: without walls, or with none in between, what ``OpenField.share`` gives.
         """
@@ -33,13 +33,13 @@ class Walls:
         return OpenField().share(eye, x, y, softness) * jnp.clip(past / softness + 0.5, 0.0, 1.0)
 
     def sees(self, eye: Eye, x: Array, y: Array) -> Array:
-        """Tell whether a point is within the eye's view and behind no wall, bool[...]."""
+        """Test whether a point is within the eye's view and not occluded, bool[...]."""
         return OpenField().sees(eye, x, y) & (self._past_shadows(eye, x, y) >= 0.0)
 
     def first_sight(
         self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
-        """Compute after how many metres of stretches points come into view past the walls.
+        """Compute the distance along segments after which points are in view past the walls.
 
         It is looked for from ``NUM_GLANCES`` places along the stretch, so what shows only in
         between is missed, and the metres are up to one step between glances too many. Arguments
@@ -51,19 +51,19 @@ class Walls:
         x, y = x.reshape(*axes, -1), y.reshape(*axes, -1)
         span_x, span_y = stretch.to_x - stretch.from_x, stretch.to_y - stretch.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
-        found = jnp.full_like(first, NEVER)
-        gaze = (None, None) if opening is None else (jnp.arctan2(span_y, span_x), opening)
-        for part in np.linspace(1.0, 0.0, NUM_GLANCES):
-            eye = Eye(stretch.from_x + part * span_x, stretch.from_y + part * span_y, radius, *gaze)
-            found = jnp.where(self.sees(eye, x, y), part * length, found)
-        # Where nothing hides it from the place at which it comes into range, that place counts.
-        share = first / length
-        entry = Eye(stretch.from_x + share * span_x, stretch.from_y + share * span_y, radius)
+        sight = jnp.full_like(first, NEVER)
+        angles = (None, None) if opening is None else (jnp.arctan2(span_y, span_x), opening)
+        for t in np.linspace(1.0, 0.0, NUM_GLANCES):
+            eye = Eye(stretch.from_x + t * span_x, stretch.from_y + t * span_y, radius, *angles)
+            sight = jnp.where(self.sees(eye, x, y), t * length, sight)
+        # If a point is not occluded where it comes into range, that position counts.
+        t0 = first / length
+        entry = Eye(stretch.from_x + t0 * span_x, stretch.from_y + t0 * span_y, radius)
         is_clear = (first < NEVER) & (self._past_shadows(entry, x, y) >= 0.0)
-        return jnp.where(is_clear, first, found)
+        return jnp.where(is_clear, first, sight)
 
     def clear_share(self, stretch: Stretch, clearance: float) -> Array:
-        """Compute which share of straight stretches a body can go before a wall, f32[...].
+        """Compute the fraction of straight segments that is free before a wall, f32[...].
 
             p + t (q − p) = a + u (b − a),   share = min_t (t − c / |q − p|) over 0 ≤ t, u ≤ 1
 
@@ -72,7 +72,7 @@ class Walls:
         """
         from_x, from_y, to_x, to_y = (end[None] for end in stretch)
         length = jnp.sqrt((to_x - from_x) ** 2 + (to_y - from_y) ** 2 + 1e-12)
-        # Before a wall that ends at the clearance it halts, too.
+        # It also stops before a wall within the clearance behind the end.
         reach = (length + clearance) / length
         span_x, span_y = reach * (to_x - from_x), reach * (to_y - from_y)
         one_x, one_y, other_x, other_y = (append_axes(end, span_x.ndim) for end in self.ends.T)
@@ -87,15 +87,15 @@ class Walls:
         along = (off_x * wall_y - off_y * wall_x) / across
         at_wall = (off_x * span_y - off_y * span_x) / across
         is_hit = (along >= 0.0) & (along <= 1.0) & (at_wall >= 0.0) & (at_wall <= 1.0)
-        share = jnp.where(is_hit, reach * along - clearance / length, 1.0)
-        return jnp.clip(jnp.min(share, axis=0), 0.0, 1.0)
+        free = jnp.where(is_hit, reach * along - clearance / length, 1.0)
+        return jnp.clip(jnp.min(free, axis=0), 0.0, 1.0)
 
     def is_between(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
-        """Tell whether a wall stands between two points, bool[...]."""
+        """Test whether a wall is between two points, bool[...]."""
         return self._past_shadows(Eye(from_x, from_y, jnp.float32(0.0)), to_x, to_y) < 0.0
 
     def _past_shadows(self, eye: Eye, x: Array, y: Array) -> Array:
-        """Measure how far outside of all shadows a place lies, metres; negative inside of one."""
+        """Compute the signed distance of a point to all shadows, metres; negative inside of one."""
         off_x, off_y = (x - eye.x)[None], (y - eye.y)[None]
         eye_x, eye_y = jnp.broadcast_to(eye.x, off_x.shape), jnp.broadcast_to(eye.y, off_x.shape)
         one_x, one_y, other_x, other_y = (append_axes(end, off_x.ndim) for end in self.ends.T)
@@ -111,15 +111,15 @@ class Walls:
 
 
 def _left_of(line_x: Array, line_y: Array, x: Array, y: Array) -> Array:
-    """Measure how far left of a line through the origin a point lies, f32[...] metres."""
+    """Compute the signed distance of a point to the left of a line through the origin, f32[...]."""
     length = jnp.sqrt(line_x * line_x + line_y * line_y + 1e-12)
     return (line_x * y - line_y * x) / length
 
 
 def walls(*ends: tuple[float, float, float, float]) -> Walls:
-    """Build walls by hand, of x, y of one end and of the other, metres, map frame (host only).
+    """Build walls, each from x, y of one end and of the other, metres, map frame (host only).
 
-    A ValueError where a wall is not four finite numbers.
+    Raises a ValueError if a wall is not four finite numbers.
     """
     if not all(len(one) == 4 and np.isfinite(one).all() for one in ends):
         raise ValueError(f"walls are {ends}, but each must be x, y, x, y, finite, in metres")
