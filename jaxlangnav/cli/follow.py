@@ -53,8 +53,9 @@ class Follow:
     """Of the world and of the noise. A table's episode of this seed may differ, by rounding."""
     particles: int = 64
     """Hypotheses of the map kept at once."""
-    max_steps: int = 120
-    """Decisions after which the episode ends as a time-out."""
+    max_steps: checks.Number = None
+    """Decisions after which the episode ends as a time-out; if not given 120, or as many as three
+    sweeps of the area take."""
     out: checks.Folder = None
     """Where to write pictures (PNG, SVG), an interactive page (HTML) and the document."""
     hear: tyro.conf.UseAppendAction[tuple[checks.ByStep, ...]] = ()
@@ -120,7 +121,7 @@ class Follow:
         checks.check_range(self.range)
         checks.check_seed(self.seed)
         refuse_below(2, **{"--particles": self.particles})
-        refuse_below(1, **{"--max-steps": self.max_steps})
+        refuse_below(1, **{"--max-steps": 1 if self.max_steps is None else self.max_steps})
         checks.check_folder("--out", self.out)
         script = speech.read_script(self.hear, self.max_steps)
         speech.check_speakers(ask=self.ask, talk=self.talk, person=self.person)
@@ -140,6 +141,7 @@ class Follow:
 
     def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
         """Build numbers and sizes; refuse what does not go together, or what no memory holds."""
+        from jaxlangnav.episode import MAX_STEPS
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
@@ -153,7 +155,7 @@ class Follow:
         check_sensor(apply(sensor_of(self.world, self.range), values, "sensor"))
         if values:
             check(params, policy=config.planner.chosen)
-        check_recording(config, self.max_steps)
+        check_recording(config, self.max_steps or MAX_STEPS)
         return {"params": params, "config": config}
 
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
@@ -183,6 +185,7 @@ class Follow:
         from jaxlangnav.episode import recorder
         from jaxlangnav.episode.recording import stack_frames
         from jaxlangnav.task.follow import alone, judged
+        from jaxlangnav.task.opening import usual_steps
         from jaxlangnav.task.talk import with_talk
         from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
 
@@ -194,7 +197,9 @@ class Follow:
         if heard is not None:
             who = {name: getattr(self, name) for name in ("person", "ask", "talk")}
             ear = speech.ear_of(output, **who, **heard, scene=scene)
-        steps = recorder.play(task, instructions, max_steps=self.max_steps, ear=ear, **sizes)
+        asked = [step + 1 for step in heard["script"]] if heard else []
+        most = self.max_steps or max(usual_steps(task.scenario, task.sensor), *asked, 0)
+        steps = recorder.play(task, instructions, max_steps=most, ear=ear, **sizes)
         note = "compiling the robot's mind; what is compiled is kept for the next run"
         with waiting(note, output):
             first = next(steps)

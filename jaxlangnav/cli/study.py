@@ -20,7 +20,7 @@ from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
-from jaxlangnav.task.follow import record_episode
+from jaxlangnav.task.follow import OpenedEpisode, record_episode
 from jaxlangnav.task.opening import open_task
 from jaxlangnav.viz.html import write_graph, write_html
 from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, pick_moments
@@ -108,7 +108,8 @@ def _figure(
             understood = understand_parse(parse(TEXT), load(None))
             prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = equip(prepared, settings.values, params=settings.params)
-            recording = record_episode(understood, prepared, text=TEXT, params=params, config=sizes)
+            given = {"understood": understood, "prepared": prepared, "params": params}
+            recording = record_episode(OpenedEpisode(text=TEXT, config=sizes, **given))
         output.tell(narrate(recording))
         steps = pick_moments(recording, num_panels)
         scene, result = recording.scene, recording.result

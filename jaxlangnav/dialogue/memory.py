@@ -138,10 +138,9 @@ def focus(particles: SemanticMap, words: Words) -> SemanticMap:
 
 
 def as_answered(behavior: Behavior, particles: SemanticMap, talk: Conversation) -> Behavior:
-    """Condition goals [..., P] on the answers: what is ruled out is none, what is named is the one.
+    """Condition goals [..., P] on answers: what is ruled out is none, what is named is the goal.
 
-    Who names a thing knows it: it is the goal in every particle that has it, also where the words
-    of the command fit nothing there. Which region of it is meant stays as believed.
+    What is named is so in every particle that has it; its region is the belief's marginal.
     """
     goal, slots = behavior.goal, jnp.arange(behavior.goal.shape[1])
     is_out = (slots < 31) & ((talk.ruled_out >> jnp.minimum(slots, 30)) & 1 == 1)

@@ -107,7 +107,7 @@ class StaticScene:
     readings: Readings
     planner: PlannerParams
     num_clauses: int
-    known_distance: float  # metres, straight from the start to the goal
+    known_distance: float  # metres from the start to the goal, by where earlier commands end
     asks: tuple[CommandSummary, ...] = ()  # what each command asks for
     stop_radius: float = SUCCESS_RADIUS  # metres from the goal, within which it may stop
     is_judged: bool = True  # something there fits the sentence, so that success can be told
@@ -168,7 +168,8 @@ def moments(
     ``steps``: as they happen, from ``recorder.play``, or as they were recorded; ``said``:
     utterances, a list that may grow as the episode runs.
     """
-    own = {name: getattr(scene, name) for name in ("stop_radius", "is_judged", "unjudged")}
+    names = ("stop_radius", "known_distance", "is_judged", "unjudged")
+    own = {name: getattr(scene, name) for name in names}
     before = None
     for step, (frame, result) in enumerate(steps):
         now = tuple(one for one in said if one.step == step)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, recorder
+from jaxlangnav.episode import EpisodeResult, EpisodeState, recorder
 from jaxlangnav.episode.recording import Frame, Recording, stack_frames
 from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.grounding import GraphGrounder, GroundingModel
@@ -22,7 +22,7 @@ from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.follow import OpenedEpisode, alone, judged, open_episode
-from jaxlangnav.task.opening import detector_of
+from jaxlangnav.task.opening import detector_of, usual_steps
 from jaxlangnav.task.talk import YOU, Earshot, allow_questions, name_candidates, roomy, with_talk
 from jaxlangnav.viz.html import page_data
 from jaxlangnav.viz.sentences import percent
@@ -58,7 +58,7 @@ class Request(Struct, forbid_unknown_fields=True, kw_only=True):
     policy: Literal["informed", "faithful"] = "informed"
     seed: Annotated[int, Meta(ge=0, lt=2**32)] = 0
     particles: Annotated[int, Meta(ge=2, le=4096)] = MapConfig().num_particles
-    max_steps: Annotated[int, Meta(ge=1, le=10 * MAX_STEPS)] = MAX_STEPS
+    max_steps: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     may_ask: bool = True
 
 
@@ -114,7 +114,9 @@ class LiveEpisode:
                 particles=request.particles,
                 model=model,
             )
-        check_recording(opened.config, request.max_steps)
+        task = opened.prepared.task
+        self._max_steps = request.max_steps or usual_steps(task.scenario, task.sensor)
+        check_recording(opened.config, self._max_steps)
         grounder = GraphGrounder.of_detector(
             model, detector_of(self._world, opened.understood.type_names)
         )
@@ -174,7 +176,7 @@ class LiveEpisode:
             alone(opened.understood),
             params=opened.params,
             config=opened.config,
-            max_steps=self.request.max_steps,
+            max_steps=self._max_steps,
             ear=self._ear,
         )
         try:

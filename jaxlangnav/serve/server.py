@@ -93,7 +93,7 @@ class Server:
         self.num_opened = 0
 
     def routes(self) -> list[Route | WebSocketRoute]:
-        """List what can be asked for."""
+        """List the routes."""
         one = "/episodes/{name}"
         return [
             Route("/", self._page),
@@ -247,13 +247,9 @@ def _file(content: bytes, name: str, kind: str) -> Response:
 def serving(
     model: GroundingModel, *, token: str, port: int, pace: float
 ) -> Iterator[tuple[Starlette, Server]]:
-    """Make the application; what it keeps on disk is removed at the end.
+    """Make the application, for a port of the loopback; what it keeps on disk is removed at the end.
 
-    Args:
-        model: trained models of language.
-        token: what every request must carry.
-        port: that it is served on, on the loopback.
-        pace: seconds that a step takes at least, so that people can follow.
+    Every request must carry the ``token``; a step takes at least ``pace`` seconds.
     """
     with tempfile.TemporaryDirectory(prefix="jaxlangnav-") as folder:
         server = Server(model, Path(folder), pace=pace)

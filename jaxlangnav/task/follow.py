@@ -7,13 +7,15 @@ once go through ``experiments.policies.run_policy``, a robot of one's own throug
 import contextlib
 import dataclasses
 import functools
+import itertools
 import threading
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
-from jaxlangnav.episode import MAX_STEPS, recorder
+from jaxlangnav.episode import recorder
 from jaxlangnav.episode.recording import Recording
 from jaxlangnav.experiments.policies import navigator_config, without_compass
 from jaxlangnav.experiments.sizes import any_task
@@ -33,6 +35,7 @@ from jaxlangnav.task.opening import (
     nothing_there,
     open_task,
     refuse_what_it_lacks,
+    usual_steps,
 )
 from jaxlangnav.world.files import open_world
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -59,7 +62,7 @@ def follow(
     policy: AnyPolicy = "informed",
     seed: int = 0,
     particles: int = MapConfig().num_particles,
-    max_steps: int = MAX_STEPS,
+    max_steps: int | None = None,
     params: NavigatorParams | None = None,
     model: GroundingModel | None = None,
 ) -> Recording:
@@ -72,7 +75,7 @@ def follow(
         policy: "informed", "faithful", or a policy of somebody's own.
         seed: of the world, where it is drawn from a template, and of the noise.
         particles: P, hypotheses of the map kept at once.
-        max_steps: decisions after which the episode ends as a time-out.
+        max_steps: decisions after which it ends as a time-out; ``usual_steps`` if None.
         params: the navigator's numbers; its defaults if None.
         model: trained models of language; the shipped ones if None.
 
@@ -82,24 +85,9 @@ def follow(
     Raises:
         ValueError: the sentence, the world or an option is refused; one line.
     """
-    opened = open_episode(
-        text,
-        world=world,
-        sensing_range=sensing_range,
-        policy=policy,
-        seed=seed,
-        particles=particles,
-        params=params,
-        model=model,
-    )
-    return record_episode(
-        opened.understood,
-        opened.prepared,
-        text=text,
-        params=opened.params,
-        config=opened.config,
-        max_steps=max_steps,
-    )
+    robot: dict[str, Any] = {"policy": policy, "particles": particles, "params": params}
+    place: dict[str, Any] = {"world": world, "sensing_range": sensing_range, "seed": seed}
+    return record_episode(open_episode(text, **place, **robot, model=model), max_steps)
 
 
 def open_episode(
@@ -195,26 +183,19 @@ def rehearse(
     threading.Thread(target=step).start()
 
 
-def record_episode(
-    understood: Understanding,
-    prepared: Prepared,
-    *,
-    text: str,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    max_steps: int = MAX_STEPS,
-) -> Recording:
-    """Run one episode, and judge it by what its command asks for; ``text`` is for people."""
+def record_episode(opened: OpenedEpisode, max_steps: int | None = None) -> Recording:
+    """Run one episode, and judge it by what its command asks for; steps as of ``follow``."""
+    task, understood = opened.prepared.task, opened.understood
     recording = recorder.record(
-        prepared.task,
+        task,
         alone(understood),
-        params=params,
-        config=config,
-        max_steps=max_steps,
-        text=text,
+        params=opened.params,
+        config=opened.config,
+        max_steps=max_steps or usual_steps(task.scenario, task.sensor),
+        text=opened.text,
         type_names=understood.type_names,
     )
-    return judged(recording, prepared)
+    return judged(recording, opened.prepared)
 
 
 def judged(recording: Recording, prepared: Prepared, *, has_person: bool = False) -> Recording:
@@ -231,8 +212,10 @@ def judged(recording: Recording, prepared: Prepared, *, has_person: bool = False
     is_judged = prepared.is_meant and (has_person or not prepared.unjudged)
     is_arrived = (result.ending == Status.ARRIVED) & is_judged
     is_success = np.asarray(is_arrived & (result.goal_distance <= radius))
-    scene = dataclasses.replace(
-        scene, stop_radius=radius, is_judged=is_judged, unjudged=prepared.unjudged or scene.unjudged
-    )
+    world = scene.scenario
+    places = [tuple(world.start[:2]), *prepared.via, tuple(world.goal)]
+    legs = (world.terrain.travel.metres(*a, *b) for a, b in itertools.pairwise(places))
+    told = {"known_distance": float(sum(legs)), "unjudged": prepared.unjudged or scene.unjudged}
+    scene = dataclasses.replace(scene, stop_radius=radius, is_judged=is_judged, **told)
     result = replace(result, is_success=is_success)
     return dataclasses.replace(recording, scene=scene, result=result)

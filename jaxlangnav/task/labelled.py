@@ -55,23 +55,33 @@ class Goal:
     position: tuple[float, float]  # metres, map frame: the typical place of the region
 
 
-def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goal], bool]:
-    """List where the last command of a sentence may end, in a world of which all is known.
+def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[list[Goal]], bool]:
+    """List where the commands of a sentence may end, in a world of which all is known.
 
-    The goals that fit best, none where nothing fits; and whether finding is enough.
+    For each command those that fit best, if any does; and whether finding is enough for the last.
     """
     placed = place_scenario(scenario, understood.type_names)
-    told = understood.instruction
-    behaviors = _infer_in(told, placed, understood.type_names)
-    best = float(behaviors[-1].goal.max()) if behaviors else 0.0
+    behaviors = _infer_in(understood.instruction, placed, understood.type_names)
+    goals = [
+        _best_goals(understood.instruction, clause, behavior, placed, scenario)
+        for clause, behavior in enumerate(behaviors)
+    ]
+    is_find = bool(behaviors) and bool(goals[-1]) and bool(behaviors[-1].action.argmax() == 1)
+    return goals or [[]], is_find
+
+
+def _best_goals(
+    told: Instruction, clause: int, behavior: Behavior, placed: PlacedWorld, scenario: Scenario
+) -> list[Goal]:
+    """List the goals of one command that fit best."""
+    best = float(behavior.goal.max())
     if best < LEAST:
-        return [], False
-    last = behaviors[-1]
-    metres, frame = (np.asarray(one)[len(behaviors) - 1] for one in (told.metres, told.frame))
+        return []
+    metres, frame = (np.asarray(one)[clause] for one in (told.metres, told.frame))
     viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
     kept = np.flatnonzero(np.asarray(scenario.is_object))
     goals = []
-    for region, slot in np.argwhere(last.goal >= ALIKE * best).tolist():
+    for region, slot in np.argwhere(behavior.goal >= ALIKE * best).tolist():
         is_robot = slot == len(kept)
         x, y = viewer[:2].tolist() if is_robot else placed.objects[slot][1:]
         if region != AT:
@@ -80,7 +90,7 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
             x, y = x + float(offset[0]), y + float(offset[1])
         index = NONE if is_robot else int(kept[slot])
         goals.append(Goal(region=region, index=index, position=(x, y)))
-    return goals, bool(last.action.argmax() == 1)
+    return goals
 
 
 def is_among(scenario: Scenario, goals: list[Goal]) -> bool:

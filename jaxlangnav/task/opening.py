@@ -5,6 +5,7 @@ does not exist, or whose file is bad, is refused by a ``ValueError`` wherever it
 """
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.episode import Task
+from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
@@ -39,6 +40,8 @@ class Prepared:
     is_find: bool  # having the goal in view is enough
     is_meant: bool  # something there fits the sentence
     is_drawn: bool  # the world has been drawn from a template
+    via: tuple[tuple[float, float], ...] = ()
+    """Where the commands before the last end, metres."""
     num_alike: int = 1
     """Places there that fit the sentence alike, where nothing says which of them is meant."""
     missing: tuple[str, ...] = ()
@@ -127,6 +130,13 @@ def sensor_of(world: str, sensing_range: float | None) -> SensorParams:
     return replace(sensor, range_max=jnp.float32(sensing_range))
 
 
+def usual_steps(scenario: Scenario, sensor: SensorParams) -> int:
+    """Count enough decisions: 120, or three sweeps of the area, area / (2 range) metres each."""
+    x_min, x_max, y_min, y_max = np.asarray(scenario.area).tolist()
+    sweep = (x_max - x_min) * (y_max - y_min) / (2.0 * float(sensor.range_max))
+    return max(MAX_STEPS, math.ceil(3.0 * sweep))
+
+
 def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:
     """Say in one line that a template has nothing of what is asked for, and how many of what."""
     there = " and ".join(f"{number} {name}{'s' * (number > 1)}" for name, number in counts)
@@ -172,7 +182,7 @@ def _judge(
     has_goal: bool = True,
 ) -> Prepared:
     """Set the goal that the sentence means; that of the world where it is as good as any."""
-    goals, is_find = meant_goals(understood, task.scenario)
+    (*earlier, goals), is_find = meant_goals(understood, task.scenario)
     is_given = is_own or (has_goal and is_among(task.scenario, goals))
     is_meant = is_own or bool(goals)
     missing: Sequence[str] = ()
@@ -188,6 +198,7 @@ def _judge(
         is_find=is_find,
         is_meant=is_meant,
         is_drawn=is_drawn,
+        via=tuple(found[0].position for found in earlier if found),
         num_alike=1 if is_given else max(len(goals), 1),
         missing=tuple(missing),
     )

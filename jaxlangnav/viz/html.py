@@ -98,7 +98,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
         "area": list(scene.area),
         "range": float(scene.sensor.range_max),
         "field_of_view": float(scene.sensor.field_of_view),
-        "goal": [float(one) for one in scene.scenario.goal],
+        "goal": [float(one) for one in scene.scenario.goal] if scene.is_judged else None,
         "success_radius": scene.stop_radius,
         "walls": scene.walls.tolist(),
         "truth": [

@@ -67,10 +67,10 @@ def frame_area(axes: "Axes", area: tuple[float, float, float, float]) -> None:
 
 def draw_truth(axes: "Axes", scene: StaticScene) -> "list[PathCollection]":
     """Mark where things truly stand, faintly, and the goal that was meant by a dotted ring."""
-    return _draw_world(axes, scene.scenario)
+    return _draw_world(axes, scene.scenario, has_goal=scene.is_judged)
 
 
-def _draw_world(axes: "Axes", world: Scenario) -> "list[PathCollection]":
+def _draw_world(axes: "Axes", world: Scenario, *, has_goal: bool = True) -> "list[PathCollection]":
     from matplotlib.patches import Circle
 
     look = {"s": 70, "facecolors": "none", "linewidths": 0.8, "alpha": 0.45, "zorder": 2}
@@ -82,10 +82,10 @@ def _draw_world(axes: "Axes", world: Scenario) -> "list[PathCollection]":
         for slot in np.flatnonzero(world.is_object)
         for kind in (int(world.object_type[slot]),)
     ]  # fmt: skip
-    goal = (float(world.goal[0]), float(world.goal[1]))
-    axes.add_patch(
-        Circle(goal, 1.5, fill=False, linestyle=":", linewidth=1.0, color=style.MUTED, zorder=2)
-    )
+    if has_goal:
+        goal = (float(world.goal[0]), float(world.goal[1]))
+        ring = {"fill": False, "linestyle": ":", "linewidth": 1.0, "color": style.MUTED}
+        axes.add_patch(Circle(goal, 1.5, **ring, zorder=2))
     return marks
 
 
