@@ -37,14 +37,10 @@ from jaxlangnav.world.files import (
 )
 from jaxlangnav.world.templates import TEMPLATE_NAMES
 
-LONGEST_UTTERANCE = 1000
-"""Characters of what is said at once."""
-_MOST_UNHEARD = 8
-"""Utterances that wait to be heard before the next decision."""
-_PATIENCE = 1800.0
-"""Seconds that a robot at rest waits for another word before its episode ends."""
-_ENGINE = threading.Lock()
-"""Held while a program may be compiled: two threads would compile the same one."""
+LONGEST_UTTERANCE = 1000  # characters
+_MOST_UNHEARD = 8  # utterances that wait for the next decision
+_PATIENCE = 1800.0  # seconds that a robot at rest waits for another word; then its episode ends
+_ENGINE = threading.Lock()  # held while a program may be compiled, lest two threads compile it
 
 
 class Request(Struct, forbid_unknown_fields=True, kw_only=True):

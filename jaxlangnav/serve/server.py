@@ -33,12 +33,9 @@ from jaxlangnav.serve.live import LiveEpisode, Message, Request, places, read_wo
 from jaxlangnav.viz.html import fill_page, page_json, write_html
 from jaxlangnav.world.files import LARGEST_WORLD_FILE
 
-LARGEST_BODY = 2 * LARGEST_WORLD_FILE
-"""Bytes of a request: a world file, escaped, and what is asked of it."""
-LARGEST_MESSAGE = 8 * 1024
-"""Bytes of what comes through a WebSocket: an utterance."""
-MOST_EPISODES = 8
-"""Episodes that are kept: the oldest is closed for a new one."""
+LARGEST_BODY = 2 * LARGEST_WORLD_FILE  # bytes of a request: a world file, escaped
+LARGEST_MESSAGE = 8 * 1024  # bytes of an utterance
+MOST_EPISODES = 8  # that are kept: the oldest is closed for a new one
 _LARGEST_RECORDING = 1 << 30
 _POLL = 0.5  # seconds after which a wait for news looks whether the page is still there
 _HEADERS = {
@@ -247,7 +244,7 @@ def _file(content: bytes, name: str, kind: str) -> Response:
 def serving(
     model: GroundingModel, *, token: str, port: int, pace: float
 ) -> Iterator[tuple[Starlette, Server]]:
-    """Make the application, for a port of the loopback; what it keeps on disk is removed at the end.
+    """Make the application for a port of the loopback; its files are removed at the end.
 
     Every request must carry the ``token``; a step takes at least ``pace`` seconds.
     """
