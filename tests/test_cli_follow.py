@@ -19,10 +19,11 @@ from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.inputs import program_cache
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.follow import judged, usual_engine
+from jaxlangnav.task.follow import follow as follow_text, judged, usual_engine
 from jaxlangnav.task.labelled import meant_goals
-from jaxlangnav.task.opening import Prepared, detector_of, emptied, open_task
+from jaxlangnav.task.opening import Prepared, detector_of, emptied, open_task, usual_steps
 from jaxlangnav.viz.narrative import closing
+from jaxlangnav.world.files import open_world
 
 COMMAND = "go to the hydrant behind the cone"
 KEYS = {
@@ -221,8 +222,18 @@ def test_a_world_is_drawn_in_which_the_sentence_is_true() -> None:
 def test_a_model_that_knows_nothing_means_nothing() -> None:
     understood = understand(COMMAND, load_shipped().zeroed())
     scenario = prepare(COMMAND, "1H1C").task.scenario
-    goals, _ = meant_goals(understood, scenario)
+    (goals,), _ = meant_goals(understood, scenario)
     assert len(goals) != 1
+
+
+def test_the_known_way_goes_by_where_earlier_commands_end(tmp_path):
+    world, text = bare(tmp_path / "park.toml", 4), "go to the bench then go to the car"
+    understood = understand(text, load_shipped(), detector_of(world, ()))
+    (goals, car), _ = meant_goals(understood, open_world(world).scenario)
+    assert (goals[0].position, car[0].position) == ((18.0, -9.0), (6.0, 0.0))
+    found = follow_text(text, world=world, max_steps=1).scene
+    assert found.known_distance == pytest.approx(math.hypot(18.0, 9.0) + math.hypot(12.0, 9.0))
+    assert usual_steps(found.scenario, found.sensor) == 3 * 400 / 6.0
 
 
 def bare(path: Path, number: int) -> str:

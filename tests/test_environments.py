@@ -23,8 +23,6 @@ from jaxlangnav.environments.functional import (
 from jaxlangnav.environments.gymnasium_env import (
     FollowEnv,
     FollowVectorEnv,
-    action_space,
-    to_functional,
 )
 from jaxlangnav.environments.pool import draw_pool, next_world
 from jaxlangnav.experiments.tasks import SENTENCES
@@ -212,20 +210,6 @@ def test_a_world_that_does_not_meet_the_law_is_replaced() -> None:
     pool = draw_pool(jax.random.key(4), crowded, num_worlds=64)
     assert bool(pool.is_valid.all())
     assert 1 < len({tuple(goal) for goal in pool.goal.tolist()}) < 64
-
-
-def test_a_random_agent_lives_longer_than_two_steps() -> None:
-    for actions, share in (
-        ("continuous", (1.0 - STOP_ABOVE) / 2),
-        ("discrete", 1 / len(DISCRETE_ACTIONS)),
-    ):
-        space = action_space(actions)
-        space.seed(0)
-        tried = to_functional(np.array([space.sample() for _ in range(2000)]), space)
-        assert tried.shape == (2000, 3)
-        spread = (share * (1 - share) / 2000) ** 0.5
-        assert (tried[:, 2] > STOP_ABOVE).mean() == pytest.approx(share, abs=5 * spread)
-        assert 1 / share > 15
 
 
 def test_discrete_actions_are_stop_and_whole_steps() -> None:

@@ -71,11 +71,7 @@ def places() -> tuple[str, ...]:
 
 
 def read_world(text: str) -> dict[str, Any]:
-    """Read a world file's text, TOML or JSON, as tables in which every default is filled in.
-
-    Raises:
-        ValueError: it is neither, or anything in it is wrong; one line.
-    """
+    """Read a world file's text, TOML or JSON, with all defaults; ``ValueError`` if it is none."""
     try:
         table = (parse_json if text.lstrip().startswith("{") else parse_toml)(text)
     except ValueError as error:
