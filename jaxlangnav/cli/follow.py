@@ -54,8 +54,7 @@ class Follow:
     particles: int = 64
     """Hypotheses of the map kept at once."""
     max_steps: checks.Number = None
-    """Decisions after which the episode ends as a time-out; if not given 120, or as many as three
-    sweeps of the area take."""
+    """Decisions before a time-out; if not given 120, or three sweeps of the area."""
     out: checks.Folder = None
     """Where to write pictures (PNG, SVG), an interactive page (HTML) and the document."""
     hear: tyro.conf.UseAppendAction[tuple[checks.ByStep, ...]] = ()
@@ -123,7 +122,7 @@ class Follow:
         refuse_below(2, **{"--particles": self.particles})
         refuse_below(1, **{"--max-steps": 1 if self.max_steps is None else self.max_steps})
         checks.check_folder("--out", self.out)
-        script = speech.read_script(self.hear, self.max_steps)
+        script = speech.read_script(self.hear, self.max_steps or 120)
         speech.check_speakers(ask=self.ask, talk=self.talk, person=self.person)
         if self.talk and self.live:
             raise UsageError("--talk tells the story as it goes: leave out --live")
@@ -197,8 +196,7 @@ class Follow:
         if heard is not None:
             who = {name: getattr(self, name) for name in ("person", "ask", "talk")}
             ear = speech.ear_of(output, **who, **heard, scene=scene)
-        asked = [step + 1 for step in heard["script"]] if heard else []
-        most = self.max_steps or max(usual_steps(task.scenario, task.sensor), *asked, 0)
+        most = self.max_steps or usual_steps(task.scenario, task.sensor)
         steps = recorder.play(task, instructions, max_steps=most, ear=ear, **sizes)
         note = "compiling the robot's mind; what is compiled is kept for the next run"
         with waiting(note, output):

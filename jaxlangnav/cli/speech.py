@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _PACE = 0.4  # seconds that a step takes at least while somebody may type
 
 
-def read_script(hear: Iterable[str], max_steps: int | None) -> dict[int, list[str]]:
+def read_script(hear: Iterable[str], max_steps: int) -> dict[int, list[str]]:
     """Read utterances such as "5: go to the other hydrant", by their steps."""
     script: dict[int, list[str]] = {}
     for text in hear:
@@ -33,7 +33,7 @@ def read_script(hear: Iterable[str], max_steps: int | None) -> dict[int, list[st
             )
         digits = found[1].lstrip("0") or "0"
         step = int(digits[:18])
-        if max_steps is not None and step >= max_steps:
+        if step >= max_steps:
             raise UsageError(
                 f"--hear is for step {shorten(digits)}, but the last one is {max_steps - 1}: name "
                 "an earlier step, or raise --max-steps"

@@ -108,11 +108,14 @@ def _figure(
             understood = understand_parse(parse(TEXT), load(None))
             prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = equip(prepared, settings.values, params=settings.params)
-            given = {"understood": understood, "prepared": prepared, "params": params}
-            recording = record_episode(OpenedEpisode(text=TEXT, config=sizes, **given))
+            given = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
+            recording = record_episode(OpenedEpisode(**given, config=sizes))
         output.tell(narrate(recording))
-        steps = pick_moments(recording, num_panels)
-        scene, result = recording.scene, recording.result
+        steps, scene, result = (
+            pick_moments(recording, num_panels),
+            recording.scene,
+            recording.result,
+        )
         document = {
             "experiment": name,
             "instruction": TEXT,
