@@ -109,13 +109,9 @@ def _figure(
             prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = equip(prepared, settings.values, params=settings.params)
             given = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
-            recording = record_episode(OpenedEpisode(**given, config=sizes))
-        output.tell(narrate(recording))
-        steps, scene, result = (
-            pick_moments(recording, num_panels),
-            recording.scene,
-            recording.result,
-        )
+            episode = record_episode(OpenedEpisode(**given, config=sizes))
+        output.tell(narrate(episode))
+        steps, scene, result = pick_moments(episode, num_panels), episode.scene, episode.result
         document = {
             "experiment": name,
             "instruction": TEXT,
@@ -128,7 +124,7 @@ def _figure(
             "distance": float(result.distance),
             "known_distance": scene.known_distance,
             "steps": int(result.steps),
-            "moments": describe_moments(recording, steps),
+            "moments": describe_moments(episode, steps),
             "paper": paper,
             "compile_s": clock.seconds,
         }
@@ -139,8 +135,8 @@ def _figure(
             made, stem = manifest(told, models=load(None)), out / name
             text = f"# {title}\n\n{paper}\n\n{ours}\n\n{table}"
             return [
-                *save(draw(recording, steps=steps), stem),
-                write_html(recording, stem.with_suffix(".html")),
+                *save(draw(episode, steps=steps), stem),
+                write_html(episode, stem.with_suffix(".html")),
                 write_text(text, stem.with_suffix(".md")),
                 write_manifest(made, out / f"{name}_manifest.json"),
             ]
