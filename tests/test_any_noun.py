@@ -16,14 +16,14 @@ from jaxlangnav.grounding.readings import unpad_readings
 from jaxlangnav.inputs.object_types import (
     ANYTHING,
     ATTRIBUTES,
-    MOST_LABELS,
+    MAX_LABELS,
     attribute_code,
     attribute_words,
     is_type,
-    kind_of,
     label_of,
     merge_types,
     name_of,
+    type_code,
 )
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import LanguageError
@@ -234,12 +234,12 @@ def test_a_kind_is_a_label_and_attributes() -> None:
     red, tall = attribute_code("red"), attribute_code("tall")
     both = attribute_code("tall", "red")
     assert attribute_words(both) == ("red", "tall")
-    ball = [kind_of(7, code) for code in (0, red, attribute_code("blue"), both)]
-    asked = kind_of(7, red)
+    ball = [type_code(7, code) for code in (0, red, attribute_code("blue"), both)]
+    asked = type_code(7, red)
     assert [bool(is_type(one, asked)) for one in ball] == [True, True, False, True]
-    assert not is_type(kind_of(8, red), asked)
-    assert merge_types(ball[2], kind_of(7, both)) == ball[3]
-    assert merge_types(ball[1], kind_of(7, tall)) == ball[3]
+    assert not is_type(type_code(8, red), asked)
+    assert merge_types(ball[2], type_code(7, both)) == ball[3]
+    assert merge_types(ball[1], type_code(7, tall)) == ball[3]
     for special in (NONE, ROBOT):
         assert label_of(special) == special
         assert int(label_of(np.int32(special))) == special
@@ -250,14 +250,14 @@ def test_a_kind_is_a_label_and_attributes() -> None:
         given = tuple(word for word in words if word)
         code = attribute_code(*given)
         assert attribute_words(code) == given
-        kind = kind_of(MOST_LABELS - 1, code)
+        kind = type_code(MAX_LABELS - 1, code)
         assert int(np.float32(kind)) == kind  # as tables of particles hold it
 
 
 def test_attributes_that_the_detector_reports_are_part_of_what_is_meant(model) -> None:
     told = understood("go to the red ball behind the blue ball", model, attributes=("colour",))
     ball = LABELS.index("sports ball")
-    said = [kind_of(ball, attribute_code(word)) for word in ("blue", "red")]
+    said = [type_code(ball, attribute_code(word)) for word in ("blue", "red")]
     assert told.instruction.readings.mention_type[0, :2].tolist() == said
     assert told.notes == ()
     assert [one["figure"] for one in told.annotations[:1]] == ["ball"]
@@ -287,7 +287,7 @@ def test_no_adjective_is_dropped_silently(text, groups, notes, model) -> None:
 
 def test_it_is_what_it_was_attributes_and_all(model) -> None:
     told = understood("go to the red box, then stop behind it", model, attributes=("colour",))
-    kind = kind_of(LABELS.index("box"), attribute_code("red"))
+    kind = type_code(LABELS.index("box"), attribute_code("red"))
     readings = told.instruction.readings
     assert set(np.asarray(readings.mention_type[0]).tolist()) == {kind, NONE}
 
@@ -377,17 +377,17 @@ def test_what_is_said_of_it_comes_last(model) -> None:
 def test_a_colour_of_the_thing_counts_or_is_noted(model) -> None:
     text = "go to the red thing behind the cone"
     seen = read(text, model, Detector(model.type_names, ["colour"]))
-    red = kind_of(ANYTHING, attribute_code("red"))
+    red = type_code(ANYTHING, attribute_code("red"))
     assert seen.mentions == (CONE, red)
     assert name_of(red, model.type_names) == "red thing"
     assert "'red'" in "".join(understand(text, model).notes)
 
 
 def test_everything_seen_fits_and_nothing_else() -> None:
-    red, blue = (kind_of(BENCH, attribute_code(one)) for one in ("red", "blue"))
+    red, blue = (type_code(BENCH, attribute_code(one)) for one in ("red", "blue"))
     seen = np.array([HYDRANT, BENCH, red, blue, NONE, ROBOT])
     assert is_type(seen, ANYTHING).tolist() == [True] * 4 + [False] * 2
-    wanted = kind_of(ANYTHING, attribute_code("red"))
+    wanted = type_code(ANYTHING, attribute_code("red"))
     assert is_type(seen, wanted).tolist() == [True, True, True, False, False, False]
     assert not is_type(ANYTHING, np.array([HYDRANT, NONE, ROBOT])).any()
 

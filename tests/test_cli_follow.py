@@ -45,13 +45,13 @@ def follow(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, An
 def test_what_is_rehearsed_is_what_is_run(world, capsys, monkeypatch):
     """The thread that compiles while the world is drawn compiles the program of the episode."""
     programs: list[tuple[str, str]] = []
-    name_of = program_cache._name
+    name_of = program_cache._cache_key
 
     def spy(function: Any, *rest: Any) -> str:
         programs.append((function.__name__, name_of(function, *rest)))
         return programs[-1][1]
 
-    monkeypatch.setattr(program_cache, "_name", spy)
+    monkeypatch.setattr(program_cache, "_cache_key", spy)
     document = follow([COMMAND, "--world", world], capsys)
     for function, times in (("_begin", 2), ("_advance", document["steps"] + 1)):
         names = [name for one, name in programs if one == function]

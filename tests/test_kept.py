@@ -279,8 +279,8 @@ def test_a_program_lost_is_written_whole_again(folder: Path, tmp_path: Path) -> 
 def test_another_source_is_another_program(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = jax.random.key(3), default_motion()
     another_process()(*arguments)
-    machine = module._machine()
-    monkeypatch.setattr(module, "_machine", lambda: ("another digest", *machine[1:]))
+    machine = module._fingerprint()
+    monkeypatch.setattr(module, "_fingerprint", lambda: ("another digest", *machine[1:]))
     another_process()(*arguments)
     assert len(TRACES) == 2
 

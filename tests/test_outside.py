@@ -25,7 +25,7 @@ RIGHT = {
     "nowhere": 0.99,
 }
 """Share of episodes that must end at the goal."""
-FARTHEST = {"false": 45.0, "nowhere": 65.0}
+MAX_METRES = {"false": 45.0, "nowhere": 65.0}
 """Metres walked on average that a scenario may cost."""
 WAYS = {
     "behind": 16.5, "none": 24.0, "pairs": 20.0, "front": 38.0, "false": 48.0, "empty": 82.0,
@@ -60,7 +60,7 @@ def test_goal_is_found_in_places_as_they_are(name: str) -> None:
     robot = outside.robot_of(scenario.steady_drift, scenario.drift)
     outcome = outside.drive(robot, scenario, EPISODES)
     assert outcome.is_right.mean() >= RIGHT[name], outcome.line(name)
-    assert outcome.metres.mean() <= FARTHEST.get(name, np.inf), outcome.line(name)
+    assert outcome.metres.mean() <= MAX_METRES.get(name, np.inf), outcome.line(name)
 
 
 @pytest.mark.slow

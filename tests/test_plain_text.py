@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from jaxlangnav.inputs.sanitize import (
-    LONGEST_NAME,
+    MAX_NAME,
     Plain,
     as_text,
     markdown,
@@ -54,7 +54,7 @@ def test_no_text_whatever_leaves_a_control_character(text: str) -> None:
 
 
 def test_a_name_of_absurd_length_is_a_fault() -> None:
-    assert name_fault("x" * LONGEST_NAME) is None
+    assert name_fault("x" * MAX_NAME) is None
     assert str(name_fault("x" * 5000)).startswith("has 5000 characters")
 
 

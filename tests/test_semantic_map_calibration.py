@@ -15,7 +15,7 @@ import pytest
 import readings as by_hand
 import scipy.stats
 
-from jaxlangnav.inputs.object_types import MOST_LABELS
+from jaxlangnav.inputs.object_types import MAX_LABELS
 from jaxlangnav.messages import BEHIND, NEAR, NONE
 from jaxlangnav.relations import default_params
 
@@ -102,7 +102,7 @@ def simulate(
     random = np.random.default_rng(seed)
     sentence = by_hand.readings([[HYDRANT, CONE]], [[(0, relation, 1, False)]])
     numbers = by_hand.params(concentration=ALPHA, odometry_noise=ODOMETRY, clumping=clumping)
-    spoken = jnp.arange(MOST_LABELS) < 2
+    spoken = jnp.arange(MAX_LABELS) < 2
     pooled = {"spoken": spoken, "pools_counts": True} if is_pooled else {}
     truths, draws, believed, happened, start = [], [], [], [], 0
     for index in range(rounds):

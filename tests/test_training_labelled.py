@@ -21,7 +21,7 @@ from jaxlangnav.grounding.symbols import (
     region_symbol,
     relation_symbol,
 )
-from jaxlangnav.inputs.object_types import MOST_LABELS
+from jaxlangnav.inputs.object_types import MAX_LABELS
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.training.examples import (
@@ -125,9 +125,9 @@ def test_what_is_spoken_and_held_out_is_read_right(every):
 
 def test_more_types_than_a_program_holds_are_refused():
     model = load_shipped()
-    names = (*TYPES, *(f"kind{number}" for number in range(MOST_LABELS)))
+    names = (*TYPES, *(f"kind{number}" for number in range(MAX_LABELS)))
     crowded = dataclasses.replace(model, type_names=names)
-    with pytest.raises(ValueError, match=f"give 1 to {MOST_LABELS - 1} names"):
+    with pytest.raises(ValueError, match=f"give 1 to {MAX_LABELS - 1} names"):
         understand("go to the hydrant", crowded)
 
 

@@ -13,7 +13,7 @@ from jaxlangnav.world.places import (
     OWN_GAP,
     PAIR_GAP,
     PlaceLaw,
-    passes_for,
+    is_related,
     place_law,
 )
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -74,7 +74,7 @@ def test_things_stand_by_the_law(drawn: dict, name: str) -> None:
             (int(h), int(c))
             for h in hydrants
             for c in cones
-            if bool(passes_for(jnp.asarray(at[:, h]), jnp.asarray(at[:, c]), law.said))
+            if bool(is_related(jnp.asarray(at[:, h]), jnp.asarray(at[:, c]), law.said))
         }
         is_true = bool(law.has_goal & law.has_cone) and float(law.side) == float(law.said)
         assert fits == ({(0, 1)} if is_true else set())

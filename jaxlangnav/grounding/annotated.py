@@ -26,7 +26,7 @@ from jaxlangnav.grounding.readings import (
 )
 from jaxlangnav.grounding.search import sum_by_key
 from jaxlangnav.grounding.symbols import AnnotationSymbol, object_symbol, relation_symbol
-from jaxlangnav.inputs.object_types import MOST_LABELS
+from jaxlangnav.inputs.object_types import MAX_LABELS
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Measure
 from jaxlangnav.messages import ACTIONS, AT, NONE, ROBOT
@@ -44,10 +44,10 @@ class AnnotationGrounder:
     def __post_init__(self) -> None:
         """Refuse duplicate type names, none, or too many."""
         count, distinct = len(self.type_names), len(set(self.type_names))
-        if not 0 < distinct == count <= MOST_LABELS:
+        if not 0 < distinct == count <= MAX_LABELS:
             raise ValueError(
                 f"type_names has {count} names, {distinct} of them different; "
-                f"1 to {MOST_LABELS} are held, each once"
+                f"1 to {MAX_LABELS} are held, each once"
             )
 
     def ground(self, text: str, context: Context) -> Grounded:

@@ -17,12 +17,12 @@ from jaxlangnav.grounding.program import MAX_NAMED_TYPES
 from jaxlangnav.inputs.object_types import (
     ANYTHING,
     ATTRIBUTES,
-    MOST_LABELS,
+    MAX_LABELS,
     attribute_code,
     attribute_words,
     group_of,
-    kind_of,
     label_of,
+    type_code,
 )
 from jaxlangnav.inputs.sanitize import check_names
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
@@ -56,9 +56,9 @@ class Detector:
             ValueError: no label, too many, one that is no name, twice, empty or a word of the
                 grammar, or no such group; one line.
         """
-        self.labels = check_names(labels, "labels", at_most=MOST_LABELS)
+        self.labels = check_names(labels, "labels", at_most=MAX_LABELS)
         self.attribute_groups = frozenset(
-            check_names(attribute_groups, "attributes", at_most=MOST_LABELS)
+            check_names(attribute_groups, "attributes", at_most=MAX_LABELS)
         )
         self._names = [  # as sentences write them: "Stop_Sign" is "stop sign"
             " ".join(normalize(label).replace("_", " ").replace("-", " ").split())
@@ -68,7 +68,7 @@ class Detector:
         fault = self._fault()
         if fault:
             raise ValueError(
-                f"the detector's labels have {fault}: give 1 to {MOST_LABELS - 1} names, none "
+                f"the detector's labels have {fault}: give 1 to {MAX_LABELS - 1} names, none "
                 "empty or a word like 'the' and 'behind', each once"
             )
         unknown = sorted(self.attribute_groups - set(ATTRIBUTES))
@@ -81,7 +81,7 @@ class Detector:
     def _fault(self) -> str:
         """Describe what is wrong with the labels; empty if nothing is."""
         names = self._names
-        if not 0 < len(names) < MOST_LABELS:
+        if not 0 < len(names) < MAX_LABELS:
             return f"{len(names)} names"
         if "" in names:
             return f"an empty name at place {names.index('') + 1}"
@@ -135,8 +135,8 @@ class Detector:
     def index_without_label(self, noun: str) -> int:
         """Assign a noun without a label an index after the labels."""
         if noun not in self._extra:
-            if len(self.names) + 1 >= MOST_LABELS:
-                raise ValueError(f"more than {MOST_LABELS} nouns and labels: start a new navigator")
+            if len(self.names) + 1 >= MAX_LABELS:
+                raise ValueError(f"more than {MAX_LABELS} nouns and labels: start a new navigator")
             self._extra.append(noun)
         return len(self.labels) + self._extra.index(noun)
 
@@ -186,7 +186,7 @@ class BoundSentence:
         self.tree = dataclasses.replace(tree, clauses=tuple(clauses))
         # Types not mentioned by the sentence: their labels, or the unused last code.
         self.kinds = [
-            bound or detector.find(name)[0][:MAX_NAMED_TYPES] or (MOST_LABELS - 1,)
+            bound or detector.find(name)[0][:MAX_NAMED_TYPES] or (MAX_LABELS - 1,)
             for name, bound in zip(self.names, self.kinds, strict=True)
         ]
 
@@ -214,7 +214,7 @@ class BoundSentence:
         rebuilt = dataclasses.replace(phrase, children=children)
         head = next((w for w in phrase.words if w.type_sense), None)
         if is_untyped(phrase):
-            self._untyped = kind_of(ANYTHING, self._code(phrase, phrase.words[-1], ""))
+            self._untyped = type_code(ANYTHING, self._code(phrase, phrase.words[-1], ""))
         if phrase.label != "NP" or head is None:
             return rebuilt
         noun = (head.type_sense or "").removeprefix(_TYPE)
@@ -283,7 +283,7 @@ class BoundSentence:
 
     def _enter(self, noun: str, code: int, labels: tuple[int, ...]) -> str:
         """Find the type with these codes, or add it; the lexicon's types keep their indices."""
-        kinds = tuple(kind_of(label, code) for label in labels)
+        kinds = tuple(type_code(label, code) for label in labels)
         if noun in self.names and self.kinds[self.names.index(noun)] in ((), kinds):
             self.kinds[self.names.index(noun)] = kinds
             return noun

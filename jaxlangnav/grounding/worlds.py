@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
-from jaxlangnav.inputs.object_types import is_type, kind_of, label_of, name_of
+from jaxlangnav.inputs.object_types import is_type, label_of, name_of, type_code
 from jaxlangnav.language.geometry import SIDE_RANGE, Geometry, PlacedWorld
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.relations.between import lies_between
@@ -59,7 +59,7 @@ def to_world(
     count = len(placed.objects)
     codes = placed.attributes or [0] * count
     kinds = [
-        kind_of(type_names.index(name), code)
+        type_code(type_names.index(name), code)
         for (name, _, _), code in zip(placed.objects, codes, strict=True)
     ]
     world = World.of_edges([*kinds, ROBOT], ())

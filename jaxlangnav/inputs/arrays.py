@@ -1,8 +1,8 @@
-"""Arrays in NumPy's files, read without believing what a file says of itself.
+"""Reading of untrusted NumPy files (``.npy``, ``.npz``) with validated headers and sizes.
 
-An archive may promise more than it holds or hold more than it promises, hold one name twice, or
-bring Python objects. So nothing is inflated or allocated before what is promised has been compared
-with what belongs there, and what comes out is numbers or text, nothing else.
+An archive may declare wrong sizes, contain a name twice, or contain pickled Python objects. So
+nothing is decompressed or allocated before the declared sizes have been compared with the expected
+ones, and only numbers and text are read.
 """
 
 import contextlib
@@ -15,25 +15,25 @@ from collections.abc import Iterator
 import numpy as np
 
 _HEADER = 4096
-"""Bytes that a header may take beside its array; NumPy's own have 128."""
+"""Limit of a header's bytes; NumPy's own have 128."""
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 @contextlib.contextmanager
 def faults_as_values() -> Iterator[None]:
-    """Turn what a library raises over bytes from outside into a ``ValueError`` of one line."""
+    """Context that converts any exception of a parser into a one-line ``ValueError``."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             yield
     except Exception as error:  # zipfile, zlib, numpy and json have a dozen kinds
-        said = " ".join(str(error).split()) or type(error).__name__
-        said = "".join(one if one.isprintable() else "?" for one in said)
-        raise ValueError(said[:200]) from error
+        message = " ".join(str(error).split()) or type(error).__name__
+        message = "".join(char if char.isprintable() else "?" for char in message)
+        raise ValueError(message[:200]) from error
 
 
 def open_arrays(content: bytes) -> zipfile.ZipFile:
-    """Open an archive of arrays (``.npz``), given whole; ValueError if a name is in it twice."""
+    """Open an archive of arrays (``.npz``) from bytes; ValueError for a duplicate name."""
     with faults_as_values():
         archive = zipfile.ZipFile(io.BytesIO(content))
         if len(set(archive.namelist())) < len(archive.namelist()):
@@ -42,25 +42,25 @@ def open_arrays(content: bytes) -> zipfile.ZipFile:
 
 
 def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Read an array that must have a shape: f32, finite, read-only; ValueError of anything else."""
+    """Read an array of a given shape: f32, finite, read-only; otherwise ValueError."""
     with faults_as_values():
-        array = parse_floats(_member(archive, name, 4 * math.prod(shape) + _HEADER))
+        array = parse_floats(_read_member(archive, name, 4 * math.prod(shape) + _HEADER))
         if array.shape != shape:
             raise ValueError(f"{name} has shape {array.shape}, not {shape}")
         return array
 
 
 def read_text_entry(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str:
-    """Read a text, an array of no axes, of so many characters; ValueError of anything else."""
+    """Read a text, a 0-d array of ``at_most`` characters; otherwise ValueError."""
     with faults_as_values():
-        array = _parse(_member(archive, name, 4 * at_most + _HEADER))
+        array = _parse(_read_member(archive, name, 4 * at_most + _HEADER))
         if array.dtype.kind != "U" or array.shape != ():
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not one text")
         return str(array)
 
 
 def parse_floats(content: bytes) -> np.ndarray:
-    """Read a ``.npy`` file, given whole: f32[...], finite, read-only; ValueError of any other."""
+    """Parse the bytes of a ``.npy`` file: f32[...], finite, read-only; otherwise ValueError."""
     with faults_as_values():
         array = _parse(content)
         if array.dtype != np.float32:
@@ -70,8 +70,8 @@ def parse_floats(content: bytes) -> np.ndarray:
         return array
 
 
-def _member(archive: zipfile.ZipFile, name: str, at_most: int) -> bytes:
-    """Inflate a file of an archive; its checksum is compared at its end."""
+def _read_member(archive: zipfile.ZipFile, name: str, at_most: int) -> bytes:
+    """Decompress a file of an archive, which verifies its checksum."""
     if f"{name}.npy" not in archive.namelist():
         raise ValueError(f"{name} is missing")
     info = archive.getinfo(f"{name}.npy")
@@ -84,7 +84,7 @@ def _member(archive: zipfile.ZipFile, name: str, at_most: int) -> bytes:
 
 
 def _parse(content: bytes) -> np.ndarray:
-    """Read numbers or text whose header promises exactly the bytes that follow it."""
+    """Parse numbers or text, with exactly as many bytes as the header declares."""
     stream = io.BytesIO(content)
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError("not of NumPy's format 1.0")

@@ -1,8 +1,8 @@
-"""TOML and JSON from outside: read with limits, refused in one line.
+"""Parsing of untrusted TOML and JSON with limits on depth and numbers, and one-line errors.
 
-A document that nests a thousand deep, or holds a number of ten thousand digits, breaks whoever
-walks through it or prints it; one key of many dots keeps the TOML parser busy for minutes. Each is
-refused here, before anything else sees the document.
+Deeply nested documents and numbers of thousands of digits break code that traverses or prints them;
+a key with many dots takes the TOML parser minutes. All are rejected here, before any other code
+uses the document.
 """
 
 import contextlib
@@ -18,54 +18,54 @@ from typing import Any, NoReturn
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.inputs.whole_files import read_file
 
-DEEPEST = 32
-"""Tables and lists inside one another that a document may have."""
-_BITS = 64
-"""Of a whole number; so many digits stand for no size, place or count of ours."""
-_MESSAGE = 200
-"""Characters that a parser's complaint is cut to."""
-# Keys joined by dots cost the parser the square of their number. Starts only where a key may.
+MAX_DEPTH = 32
+"""Limit of the nesting depth of tables and lists."""
+_MAX_BITS = 64
+"""Limit of an integer's size."""
+_MAX_TEXT = 200
+"""Length to which a parser's error message is shortened."""
+# The parser's time is quadratic in the parts of a dotted key. Matches only where a key may start.
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
-_DOTTED = re.compile(rf"""(?<![\w"'-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}""")
+_LONG_KEY = re.compile(rf"""(?<![\w"'-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_DEPTH}}}""")
 
 
 class DocumentError(ValueError):
-    """A document cannot be used; the message is one line and does not name the file."""
+    """Raised for an invalid document; the message is one line and does not name the file."""
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Read TOML; DocumentError if it is none, too deep, or has a number beyond 64 bits."""
-    if _DOTTED.search(text):
-        raise DocumentError(f"has a key of more than {DEEPEST} parts: use fewer dots")
+    """Parse TOML; DocumentError if invalid, too deep, or with an integer above 64 bits."""
+    if _LONG_KEY.search(text):
+        raise DocumentError(f"has a key of more than {MAX_DEPTH} parts: use fewer dots")
     return _parse(tomllib.loads, text, "TOML")
 
 
 def parse_json(text: str) -> Any:
-    """Read JSON; DocumentError if it is none, too deep, or has NaN or a number beyond 64 bits.
+    """Parse JSON; DocumentError if invalid, too deep, or with NaN or an integer above 64 bits.
 
-    Of an object that has a field twice one would be lost: it is refused.
+    Duplicate fields are rejected, since one would be lost.
     """
     loads = functools.partial(
-        json.loads, object_pairs_hook=_once_each, parse_constant=_refuse_constant
+        json.loads, object_pairs_hook=_unique_fields, parse_constant=_reject_constant
     )
     return _parse(loads, text, "JSON")
 
 
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
     for name, value in pairs:
-        if name in found:
+        if name in fields:
             raise DocumentError(f"has a field {shorten(name, 40)!r} twice: leave one out")
-        found[name] = value
-    return found
+        fields[name] = value
+    return fields
 
 
-def _refuse_constant(name: str) -> NoReturn:
+def _reject_constant(name: str) -> NoReturn:
     raise DocumentError(f"holds {name}, which is no number of JSON")
 
 
 def read_document(path: Path, *, at_most: int) -> Any:
-    """Read a file of JSON, or of TOML if its name does not end in .json, of so many bytes at most.
+    """Read a JSON or TOML file (by its extension .json or another) of ``at_most`` bytes.
 
     Raises:
         ValueError: it cannot be read or is not valid; one line that names the file.
@@ -78,7 +78,7 @@ def read_document(path: Path, *, at_most: int) -> Any:
 
 
 def read_text(path: str | Path, *, at_most: int) -> str:
-    """Read a file of text of so many bytes at most.
+    """Read a text file of ``at_most`` bytes.
 
     Raises:
         ValueError: it cannot be read, is no regular file, too large, or no UTF-8; one line that
@@ -93,33 +93,33 @@ def read_text(path: str | Path, *, at_most: int) -> str:
 
 
 def read_lines(path: str | Path, *, at_most: int) -> list[tuple[int, str]]:
-    """Read the lines of a file that are not empty, with their numbers from 1, as ``read_text``."""
+    """Read the nonempty lines of a file, with their line numbers from 1, as ``read_text``."""
     lines = enumerate(read_text(path, at_most=at_most).split("\n"), start=1)
     return [(number, line) for number, line in lines if line.strip()]
 
 
 @contextlib.contextmanager
-def naming(place: object) -> Iterator[None]:
-    """Begin what a ValueError says with the place of its cause: a file, or a line of it."""
+def naming(prefix: object) -> Iterator[None]:
+    """Context that prefixes the message of a ValueError with a location: a file, or its line."""
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"{place}: {error}") from None
+        raise ValueError(f"{prefix}: {error}") from None
 
 
 def shipped_file(floor: str, name: str) -> Path:
-    """Find a file in the folder ``data`` of a part of this package, such as "language"."""
+    """Return the path of a file in the folder ``data`` of a subpackage, such as "language"."""
     return Path(__file__).parent.parent / floor / "data" / name
 
 
 def read_shipped(floor: str, name: str) -> str:
-    """Read such a file of text."""
+    """Read a text file from the folder ``data`` of a subpackage."""
     return shipped_file(floor, name).read_text("utf-8")
 
 
-def _parse(loads: Callable[[str], Any], text: str, kind: str) -> Any:
-    """Read a document and check its depth and numbers."""
-    too_deep = f"is nested more than {DEEPEST} deep: use fewer tables inside tables"
+def _parse(loads: Callable[[str], Any], text: str, syntax: str) -> Any:
+    """Parse a document, and check its depth and numbers."""
+    too_deep = f"is nested more than {MAX_DEPTH} deep: use fewer tables inside tables"
     try:
         document = loads(text)
     except DocumentError:
@@ -127,21 +127,21 @@ def _parse(loads: Callable[[str], Any], text: str, kind: str) -> Any:
     except RecursionError:
         raise DocumentError(too_deep) from None
     except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        raise DocumentError(f"is no valid {kind}: {shorten(str(error), _MESSAGE)}") from None
+        raise DocumentError(f"is no valid {syntax}: {shorten(str(error), _MAX_TEXT)}") from None
     except ValueError:
-        # Python's own limit on the digits of a whole number, or a date that is none.
-        why = "a number of too many digits, or no such date"
-        raise DocumentError(f"is no valid {kind}: {why}") from None
+        # Python's limit on the digits of an integer, or an invalid date.
+        reason = "a number of too many digits, or no such date"
+        raise DocumentError(f"is no valid {syntax}: {reason}") from None
     level, depth = [document], 0
-    while level:  # level by level, so that depth costs no stack
-        if depth > DEEPEST:
+    while level:  # breadth-first, so that depth needs no recursion
+        if depth > MAX_DEPTH:
             raise DocumentError(too_deep)
-        below: list[Any] = []
+        children: list[Any] = []
         for value in level:
             if isinstance(value, dict | list):
-                below += value.values() if isinstance(value, dict) else value
-            elif isinstance(value, int) and value.bit_length() > _BITS:
-                bits = f"{value.bit_length()} bits: use at most {_BITS}"
+                children += value.values() if isinstance(value, dict) else value
+            elif isinstance(value, int) and value.bit_length() > _MAX_BITS:
+                bits = f"{value.bit_length()} bits: use at most {_MAX_BITS}"
                 raise DocumentError(f"holds a whole number of {bits}")
-        level, depth = below, depth + 1
+        level, depth = children, depth + 1
     return document

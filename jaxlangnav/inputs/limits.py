@@ -1,7 +1,7 @@
-"""What numbers from outside may be: single precision computes with them and with their squares.
+"""Limits and units of input numbers, such that float32 can represent them and their squares.
 
-A bare number is in its own unit: metres, radians, or a share of one. With a unit, "30 cm",
-"360 deg" or "2 %", it is converted; a unit of another kind is refused.
+A number without unit is in metres, radians, or a fraction of one. With a unit, "30 cm",
+"360 deg" or "2 %", it is converted; a unit of another quantity is rejected.
 """
 
 import dataclasses
@@ -11,53 +11,53 @@ from typing import Any
 
 from jaxlangnav.inputs.sanitize import as_text, quote, shorten
 
-FARTHEST = 1e5
-"""Metres that a place or a length may have: float32 is 8 mm coarse there."""
-SHORTEST = 1e-3
-"""Metres that a step has at least."""
+MAX_METRES = 1e5
+"""Limit of coordinates and lengths, metres, where float32 resolves 8 mm."""
+MIN_STEP = 1e-3
+"""Minimum length of a step, metres."""
 RANGES = (0.01, 1e4)
-"""Metres, shortest and longest sensing range."""
-LARGEST = 1e15
-"""Of a plain number."""
-SMALLEST = 1e-15
-"""Of a plain number other than zero."""
+"""Limits of the sensing range, metres."""
+MAX_VALUE = 1e15
+"""Limit of a dimensionless number."""
+MIN_VALUE = 1e-15
+"""Lower limit of a dimensionless number other than zero."""
 VIEWS = (1e-3, math.tau + 1e-3)
-"""Radians, narrowest and widest field of view."""
-MOST_FALSE, MOST_WRONG = 100.0, 0.99
-"""False detections of one type expected in a look; share of wrong labels."""
+"""Limits of the field of view, radians."""
+MAX_FALSE, MAX_WRONG = 100.0, 0.99
+"""Limits of expected false detections per type and scan, and of the mislabelling probability."""
 
 
-def refuse_below(least: int, **counts: Any) -> None:
-    """Refuse a count that is too small, by its name, with a ValueError of one line."""
+def refuse_below(minimum: int, **counts: Any) -> None:
+    """Raise a one-line ``ValueError`` for a count, given by name, below a minimum."""
     for name, value in counts.items():
-        if value < least:
-            raise ValueError(f"{name} is {value}, but must be at least {least}")
+        if value < minimum:
+            raise ValueError(f"{name} is {value}, but must be at least {minimum}")
 
 
 def is_complex(value: Any) -> bool:
-    """Tell whether an array is of complex numbers, which NumPy would cut to real ones."""
+    """Tell whether an array is complex, which NumPy would silently cast to real."""
     return getattr(getattr(value, "dtype", None), "kind", "") == "c"
 
 
 def number(value: Any, what: str) -> float:
-    """Read a finite number, or an array of one, or refuse what it is with a ValueError."""
+    """Convert a number, or an array of one, to a finite float; otherwise ``ValueError``."""
     try:
         if isinstance(value, str | bytes) or is_complex(value):
             raise TypeError
-        read = float(value.reshape(()) if hasattr(value, "reshape") else value)
+        x = float(value.reshape(()) if hasattr(value, "reshape") else value)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{what} is {quote(value)}, but must be a number") from None
-    if not math.isfinite(read):
-        raise ValueError(f"{what} is {read}, but must be finite")
-    return read
+    if not math.isfinite(x):
+        raise ValueError(f"{what} is {x}, but must be finite")
+    return x
 
 
 def bounded(value: Any, low: float, high: float, what: str, remedy: str) -> float:
-    """Read a number, or an array of one, between two bounds, or refuse it with a ValueError."""
-    read = number(value, what)
-    if not low <= read <= high:
-        raise ValueError(f"{what} is {read:g}, but must lie between {low:g} and {high:g}: {remedy}")
-    return read
+    """Convert a number, or an array of one, between two bounds; otherwise ``ValueError``."""
+    x = number(value, what)
+    if not low <= x <= high:
+        raise ValueError(f"{what} is {x:g}, but must lie between {low:g} and {high:g}: {remedy}")
+    return x
 
 
 _UNITS = {
@@ -72,39 +72,39 @@ _TEXT = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]*
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """What a key of a configuration takes."""
+    """Quantity and limits of a numeric key of a configuration."""
 
     kind: str = "number"
-    """length (metres), angle (radians), share (of one) or number."""
+    """length (metres), angle (radians), share (a fraction) or number."""
     low: float = 0.0
     high: float = math.inf
     is_low_open: bool = False
-    """Whether ``low`` itself is refused."""
+    """Whether ``low`` itself is excluded."""
 
     def read(self, value: Any, name: str) -> float:
-        """Read a number, or a text with a unit, in the key's own unit; ``name`` is the key's.
+        """Convert a number, or a text with a unit, to the key's unit; ``name`` is the key's.
 
         Raises:
             ValueError: no number, a unit of another kind, or out of limits; one line.
         """
-        number = self._convert(value, name)
-        is_low = number <= self.low if self.is_low_open else number < self.low
-        if not math.isfinite(number) or is_low or number > self.high:
+        result = self._convert(value, name)
+        is_low = result <= self.low if self.is_low_open else result < self.low
+        if not math.isfinite(result) or is_low or result > self.high:
             # A unit may have been forgotten.
-            meant = {"angle": ("deg", "degrees are"), "share": ("%", "percent is")}.get(self.kind)
+            hint = {"angle": ("deg", "degrees are"), "share": ("%", "percent is")}.get(self.kind)
             remedy = ""
-            if meant and not (isinstance(value, str) or value <= self.high):
-                remedy = f'; write "{value:g} {meant[0]}" if {meant[1]} meant'
-            raise ValueError(f"{name} is {_shown(value)}, but must be {self._limits()}{remedy}")
-        is_lost = number != 0.0 and not SMALLEST <= abs(number) <= LARGEST
-        most = FARTHEST if self.kind == "length" else LARGEST
-        if is_lost or number > most:
-            reach = f"single precision serves for {SMALLEST:g} to {most:g} only"
-            raise ValueError(f"{name} is {_shown(value)}, but {reach}")
-        return number
+            if hint and not (isinstance(value, str) or value <= self.high):
+                remedy = f'; write "{value:g} {hint[0]}" if {hint[1]} meant'
+            raise ValueError(f"{name} is {_display(value)}, but must be {self._limits()}{remedy}")
+        is_out_of_range = result != 0.0 and not MIN_VALUE <= abs(result) <= MAX_VALUE
+        max_value = MAX_METRES if self.kind == "length" else MAX_VALUE
+        if is_out_of_range or result > max_value:
+            supported = f"single precision serves for {MIN_VALUE:g} to {max_value:g} only"
+            raise ValueError(f"{name} is {_display(value)}, but {supported}")
+        return result
 
     def _convert(self, value: Any, name: str) -> float:
-        """Turn a number or a text with a unit into the key's own unit."""
+        """Convert a number or a text with a unit to the key's unit."""
         if isinstance(value, int | float) and not isinstance(value, bool):
             try:
                 return float(value)
@@ -113,26 +113,26 @@ class Quantity:
                 raise ValueError(line) from None
         match = _TEXT.match(value) if isinstance(value, str) else None
         units = ", ".join(_UNITS[self.kind])
-        wanted, example = _NAMES[self.kind], f" ({units})" if units else ""
+        wanted, hint = _NAMES[self.kind], f" ({units})" if units else ""
         if match is None:
-            raise ValueError(f"{name} is {as_text(value)}, but must be {wanted}{example}")
+            raise ValueError(f"{name} is {as_text(value)}, but must be {wanted}{hint}")
         number, unit = float(match[1]), match[2]
         if not unit or unit in _UNITS[self.kind]:
             return number * _UNITS[self.kind].get(unit, 1.0)
-        meant = next((kind for kind, units in _UNITS.items() if unit in units), None)
-        what = f"is {_NAMES[meant]}" if meant else f'has the unknown unit "{shorten(unit)}"'
-        raise ValueError(f'{name} = "{shorten(match[0])}" {what}, but {wanted} is needed{example}')
+        other = next((kind for kind, units in _UNITS.items() if unit in units), None)
+        fault = f"is {_NAMES[other]}" if other else f'has the unknown unit "{shorten(unit)}"'
+        raise ValueError(f'{name} = "{shorten(match[0])}" {fault}, but {wanted} is needed{hint}')
 
     def _limits(self) -> str:
         unit = {"length": " m", "angle": " rad"}.get(self.kind, "")
-        above = f"above {self.low:g}" if self.is_low_open else f"at least {self.low:g}"
-        below = "" if math.isinf(self.high) else f" and at most {self.high:.6g}"
-        return f"{above}{below}{unit}"
+        lower = f"above {self.low:g}" if self.is_low_open else f"at least {self.low:g}"
+        upper = "" if math.isinf(self.high) else f" and at most {self.high:.6g}"
+        return f"{lower}{upper}{unit}"
 
 
 LENGTH = Quantity(kind="length", is_low_open=True)
 SHARE = Quantity(kind="share", high=1.0)
 
 
-def _shown(value: Any) -> str:
+def _display(value: Any) -> str:
     return shorten(value) if isinstance(value, str) else as_text(value)

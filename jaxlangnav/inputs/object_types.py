@@ -1,14 +1,14 @@
-"""Kinds: what a thing is and what it looks like, in one integer (sections 3.1 and 3.2).
+"""Type codes: an object's type label and attributes in one integer (sections 3.1 and 3.2).
 
 The low ``LABEL_BITS`` hold the index of the detector's label, the bits above them one value for
-each group of attributes: colour, material, size, height; 0 where it is not known. Both together
-take 24 bits, as float32 holds them exactly: tables of particles are such numbers. The map keeps the
-kind of what was seen, a sentence says the kind of what it means, and ``is_type`` compares them. A
-kind without attributes is the bare index of its label. ``ANYTHING`` is the label of what is called
-"the thing": nothing seen has it, and everything seen fits it.
+each group of attributes: colour, material, size, height; 0 where unknown. Both together take 24
+bits, which float32 represents exactly: tables of particles are such numbers. The map stores type
+codes of observed objects, a sentence has type codes of its referents, and ``is_type`` compares
+them. A type code without attributes is the index of its label. ``ANYTHING`` is the label of "the
+thing": no observed object has it, and every observed object matches it.
 
-Everything takes NumPy arrays, JAX arrays and plain integers; ``NONE`` and ``ROBOT`` are kinds that
-only fit themselves.
+All functions take NumPy arrays, JAX arrays and integers; ``NONE`` and ``ROBOT`` are type codes that
+match only themselves.
 """
 
 from collections.abc import Sequence
@@ -17,9 +17,9 @@ from typing import Any
 
 LABEL_BITS = 13
 ANYTHING = 2**LABEL_BITS - 1
-"""Label of a thing that a sentence calls by no type: "the one on your left"."""
-MOST_LABELS = ANYTHING
-"""Labels that are told apart: those of the detector, and nouns that it has no label for."""
+"""Label of an object described without a type: "the one on your left"."""
+MAX_LABELS = ANYTHING
+"""Limit of distinct labels: those of the detector, and other nouns."""
 ATTRIBUTES = {
     "colour": (
         "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown",
@@ -29,31 +29,31 @@ ATTRIBUTES = {
     "size": ("small", "big"),
     "height": ("short", "tall"),
 }  # fmt: skip
-"""Groups and their values; the value of a group is a place in its tuple, counted from 1."""
+"""Groups and their values; a value is encoded by its index in the tuple, from 1."""
 _WIDTHS = {"colour": 4, "material": 3, "size": 2, "height": 2}
 ATTRIBUTE_BITS = sum(_WIDTHS.values())
 
 
-_FIRSTS = tuple(accumulate(_WIDTHS.values(), initial=0))
-_PLACES = {
+_OFFSETS = tuple(accumulate(_WIDTHS.values(), initial=0))
+_BIT_FIELDS = {
     group: (first, ((1 << width) - 1) << first)
-    for (group, width), first in zip(_WIDTHS.items(), _FIRSTS, strict=False)
+    for (group, width), first in zip(_WIDTHS.items(), _OFFSETS, strict=False)
 }
-"""Of each group its first bit in an attribute code, and a mask of its bits."""
-_MASKS = tuple(mask << LABEL_BITS for _, mask in _PLACES.values())
-_TOPS = sum((mask + (mask & -mask)) >> 1 for mask in _MASKS)
+"""Bit offset and mask of each group in an attribute code."""
+_MASKS = tuple(mask << LABEL_BITS for _, mask in _BIT_FIELDS.values())
+_HIGH_BITS = sum((mask + (mask & -mask)) >> 1 for mask in _MASKS)
 """The highest bit of each group."""
-_LOWER = sum(_MASKS) - _TOPS
+_LOW_BITS = sum(_MASKS) - _HIGH_BITS
 _SIGN = -(2**31)
 
 
 def group_of(word: str) -> str | None:
-    """Find the group of an attribute; None of any other word."""
+    """Return the group of an attribute; None for any other word."""
     return next((group for group, values in ATTRIBUTES.items() if word in values), None)
 
 
 def attribute_code(*words: str) -> int:
-    """Build the code of attributes, for ``Observation.detection_attribute``; 0 of none.
+    """Encode attributes, for ``Observation.detection_attribute``; 0 for none.
 
     Args:
         *words: values of ``ATTRIBUTES``, at most one of each group.
@@ -67,7 +67,7 @@ def attribute_code(*words: str) -> int:
         if group is None:
             known = ", ".join(value for values in ATTRIBUTES.values() for value in values)
             raise ValueError(f"{word[:30]!r} is no attribute that is compared: use {known}")
-        first, mask = _PLACES[group]
+        first, mask = _BIT_FIELDS[group]
         if code & mask:
             raise ValueError(f"{word!r} is a second {group}: give one")
         code |= (ATTRIBUTES[group].index(word) + 1) << first
@@ -75,71 +75,71 @@ def attribute_code(*words: str) -> int:
 
 
 def attribute_words(code: int) -> tuple[str, ...]:
-    """Name the attributes of a code, the inverse of ``attribute_code``."""
+    """Decode the attributes of a code, the inverse of ``attribute_code``."""
     values = (
-        ((code & mask) >> first, ATTRIBUTES[group]) for group, (first, mask) in _PLACES.items()
+        ((code & mask) >> first, ATTRIBUTES[group]) for group, (first, mask) in _BIT_FIELDS.items()
     )
     return tuple(words[value - 1] for value, words in values if 0 < value <= len(words))
 
 
-def kind_of(label: Any, code: Any) -> Any:
-    """Put a label and a code of attributes together."""
-    return label | (code << LABEL_BITS)
+def type_code(label: Any, attributes: Any) -> Any:
+    """Combine a label and an attribute code."""
+    return label | (attributes << LABEL_BITS)
 
 
-def label_of(kind: Any) -> Any:
-    """Take the label of a kind; ``NONE`` and ``ROBOT`` stay what they are."""
-    # Of a negative number all bits are kept: its low ones alone would be a label.
-    return kind & (ANYTHING | (kind >> 31))
+def label_of(code: Any) -> Any:
+    """Extract the label of a type code; ``NONE`` and ``ROBOT`` are returned unchanged."""
+    # All bits of a negative number are kept, since its low bits alone would be a label.
+    return code & (ANYTHING | (code >> 31))
 
 
-def is_anything(kind: Any) -> Any:
-    """Tell which kinds are of no type: things of every label fit them."""
-    return (kind & (_SIGN | ANYTHING)) == ANYTHING
+def is_anything(code: Any) -> Any:
+    """Tell whether type codes have the label ``ANYTHING``, which matches every label."""
+    return (code & (_SIGN | ANYTHING)) == ANYTHING
 
 
-def code_of(kind: int) -> int:
-    """Take the attributes of a kind, on the host."""
-    return kind >> LABEL_BITS if kind >= 0 else 0
+def attributes_of(code: int) -> int:
+    """Extract the attribute code of a type code, on the host."""
+    return code >> LABEL_BITS if code >= 0 else 0
 
 
-def noun_of(kind: int, names: Sequence[str]) -> str:
-    """Name the label of a kind, whatever it looks like; "thing" for one that has no name."""
-    label = int(label_of(kind))
+def noun_of(code: int, names: Sequence[str]) -> str:
+    """Return the noun of a type code's label; "thing" if it has no name."""
+    label = int(label_of(code))
     return names[label] if 0 <= label < len(names) else "thing"
 
 
-def name_of(kind: int, names: Sequence[str]) -> str:
-    """Name a kind for people, its attributes and its label among ``names``: "red ball"."""
-    return " ".join([*attribute_words(code_of(kind)), noun_of(kind, names)])
+def name_of(code: int, names: Sequence[str]) -> str:
+    """Format a type code, its attributes and its label among ``names``: "red ball"."""
+    return " ".join([*attribute_words(attributes_of(code)), noun_of(code, names)])
 
 
-def is_type(thing: Any, kind: Any) -> Any:
-    """Tell whether a thing may be of a kind: the same label, and no attribute speaks against it.
+def is_type(detected: Any, described: Any) -> Any:
+    """Tell whether a detected object matches a description: equal labels, no conflicting attribute.
 
-    Limits: without attributes on one side it is equality of labels; what is not known of a thing
-    does not speak against it; of ``ANYTHING`` the attributes alone count. Kinds i32[...] of things
-    and of what is asked for give bool[...].
+    Limits: without attributes on one side it is equality of labels; unknown attributes do not
+    conflict; for ``ANYTHING`` only the attributes count. Type codes i32[...] of objects and
+    descriptions give bool[...].
     """
-    other = thing ^ kind
-    # Negative kinds differ from the others in the sign, and from each other in the low bits.
-    may_be = ((other & (_SIGN | ANYTHING)) == 0) | (is_anything(kind) & (thing >= 0))
-    return may_be & ((_told(thing) & _told(kind) & _told(other)) == 0)
+    difference = detected ^ described
+    # Negative codes differ from others in the sign, and from each other in the low bits.
+    is_match = ((difference & (_SIGN | ANYTHING)) == 0) | (is_anything(described) & (detected >= 0))
+    return is_match & ((_has_value(detected) & _has_value(described) & _has_value(difference)) == 0)
 
 
-def _told(kind: Any) -> Any:
-    """Mark the groups of attributes that a kind has a value of: the top bit of each, no other."""
+def _has_value(code: Any) -> Any:
+    """Mark the attribute groups that have a value, by the top bit of each."""
     # Adding all lower bits of a group to them carries into its top bit unless they are all 0.
-    return (((kind & _LOWER) + _LOWER) | kind) & _TOPS
+    return (((code & _LOW_BITS) + _LOW_BITS) | code) & _HIGH_BITS
 
 
-def merge_types(known: Any, seen: Any) -> Any:
-    """Add what one more look shows to what is known of a thing: the last word counts.
+def merge_types(old: Any, new: Any) -> Any:
+    """Update the attributes of an object from a detection, whose values take precedence.
 
-    ``known``, i32[...], is its kind, ``seen`` that of a detection of it, of the same label.
+    ``old``, i32[...], is its type code, ``new`` that of a detection of it with the same label.
     """
     for mask in _MASKS:
-        own = seen & mask
-        # A mask has no sign bit, so that this leaves every other bit as it is.
-        known = known + (own - (known & mask)) * (own != 0)
-    return known
+        field = new & mask
+        # A mask has no sign bit, so this leaves all other bits unchanged.
+        old = old + (field - (old & mask)) * (field != 0)
+    return old

@@ -1,8 +1,8 @@
-"""What a robot may report: the limits of poses, areas and sensors, held on the host.
+"""Validation of observations on the host: poses, areas, sensor models and detections.
 
-The belief holds every look against the same limits in its compiled program
-(``semantic_map.gating``), where it can only leave the look out. Here, before anything is
-compiled, a mistake is named: degrees for radians, millimetres for metres, percent for a share.
+The compiled filter checks the same limits (``semantic_map.gating``), but can only discard an
+observation. Here errors are reported before anything is compiled: degrees for radians,
+millimetres for metres, percent for fractions.
 """
 
 import difflib
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.inputs.limits import (
-    FARTHEST,
-    MOST_FALSE,
-    MOST_WRONG,
+    MAX_FALSE,
+    MAX_METRES,
+    MAX_WRONG,
     RANGES,
     VIEWS,
     bounded,
@@ -26,15 +26,15 @@ from jaxlangnav.inputs.object_types import ATTRIBUTES, attribute_code, group_of
 from jaxlangnav.inputs.sanitize import quote
 
 SLOTS = (8, 16, 32, 64)
-"""Sizes to which detections are padded: each has a compiled program of its own."""
+"""Sizes to which detections are padded; each has its own compiled program."""
 
 
 def _type_index(name: Any, types: Sequence[str], what: str) -> int:
     if isinstance(name, str):
         if name in types:
             return types.index(name)
-        near = difflib.get_close_matches(name, types, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        closest = difflib.get_close_matches(name, types, 1)
+        hint = f"did you mean {closest[0]!r}? " if closest else ""
         raise ValueError(
             f"{what} is of type {quote(name)}, which is none of {', '.join(types)}: {hint}"
             "pass types=navigator.type_names where the navigator has types of its own"
@@ -54,43 +54,43 @@ def _type_index(name: Any, types: Sequence[str], what: str) -> int:
 
 
 def _polar(
-    metres: Any, bearing: Any, range_max: float, field_of_view: float, noise: float, what: str
+    range_value: Any, bearing: Any, range_max: float, field_of_view: float, noise: float, what: str
 ) -> tuple[float, float]:
-    """Hold one detection's range and bearing against its sensor."""
-    reach = range_max + DEVIATIONS * noise + MIN_NOISE
+    """Validate one detection's range and bearing against its sensor model."""
+    max_range = range_max + DEVIATIONS * noise + MIN_NOISE
     remedy = "give metres from the robot, as far as the sensor's range_max sees"
-    away = bounded(metres, 0.0, reach, f"{what}'s range", remedy)
-    turned = "give radians in the robot's frame (degrees? use math.radians)"
-    angle = bounded(bearing, -math.tau, math.tau, f"{what}'s bearing", turned)
-    beyond = abs(math.remainder(angle, math.tau)) - 0.5 * field_of_view
-    if away * math.sin(min(max(beyond, 0.0), 0.5 * math.pi)) > DEVIATIONS * noise + MIN_NOISE:
+    metres = bounded(range_value, 0.0, max_range, f"{what}'s range", remedy)
+    angle_remedy = "give radians in the robot's frame (degrees? use math.radians)"
+    angle = bounded(bearing, -math.tau, math.tau, f"{what}'s bearing", angle_remedy)
+    excess = abs(math.remainder(angle, math.tau)) - 0.5 * field_of_view
+    if metres * math.sin(min(max(excess, 0.0), 0.5 * math.pi)) > DEVIATIONS * noise + MIN_NOISE:
         raise ValueError(
             f"{what}'s bearing is {angle:g} rad, but the field of view of {field_of_view:g} rad "
-            f"ends at {0.5 * field_of_view:g}: {turned}, or widen the sensor's field_of_view"
+            f"ends at {0.5 * field_of_view:g}: {angle_remedy}, or widen the sensor's field_of_view"
         )
-    return away, angle
+    return metres, angle
 
 
-def _attribute_code(looks: Any, what: str) -> int:
-    """Read what is known of how a thing looks: its words by their groups, in one code."""
-    if looks is None:
+def _attribute_code(attributes: Any, what: str) -> int:
+    """Encode the attributes of a detection, given as words by group."""
+    if attributes is None:
         return 0
-    if not isinstance(looks, Mapping):
+    if not isinstance(attributes, Mapping):
         raise ValueError(
-            f"{what}'s attributes are {quote(looks)}, but must be by their groups, as in "
+            f"{what}'s attributes are {quote(attributes)}, but must be by their groups, as in "
             '{"colour": "red"}'
         )
-    for group, word in looks.items():
+    for group, word in attributes.items():
         if not isinstance(word, str) or group_of(word) != group:
-            known = f"attributes are compared by {', '.join(ATTRIBUTES)}"
+            expected = f"attributes are compared by {', '.join(ATTRIBUTES)}"
             if group in ATTRIBUTES:
-                known = f"must be one of {', '.join(ATTRIBUTES[group])}"
-            raise ValueError(f"{what}'s {quote(group)} is {quote(word)}, but {known}")
-    return attribute_code(*looks.values())
+                expected = f"must be one of {', '.join(ATTRIBUTES[group])}"
+            raise ValueError(f"{what}'s {quote(group)} is {quote(word)}, but {expected}")
+    return attribute_code(*attributes.values())
 
 
 def padded(count: int) -> int:
-    """Find the least of ``SLOTS`` that holds so many detections; ValueError where none does."""
+    """Return the smallest of ``SLOTS`` for a number of detections; ValueError if none suffices."""
     slots = next((slots for slots in SLOTS if count <= slots), None)
     if slots is None:
         raise ValueError(
@@ -103,9 +103,9 @@ def padded(count: int) -> int:
 def detected(
     detections: Iterable[Sequence[Any]], sensor: Sequence[np.float32], types: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Hold detections against their sensor, and pad them.
+    """Validate detections against their sensor model, and pad them.
 
-    Args as of ``Observation.of``, but that ``sensor`` is as of ``sensor_numbers``.
+    Args as of ``Observation.of``, but ``sensor`` is as returned by ``sensor_numbers``.
 
     Returns:
         Arrays of 8, 16, 32 or 64 slots on the host, by the fields of ``Observation``; the type is
@@ -115,7 +115,7 @@ def detected(
         ValueError: names the detection, the value, the limit and the remedy.
     """
     range_max, field_of_view, _, noise, *_ = (float(one) for one in sensor)
-    rows = _listed(detections, SLOTS[-1] + 1)
+    rows = _bounded_list(detections, SLOTS[-1] + 1)
     if rows is None:
         raise ValueError(
             f"detections is {quote(detections)}, but must be a list of (type, range, bearing)"
@@ -123,18 +123,18 @@ def detected(
     slots = padded(len(rows))
     table = np.tile([-1.0, 0.0, 0.0, 0.0], (slots, 1))
     for slot, row in enumerate(rows):
-        what = f"detection {slot + 1}"
+        label = f"detection {slot + 1}"
         is_array = isinstance(row, np.ndarray) and row.ndim == 1
         is_row = is_array or (isinstance(row, Sequence) and not isinstance(row, str | bytes))
         if not is_row or len(row) not in (3, 4):
             raise ValueError(
-                f"{what} is {quote(row, 60)}, but must be (type, range, bearing), or with how it "
+                f"{label} is {quote(row, 60)}, but must be (type, range, bearing), or with how it "
                 'looks (type, range, bearing, {"colour": "red"})'
             )
-        kind, metres, bearing, looks = [*row, None][:4]
-        index = _type_index(kind, types, what)
-        polar = _polar(metres, bearing, range_max, field_of_view, noise, what)
-        table[slot] = index, *polar, _attribute_code(looks, what)
+        object_type, metres, bearing, attributes = [*row, None][:4]
+        index = _type_index(object_type, types, label)
+        polar = _polar(metres, bearing, range_max, field_of_view, noise, label)
+        table[slot] = index, *polar, _attribute_code(attributes, label)
     return {
         "detection_type": table[:, 0].astype(np.int32),
         "detection_range": table[:, 1].astype(np.float32),
@@ -146,12 +146,12 @@ def detected(
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
 """The object types of the shipped lexicon, by type index."""
-TURNS = 4.0 * np.pi
-"""Radians of a bearing, either way; headings that are not wrapped make it more than half a turn."""
+MAX_ANGLE = 4.0 * np.pi
+"""Limit of angles, radians, either way; more than half a turn, for unwrapped headings."""
 DEVIATIONS = 6.0
-"""Standard deviations of the noise by which a detection may lie out of range or out of view."""
+"""Gate in standard deviations of the noise for detections out of range or out of view."""
 MIN_NOISE = 0.01
-"""Metres; a sensor without noise is taken to be this good, so that no division is by zero."""
+"""Metres; lower bound of the sensor noise, which prevents division by zero."""
 
 
 def sensor_numbers(
@@ -162,7 +162,7 @@ def sensor_numbers(
     false_detections: Any = 0.0,
     mislabelled: Any = 0.0,
 ) -> tuple[np.float32, ...]:
-    """Hold a detector's specification, as of ``SensorParams``, against what it can be.
+    """Validate a sensor model's parameters, as of ``SensorParams``.
 
     Returns:
         All of them, in this order, as f32.
@@ -170,66 +170,66 @@ def sensor_numbers(
     Raises:
         ValueError: names the value, the limits and the remedy.
     """
-    share = "give a share, 0.95 for 95 percent"
-    reach = bounded(range_max, *RANGES, "range_max", "give metres")
-    degrees = "give radians, math.radians(90) for 90 degrees"
-    view = bounded(field_of_view, *VIEWS, "field_of_view", degrees)
-    seen = bounded(detection_probability, 0.0, 1.0, "detection_probability", share)
-    if seen == 0.0:
+    remedy = "give a share, 0.95 for 95 percent"
+    max_range = bounded(range_max, *RANGES, "range_max", "give metres")
+    angle_remedy = "give radians, math.radians(90) for 90 degrees"
+    fov = bounded(field_of_view, *VIEWS, "field_of_view", angle_remedy)
+    p_detect = bounded(detection_probability, 0.0, 1.0, "detection_probability", remedy)
+    if p_detect == 0.0:
         raise ValueError(
             "detection_probability is 0, but must be above 0: a detector that never sees anything "
             "tells nothing"
         )
-    errs = bounded(noise, 0.0, reach, "noise", "give metres, less than the range")
-    most = "give how many to expect in one look"
-    false = bounded(false_detections, 0.0, MOST_FALSE, "false_detections", most)
-    rate = "give a share, 0.1 for 10 percent"
-    wrong = bounded(mislabelled, 0.0, MOST_WRONG, "mislabelled", rate)
-    return tuple(map(np.float32, (reach, view, seen, errs, false, wrong)))
+    std = bounded(noise, 0.0, max_range, "noise", "give metres, less than the range")
+    per_scan = "give how many to expect in one look"
+    clutter = bounded(false_detections, 0.0, MAX_FALSE, "false_detections", per_scan)
+    fraction = "give a share, 0.1 for 10 percent"
+    p_wrong = bounded(mislabelled, 0.0, MAX_WRONG, "mislabelled", fraction)
+    return tuple(map(np.float32, (max_range, fov, p_detect, std, clutter, p_wrong)))
 
 
-_NEAR = "give metres from the map's origin"
+_ORIGIN = "give metres from the map's origin"
 
 
-def _listed(values: Any, most: int) -> list[Any] | None:
-    """Read a list as far as it may go, for it may have no end; None of what is no list."""
+def _bounded_list(values: Any, limit: int) -> list[Any] | None:
+    """Read at most ``limit`` items, for an iterable may be infinite; None if it is not a list."""
     try:
         is_list = not isinstance(values, str | bytes | Mapping)
-        return list(itertools.islice(iter(values), most)) if is_list else None
+        return list(itertools.islice(iter(values), limit)) if is_list else None
     except TypeError:
         return None
 
 
-def _parts(values: Any, number_of: int, what: str, remedy: str) -> list[Any]:
-    parts = _listed(values, number_of + 1)
-    if parts is None or len(parts) != number_of:
+def _fixed_list(values: Any, count: int, what: str, remedy: str) -> list[Any]:
+    items = _bounded_list(values, count + 1)
+    if items is None or len(items) != count:
         raise ValueError(f"{what} is {quote(values)}, but must be {remedy}")
-    return parts
+    return items
 
 
 def pose_numbers(pose: Sequence[Any]) -> np.ndarray:
-    """Hold a pose (x, y, heading), metres and radians, map frame, against what it can be: f32[3].
+    """Validate a pose (x, y, heading), metres and radians, map frame: f32[3].
 
     Raises:
         ValueError: not three finite numbers, far from the map's origin, or a heading that looks
             like degrees.
     """
-    x, y, turned = _parts(pose, 3, "pose", "(x, y, heading), in metres and radians")
-    x = bounded(x, -FARTHEST, FARTHEST, "pose's x", _NEAR)
-    y = bounded(y, -FARTHEST, FARTHEST, "pose's y", _NEAR)
+    x, y, angle = _fixed_list(pose, 3, "pose", "(x, y, heading), in metres and radians")
+    x = bounded(x, -MAX_METRES, MAX_METRES, "pose's x", _ORIGIN)
+    y = bounded(y, -MAX_METRES, MAX_METRES, "pose's y", _ORIGIN)
     wrap = "give radians, wrapped to one turn (degrees? use math.radians)"
-    heading = bounded(turned, -TURNS, TURNS, "pose's heading", wrap)
+    heading = bounded(angle, -MAX_ANGLE, MAX_ANGLE, "pose's heading", wrap)
     return np.array([x, y, heading], np.float32)
 
 
 def area_numbers(area: Sequence[Any]) -> np.ndarray:
-    """Read an operating area, x_min, x_max, y_min, y_max, metres, map frame: f32[4].
+    """Validate an operating area, x_min, x_max, y_min, y_max, metres, map frame: f32[4].
 
     Raises:
         ValueError: not four finite numbers, or far from the map's origin.
     """
     names = ("x_min", "x_max", "y_min", "y_max")
-    parts = _parts(area, 4, "area", f"({', '.join(names)}), in metres")
-    named = zip(names, parts, strict=True)
-    bounds = [bounded(one, -FARTHEST, FARTHEST, f"area's {name}", _NEAR) for name, one in named]
+    items = _fixed_list(area, 4, "area", f"({', '.join(names)}), in metres")
+    pairs = zip(names, items, strict=True)
+    bounds = [bounded(x, -MAX_METRES, MAX_METRES, f"area's {name}", _ORIGIN) for name, x in pairs]
     return np.array(bounds, np.float32)

@@ -1,12 +1,12 @@
-"""A compiled program as bytes, and back, without a pickle.
+"""Serialization of compiled programs to bytes, without pickle.
 
-    SHA-256 of all that follows, in hexadecimal
-    {"name": which program it is, "result": the structure of what it returns}
-    what XLA makes of the program: machine code
+    SHA-256 of the remaining bytes, in hexadecimal
+    {"name": the program's key, "result": the structure of its results}
+    executable serialized by XLA: machine code
 
-Nothing is parsed, let alone handed to XLA, before the digest is right: XLA ends the process on some
-bytes and runs others. The digest guards against accidents and is no signature: nobody but the user
-may have made the file (``whole_files``). JAX's own ``serialize_executable`` makes a pickle.
+Nothing is parsed or passed to XLA before the digest is verified: XLA aborts the process on some
+bytes and runs others. The digest detects damage and is no signature: only the user may have written
+the file (``whole_files``). JAX's own ``serialize_executable`` uses pickle.
 """
 
 import contextlib
@@ -23,10 +23,10 @@ import jax.numpy as jnp
 from jaxlangnav.pytree import RECORDS, strong
 
 Call = Callable[[list[Any]], Any]
-"""Takes the flat arguments of a program, returns what its function returns."""
-_outside = threading.Lock()
-_num_outside, _least_seconds = 0, 0.0
-"""How many threads compile outside of JAX's cache, and the setting that the last one restores."""
+"""Takes a program's flat arguments, returns the function's result."""
+_bypass_lock = threading.Lock()
+_num_bypassing, _saved_min_seconds = 0, 0.0
+"""Number of threads that bypass JAX's cache, and the setting that the last one restores."""
 
 
 def compile_program(
@@ -35,31 +35,31 @@ def compile_program(
     """Compile a function of flat arguments.
 
     Args:
-        flat: takes arrays, returns a pytree; no leaf of what the program returns is weakly typed.
+        flat: takes arrays, returns a pytree; no leaf of the program's result is weakly typed.
         leaves: arguments of the shapes and types to compile for.
-        name: under which the program is looked for.
+        name: key of the program.
 
     Returns:
-        The program, and the bytes to keep it by. No bytes if it has none: it calls what only this
-        process has (LAPACK's functions, Python's), or returns something other than records,
+        The program, and its serialized bytes. None if it is not serializable: it calls functions
+        of this process (LAPACK, Python callbacks), or returns something other than records,
         tuples, lists and dictionaries of arrays.
     """
-    shapes: list[tuple[Any, list[Hashable]]] = []
+    structures: list[tuple[Any, list[Hashable]]] = []
 
-    def listed(*values: Any) -> list[Any]:
-        found, tree = jax.tree.flatten(strong(flat(*values)))
-        # Empty for numbers, for a key its generator, which has a name.
-        kinds: list[Hashable] = [
-            jax.random.key_impl(leaf) if _is_key(leaf) else "" for leaf in found
+    def flat_results(*values: Any) -> list[Any]:
+        outputs, tree = jax.tree.flatten(strong(flat(*values)))
+        # Empty for numbers; for a PRNG key, the name of its implementation.
+        key_impls: list[Hashable] = [
+            jax.random.key_impl(leaf) if _is_key(leaf) else "" for leaf in outputs
         ]
-        shapes.append((tree, kinds))
-        return found
+        structures.append((tree, key_impls))
+        return outputs
 
-    # A program in a file takes every argument, used or not.
-    lowered = jax.jit(listed, keep_unused=True).lower(*leaves)
-    with _outside_of_the_cache():
+    # A serialized program takes every argument, used or not.
+    lowered = jax.jit(flat_results, keep_unused=True).lower(*leaves)
+    with _bypass_jax_cache():
         compiled = lowered.compile()
-    tree, kinds = shapes[0]
+    tree, key_impls = structures[0]
 
     def call(values: list[Any]) -> Any:
         return jax.tree.unflatten(tree, compiled(*values))
@@ -68,7 +68,7 @@ def compile_program(
     if executable is None or "custom_call" in lowered.as_text():
         return call, None
     try:
-        result = _describe(jax.tree.unflatten(tree, kinds))
+        result = _describe(jax.tree.unflatten(tree, key_impls))
     except TypeError:
         return call, None
     header = json.dumps({"name": name, "result": result}).encode()
@@ -77,11 +77,11 @@ def compile_program(
 
 
 def load_program(content: bytes, *, name: str) -> Call:
-    """Load what ``compile_program`` gave.
+    """Load a program from the bytes of ``compile_program``.
 
     Args:
-        content: bytes that come from nobody but the user.
-        name: of the program that is looked for.
+        content: bytes, which only the user may have written.
+        name: key of the expected program.
 
     Raises:
         ValueError: the bytes are damaged, or another program's.
@@ -90,22 +90,22 @@ def load_program(content: bytes, *, name: str) -> Call:
     if digest != hashlib.sha256(body).hexdigest().encode():
         raise ValueError("is damaged")
     header, _, payload = body.partition(b"\n")
-    about = json.loads(header)
-    if about["name"] != name:
+    metadata = json.loads(header)
+    if metadata["name"] != name:
         raise ValueError("is another program's")
     device = jax.devices()[0]
     executable = device.client.deserialize_executable(payload, (device,))
 
     def call(values: list[Any]) -> Any:
-        results = executable.execute_sharded([_plain(value) for value in values])
-        arrays = (one for (one,) in results.disassemble_into_single_device_arrays())
-        return _build(about["result"], arrays)
+        results = executable.execute_sharded([_to_device(value) for value in values])
+        arrays = (array for (array,) in results.disassemble_into_single_device_arrays())
+        return _build(metadata["result"], arrays)
 
     return call
 
 
-def _plain(value: Any) -> jax.Array:
-    """Turn an argument into what XLA takes: an array on the device, a key as its numbers."""
+def _to_device(value: Any) -> jax.Array:
+    """Convert an argument for XLA: an array on the device, a PRNG key as its data."""
     if _is_key(value):
         return jax.random.key_data(value)
     return value if isinstance(value, jax.Array) else jax.device_put(value)
@@ -116,19 +116,19 @@ def _is_key(leaf: Any) -> bool:
 
 
 def _describe(node: Any) -> Any:
-    """Describe a result whose leaves are kinds: a leaf as it is, the rest as [name, parts]."""
+    """Describe a result's structure: leaves (key implementations) as is, nodes as [name, parts]."""
     if node is None or isinstance(node, str):
         return node
     name = f"{type(node).__module__}.{type(node).__qualname__}"
     if type(node) in (tuple, list):
-        return [name, [_describe(one) for one in node]]
+        return [name, [_describe(item) for item in node]]
     if type(node) is dict and all(isinstance(key, str) for key in node):
         # In JAX's order of leaves.
         return [name, {key: _describe(node[key]) for key in sorted(node)}]
     record: Any = RECORDS.get(name)
     if record is not type(node):
         raise TypeError(f"{name} has no form in a file")
-    return [name, {one.name: _describe(getattr(node, one.name)) for one in fields(record)}]
+    return [name, {item.name: _describe(getattr(node, item.name)) for item in fields(record)}]
 
 
 def _build(node: Any, arrays: Iterator[jax.Array]) -> Any:
@@ -139,27 +139,27 @@ def _build(node: Any, arrays: Iterator[jax.Array]) -> Any:
         return jax.random.wrap_key_data(next(arrays), impl=node) if node else next(arrays)
     name, parts = node
     if isinstance(parts, list):
-        values = [_build(one, arrays) for one in parts]
+        values = [_build(part, arrays) for part in parts]
         return tuple(values) if name == "builtins.tuple" else values
-    named = {key: _build(one, arrays) for key, one in parts.items()}
+    named = {key: _build(part, arrays) for key, part in parts.items()}
     return named if name == "builtins.dict" else RECORDS[name](**named)
 
 
 @contextlib.contextmanager
-def _outside_of_the_cache() -> Iterator[None]:
-    """Have JAX's own cache take nothing of what is compiled inside."""
-    # A CPU program that JAX has loaded from its cache is written without its functions (JAX 0.10).
-    global _num_outside, _least_seconds
+def _bypass_jax_cache() -> Iterator[None]:
+    """Context in which compiled programs are not written to JAX's own cache."""
+    # A CPU program loaded from JAX's cache serializes without its functions (JAX 0.10).
+    global _num_bypassing, _saved_min_seconds
     name = "jax_persistent_cache_min_compile_time_secs"
-    with _outside:
-        if _num_outside == 0:
-            _least_seconds = getattr(jax.config, name)
+    with _bypass_lock:
+        if _num_bypassing == 0:
+            _saved_min_seconds = getattr(jax.config, name)
             jax.config.update(name, float("inf"))
-        _num_outside += 1
+        _num_bypassing += 1
     try:
         yield
     finally:
-        with _outside:
-            _num_outside -= 1
-            if _num_outside == 0:
-                jax.config.update(name, _least_seconds)
+        with _bypass_lock:
+            _num_bypassing -= 1
+            if _num_bypassing == 0:
+                jax.config.update(name, _saved_min_seconds)

@@ -1,7 +1,7 @@
-"""Validation of documents by schemas: what msgspec complains of becomes one line for people.
+"""Validation of documents by msgspec schemas, with one-line error messages for users.
 
-What a document must be is a ``Schema`` or any other type that msgspec knows. The line says which
-part does not fit, its value, the limit and the remedy, as in "area.x_max is 3, but must be at
+The type of a document is a ``Schema`` or any other type that msgspec supports. A message names the
+invalid part, its value, the limit and the remedy, as in "area.x_max is 3, but must be at
 least 4".
 """
 
@@ -14,16 +14,16 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, inspect
 
-from jaxlangnav.inputs.sanitize import LONGEST_NAME, as_text, name_fault, sanitize, shorten
+from jaxlangnav.inputs.sanitize import MAX_NAME, as_text, name_fault, sanitize, shorten
 
-_T = TypeVar("_T")
-Name = Annotated[str, Meta(pattern=r"\S", max_length=LONGEST_NAME)]
-"""A text that stands in lines of ours: the name of a world, of an object in it, of a sweep."""
+_Document = TypeVar("_Document")
+Name = Annotated[str, Meta(pattern=r"\S", max_length=MAX_NAME)]
+"""A name that appears in our messages: of a world, of an object in it, of a sweep."""
 PlainText = Annotated[str, Meta(pattern=r"\S", max_length=1000)]
-"""What is said to a robot, or the path of a file."""
-_PART = re.compile(r"\.(\w+)|\[(\d+)\]")
+"""An utterance, or the path of a file."""
+_PATH_PART = re.compile(r"\.(\w+)|\[(\d+)\]")
 _LIMITS = (("at least", "ge"), ("above", "gt"), ("at most", "le"), ("below", "lt"))
-_WORDS: dict[type, str] = {
+_TYPE_NAMES: dict[type, str] = {
     inspect.StructType: "a table of keys and values",
     inspect.DictType: "a table of keys and values",
     inspect.ListType: "a list",
@@ -35,18 +35,18 @@ _WORDS: dict[type, str] = {
 
 
 class Schema(msgspec.Struct, forbid_unknown_fields=True):
-    """A schema of a table: of known keys, its texts such that a terminal can show them.
+    """Base class of table schemas: forbids unknown keys and unprintable texts.
 
-    A subclass that checks more raises a ``ValueError`` whose message begins with the key.
+    A subclass with further checks raises a ``ValueError`` whose message begins with the key.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Keep the class for ever: msgspec 0.22 frees a nested one twice at exit (issue 717)."""
+        """Leak a reference to the class: msgspec 0.22 frees a nested one twice (issue 717)."""
         super().__init_subclass__(**options)
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(cls))
 
     def __post_init__(self) -> None:
-        """Refuse texts that would move a terminal's cursor or turn the direction of writing."""
+        """Reject texts with control or bidirectional characters."""
         for name in self.__struct_fields__:
             value = getattr(self, name)
             for text in value if isinstance(value, list) else [value]:
@@ -54,10 +54,10 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True):
                     raise ValueError(f"{name} {fault}")
 
 
-def convert(document: Any, schema: type[_T], *, where: str = "") -> _T:
-    """Read a document of JSON's or TOML's types by its schema.
+def convert(document: Any, schema: type[_Document], *, where: str = "") -> _Document:
+    """Convert a document of JSON or TOML types by a schema.
 
-    ``where`` are the keys that lead to it, such as "sensor"; empty for a whole file.
+    ``where``: the path of keys to it, such as "sensor"; empty for a whole file.
 
     Raises:
         ValueError: the first part that does not fit; one line.
@@ -65,84 +65,84 @@ def convert(document: Any, schema: type[_T], *, where: str = "") -> _T:
     try:
         return msgspec.convert(document, schema)
     except msgspec.ValidationError as error:
-        complaint = str(error)
+        message = str(error)
     try:
-        line = _explain(complaint, document, inspect.type_info(schema), where)
-    except (LookupError, TypeError):  # what looks like a path is a key of odd characters
-        line = complaint
-    raise ValueError(sanitize(shorten(line, 500)))
+        explanation = _explain(message, document, inspect.type_info(schema), where)
+    except (LookupError, TypeError):  # a key with special characters looks like a path
+        explanation = message
+    raise ValueError(sanitize(shorten(explanation, 500)))
 
 
-def _explain(complaint: str, value: Any, kind: inspect.Type, where: str) -> str:
-    """Write the line of a complaint about what its path leads to."""
-    problem, _, path = complaint.partition(" - at `$")
+def _explain(message: str, value: Any, node: inspect.Type, where: str) -> str:
+    """Build the message for a validation error, from the value at its path."""
+    problem, _, path = message.partition(" - at `$")
     path = path[:-1]
-    kind = _meant(kind, value)
-    for name, index in _PART.findall(path):
+    node = _intended(node, value)
+    for name, index in _PATH_PART.findall(path):
         value = value[name or int(index)]
-        if isinstance(kind, inspect.StructType):
-            below = next(one.type for one in kind.fields if one.encode_name == name)
-        elif isinstance(kind, inspect.TupleType):
-            below = kind.item_types[int(index)]
+        if isinstance(node, inspect.StructType):
+            child = next(item.type for item in node.fields if item.encode_name == name)
+        elif isinstance(node, inspect.TupleType):
+            child = node.item_types[int(index)]
         else:
-            below = kind.item_type if isinstance(kind, inspect.ListType) else inspect.AnyType()
-        kind = _meant(below, value)
-    place = f"{where}{path}".removeprefix(".")
-    inside = f"{place}." if place else ""
+            child = node.item_type if isinstance(node, inspect.ListType) else inspect.AnyType()
+        node = _intended(child, value)
+    key = f"{where}{path}".removeprefix(".")
+    prefix = f"{key}." if key else ""
     start, _, rest = problem.partition(" field `")
     if start == "Object missing required":
-        return f"{inside}{rest[:-1]} is missing: add it"
-    if start == "Object contains unknown" and isinstance(kind, inspect.StructType):
-        return f"{inside}{unknown_key(rest[:-1], (one.encode_name for one in kind.fields))}"
+        return f"{prefix}{rest[:-1]} is missing: add it"
+    if start == "Object contains unknown" and isinstance(node, inspect.StructType):
+        return f"{prefix}{unknown_key(rest[:-1], (item.encode_name for item in node.fields))}"
     if not problem.startswith(("Expected", "Invalid enum", "Number out")):
-        return inside + problem  # of a ``__post_init__``
-    if isinstance(kind, inspect.LiteralType):
-        return no_choice(place, value, map(str, kind.values))
-    return f"{place or 'the file'} {_fault(value, kind)}"
+        return prefix + problem  # of a ``__post_init__``
+    if isinstance(node, inspect.LiteralType):
+        return bad_choice(key, value, map(str, node.values))
+    return f"{key or 'the file'} {_describe(value, node)}"
 
 
-def _meant(kind: inspect.Type, value: Any) -> inspect.Type:
-    """Choose of several types the one that a value was meant to have."""
-    if isinstance(kind, inspect.Metadata):
-        kind = kind.type
-    if not isinstance(kind, inspect.UnionType):
-        return kind
-    wanted = {list: inspect.ListType, dict: inspect.StructType}.get(type(value), inspect.Type)
-    return next((one for one in kind.types if isinstance(one, wanted)), kind.types[0])
+def _intended(node: inspect.Type, value: Any) -> inspect.Type:
+    """Select the member of a union that a value was probably meant for."""
+    if isinstance(node, inspect.Metadata):
+        node = node.type
+    if not isinstance(node, inspect.UnionType):
+        return node
+    base = {list: inspect.ListType, dict: inspect.StructType}.get(type(value), inspect.Type)
+    return next((type_ for type_ in node.types if isinstance(type_, base)), node.types[0])
 
 
-def _fault(value: Any, kind: inspect.Type) -> str:
-    most = getattr(kind, "max_length", None)
-    if isinstance(value, str) and most is not None and len(value) > most:
-        return f"has {len(value)} characters, but must have at most {most}: shorten it"
-    if isinstance(value, list) and isinstance(kind, inspect.ListType):
-        limits = f"{kind.min_length or 0} to {most}" if most else f"at least {kind.min_length}"
+def _describe(value: Any, node: inspect.Type) -> str:
+    cap = getattr(node, "max_length", None)
+    if isinstance(value, str) and cap is not None and len(value) > cap:
+        return f"has {len(value)} characters, but must have at most {cap}: shorten it"
+    if isinstance(value, list) and isinstance(node, inspect.ListType):
+        limits = f"{node.min_length or 0} to {cap}" if cap else f"at least {node.min_length}"
         return f"has {len(value)} entries, but must have {limits}: add or remove"
-    if isinstance(value, list) and isinstance(kind, inspect.TupleType):
-        return f"has {len(value)} entries, but must have {len(kind.item_types)}: add or remove"
-    found = ((words, getattr(kind, name, None)) for words, name in _LIMITS)
-    limits = " and ".join(f"{words} {limit:.10g}" for words, limit in found if limit is not None)
-    wanted = _WORDS.get(type(kind), "something else")
-    is_quoted = isinstance(value, str) and isinstance(kind, inspect.FloatType | inspect.IntType)
+    if isinstance(value, list) and isinstance(node, inspect.TupleType):
+        return f"has {len(value)} entries, but must have {len(node.item_types)}: add or remove"
+    bounds = ((words, getattr(node, name, None)) for words, name in _LIMITS)
+    limits = " and ".join(f"{words} {limit:.10g}" for words, limit in bounds if limit is not None)
+    expected = _TYPE_NAMES.get(type(node), "something else")
+    is_quoted = isinstance(value, str) and isinstance(node, inspect.FloatType | inspect.IntType)
     remedy = ": write it without quotes" if is_quoted else ""
-    return f"is {as_text(value)}, but must be {wanted}{', ' if limits else ''}{limits}{remedy}"
+    return f"is {as_text(value)}, but must be {expected}{', ' if limits else ''}{limits}{remedy}"
 
 
 def unknown_key(name: str, known: Iterable[str]) -> str:
-    """Say that a key is unknown, which ones there are, and which may be meant."""
+    """Build the message for an unknown key, with the known ones and the closest."""
     names = sorted(known)
     known = f"known keys are {', '.join(names)}{closest_choice(name, names)}"
     return f"{shorten(name)} is unknown: {known}"
 
 
-def no_choice(name: str, value: Any, choices: Iterable[str], what: str = "one of") -> str:
-    """Say that the value of a key is none of some words, and which of them may be meant."""
+def bad_choice(name: str, value: Any, choices: Iterable[str], what: str = "one of") -> str:
+    """Build the message for a value outside some choices, with the closest one."""
     words = list(choices)
-    known = ", ".join(words) or "none so far"
-    return f"{name} is {as_text(value)}, but must be {what}: {known}{closest_choice(value, words)}"
+    listed = ", ".join(words) or "none so far"
+    return f"{name} is {as_text(value)}, but must be {what}: {listed}{closest_choice(value, words)}"
 
 
 def closest_choice(value: Any, choices: Iterable[str]) -> str:
     """Suggest the closest choice, as in ". Did you mean 'hydrant'?", or nothing."""
-    close = difflib.get_close_matches(shorten(str(value)), list(choices), n=1)
-    return f". Did you mean {close[0]!r}?" if close else ""
+    closest = difflib.get_close_matches(shorten(str(value)), list(choices), n=1)
+    return f". Did you mean {closest[0]!r}?" if closest else ""

@@ -35,7 +35,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from jaxlangnav.inputs.documents import DocumentError, parse_json, read_lines, shipped_file
-from jaxlangnav.inputs.limits import FARTHEST
+from jaxlangnav.inputs.limits import MAX_METRES
 from jaxlangnav.inputs.sanitize import as_text, sanitize, shorten
 from jaxlangnav.inputs.schema import Name, Schema, convert
 from jaxlangnav.language.geometry import PlacedWorld
@@ -54,7 +54,7 @@ ROBOT_LABEL = "robot"
 Labels = tuple[frozenset[str], ...]
 """Gold symbols of each phrase."""
 _SYMBOL = re.compile(r"([a-z]+)\(([a-z0-9,_]*)\)")
-_Coordinate = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
+_Coordinate = Annotated[float, Meta(ge=-MAX_METRES, le=MAX_METRES)]
 
 
 class _Clause(Schema, forbid_unknown_fields=False):

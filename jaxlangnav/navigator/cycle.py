@@ -12,7 +12,7 @@ from jax import Array
 from jaxlangnav import dialogue
 from jaxlangnav.dialogue import Words
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.object_types import MOST_LABELS, is_anything, label_of
+from jaxlangnav.inputs.object_types import MAX_LABELS, is_anything, label_of
 from jaxlangnav.inputs.observations import DEVIATIONS
 from jaxlangnav.messages import (
     ACTIONS,
@@ -69,7 +69,7 @@ def start(
     area: Array,
     *,
     config: NavigatorConfig,
-    num_types: int = MOST_LABELS,
+    num_types: int = MAX_LABELS,
     terrain: Terrain = OPEN,
     sensor_model: SensorModel = POSITIONS,
     words: Words | None = None,
@@ -213,8 +213,8 @@ def _spoken(state: NavigatorState) -> Array:
     words = instruction.program.own.reshape(-1), instruction.readings.mention_type.reshape(-1)
     named = label_of(jnp.concatenate([*words, jnp.stack(gone_to)]))
     # What is negative, such as NONE, falls out of the table.
-    index = jnp.where(named < 0, MOST_LABELS, named)
-    spoken = jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
+    index = jnp.where(named < 0, MAX_LABELS, named)
+    spoken = jnp.zeros(MAX_LABELS, bool).at[index].set(True, mode="drop")
     return spoken | jnp.any(is_anything(named))
 
 

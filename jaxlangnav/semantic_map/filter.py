@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.inputs.object_types import MOST_LABELS
+from jaxlangnav.inputs.object_types import MAX_LABELS
 from jaxlangnav.messages import Fault, Observation, Readings, UtteranceContext, assert_observation
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import take
@@ -58,7 +58,7 @@ def start(
     num_mentions: int,
     *,
     config: MapConfig,
-    num_types: int = MOST_LABELS,
+    num_types: int = MAX_LABELS,
     terrain: Terrain = OPEN,
     sensor_model: SensorModel = POSITIONS,
 ) -> ParticleBelief:

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.inputs.limits import FARTHEST, MOST_FALSE, MOST_WRONG, RANGES, VIEWS
+from jaxlangnav.inputs.limits import MAX_FALSE, MAX_METRES, MAX_WRONG, RANGES, VIEWS
 from jaxlangnav.inputs.object_types import ATTRIBUTE_BITS
-from jaxlangnav.inputs.observations import DEVIATIONS, MIN_NOISE, TURNS
+from jaxlangnav.inputs.observations import DEVIATIONS, MAX_ANGLE, MIN_NOISE
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -40,7 +40,7 @@ def _is_between(value: Array, low: Array | float, high: Array | float) -> Array:
 def is_area(area: Array) -> Array:
     """Test whether an operating area f32[4] is valid, bool[]."""
     low, high = area[::2], area[1::2]
-    is_in_range = _is_between(area, -FARTHEST, FARTHEST)
+    is_in_range = _is_between(area, -MAX_METRES, MAX_METRES)
     return jnp.all(is_in_range) & jnp.all(_is_between(high - low, *AREA_SIDES))
 
 
@@ -62,7 +62,7 @@ def check_place(pose: Sequence[float], area: Sequence[float]) -> None:
         raise ValueError(
             f"area is {tuple(area)}, but must be (x_min, x_max, y_min, y_max) with x_min < x_max "
             f"and y_min < y_max, in metres, sides of {AREA_SIDES[0]:g} to {AREA_SIDES[1]:g} m, "
-            f"all within {FARTHEST:g} m of the map's origin"
+            f"all within {MAX_METRES:g} m of the map's origin"
         )
     if not is_finite or not is_pose(start, bounds):
         raise ValueError(
@@ -103,8 +103,8 @@ def _is_sensor(sensor: SensorParams) -> Array:
         & _is_between(sensor.detection_probability, 0.0, 1.0)
         # Noise above the range would carry no information.
         & _is_between(sensor.noise, 0.0, sensor.range_max)
-        & _is_between(sensor.false_detections, 0.0, MOST_FALSE)
-        & _is_between(sensor.mislabelled, 0.0, MOST_WRONG)
+        & _is_between(sensor.false_detections, 0.0, MAX_FALSE)
+        & _is_between(sensor.mislabelled, 0.0, MAX_WRONG)
     )
 
 
@@ -117,7 +117,7 @@ def _is_detectable(observation: Observation, num_types: Array) -> Array:
     return (
         _is_between(observation.detection_type, 0, num_types - 1)
         & (True if code is None else _is_between(code, 0, 2**ATTRIBUTE_BITS - 1))
-        & _is_between(bearing, -TURNS, TURNS)
+        & _is_between(bearing, -MAX_ANGLE, MAX_ANGLE)
         & (distance >= 0.0)
         & (beyond(distance, bearing, sensor.range_max, sensor.field_of_view) <= slack)
     )

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.inputs.object_types import kind_of
+from jaxlangnav.inputs.object_types import type_code
 from jaxlangnav.messages import Observation
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import append_axes
@@ -128,7 +128,7 @@ def _detections(
     log_unseen = log_miss_at_offset(belief, offset_x, offset_y)
     types, attributes = observation.detection_type, observation.detection_attribute
     return association.Detections(
-        object_type=types if attributes is None else kind_of(types, attributes),
+        object_type=types if attributes is None else type_code(types, attributes),
         offset_x=offset_x,
         offset_y=offset_y,
         log_new=log_density + jnp.maximum(log_unseen, association.MIN_LOG_NEW),

@@ -17,7 +17,7 @@ from jaxlangnav.grounding import GraphGrounder, GroundingModel
 from jaxlangnav.inputs.documents import parse_json, parse_toml
 from jaxlangnav.inputs.limits import RANGES
 from jaxlangnav.inputs.sanitize import sanitize, shorten
-from jaxlangnav.inputs.schema import PlainText, no_choice
+from jaxlangnav.inputs.schema import PlainText, bad_choice
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
@@ -126,7 +126,7 @@ class LiveEpisode:
         """Name the world that is picked; one that was sent is kept in a file."""
         if not self.request.document:
             if self.request.world not in places():
-                raise ValueError(no_choice("world", self.request.world, places()))
+                raise ValueError(bad_choice("world", self.request.world, places()))
             return self.request.world
         path = folder / "your world.toml"
         write_text(to_toml(read_world(self.request.document)) + "\n", path)

@@ -1,4 +1,4 @@
-"""World files: people bring their own world (the environments of section 4.2).
+"""World files: custom worlds in TOML or JSON (the environments of section 4.2).
 
 A world file is TOML, or JSON with the same keys. Lengths are metres, angles degrees (counter-
 clockwise from +x); the map frame is the file's own.
@@ -65,16 +65,16 @@ from jaxlangnav.world.reading import (
 from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
 
 LARGEST_WORLD_FILE = 256 * 1024
-"""Bytes of a world file; one of sixty-four objects takes eight thousand."""
+"""Limit of a world file's bytes; one of sixty-four objects has eight thousand."""
 
 
 def load_world(path: str | Path) -> WorldFile:
-    """Read and check a world file, .toml or .json.
+    """Read and validate a world file, .toml or .json.
 
     Raises:
-        WorldFileError: unreadable, or anything in it is wrong; one line that says what to do.
+        WorldFileError: the file is unreadable or invalid; one line with the remedy.
     """
-    path = _check_name(path)
+    path = _check_suffix(path)
     if not os.path.lexists(path):
         shipped = ", ".join(shipped_worlds())
         raise WorldFileError(f"{path}: no such file; shipped worlds are {shipped}")
@@ -86,25 +86,25 @@ def load_world(path: str | Path) -> WorldFile:
 
 
 def shipped_worlds() -> tuple[str, ...]:
-    """List the names of the worlds that come with the package."""
+    """List the names of the worlds shipped with the package."""
     data = resources.files("jaxlangnav.world") / "data"
     return tuple(sorted(Path(entry.name).stem for entry in data.iterdir()))
 
 
 def open_world(text: str) -> Template | WorldFile:
-    """Find what a person means by a world: a template to sample from, a shipped world, or a file.
+    """Resolve a user's world argument: a template to sample from, a shipped world, or a file.
 
     Args:
         text: "2H1C", the name of a shipped world, or the path of a .toml or .json file.
 
     Raises:
-        ValueError: none of the three, or the file is wrong.
+        ValueError: none of the three, or the file is invalid.
     """
     if text in shipped_worlds():
         name = f"{text}.toml"
         return world_from_dict(parse_toml(read_shipped("world", name)), file=name)
     is_path = "/" in text or Path(text).suffix.lower() in (".toml", ".json")
-    # Unlike Path.is_file, it takes a name that is too long for one as no file.
+    # Unlike Path.is_file, it returns False for a name that is too long.
     if is_path or os.path.isfile(text):
         return load_world(text)
     if text.strip()[:1].isdigit():
@@ -118,14 +118,14 @@ def open_world(text: str) -> Template | WorldFile:
 
 
 def save_world(world: WorldFile, path: str | Path) -> None:
-    """Write a world to a .toml or .json file, which people can edit; one that is there is replaced.
+    """Write a world to a .toml or .json file; an existing one is replaced.
 
-    It is read back exactly, to the last bit of float32.
+    Numbers round-trip exactly as float32.
 
     Raises:
         WorldFileError: the name ends in neither, or the file cannot be written.
     """
-    path, table = _check_name(path), world_to_dict(world)
+    path, table = _check_suffix(path), world_to_dict(world)
     text = json.dumps(table, indent=2)
     if path.suffix.lower() == ".toml":
         text = to_toml(table)
@@ -135,20 +135,20 @@ def save_world(world: WorldFile, path: str | Path) -> None:
         raise WorldFileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _check_name(path: str | Path) -> Path:
-    """Refuse a file of another format."""
+def _check_suffix(path: str | Path) -> Path:
+    """Raise ``WorldFileError`` for another suffix than .toml or .json."""
     if Path(path).suffix.lower() not in (".toml", ".json"):
         raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
     return Path(path)
 
 
 def to_toml(table: dict[str, Any]) -> str:
-    """Write keys, tables and lists of tables; JSON's texts and numbers are TOML's too."""
+    """Format keys, tables and lists of tables; JSON's texts and numbers are valid TOML."""
     lines: list[str] = []
     for key, value in table.items():
-        for part in value if isinstance(value, list) else [value]:
-            if isinstance(part, dict):
+        for section in value if isinstance(value, list) else [value]:
+            if isinstance(section, dict):
                 lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
-            pairs = part if isinstance(part, dict) else {key: part}
-            lines += [f"{name} = {json.dumps(one)}" for name, one in pairs.items()]
+            entries = section if isinstance(section, dict) else {key: section}
+            lines += [f"{name} = {json.dumps(item)}" for name, item in entries.items()]
     return "\n".join(lines)

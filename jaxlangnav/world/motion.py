@@ -1,8 +1,8 @@
 """Simulated motion and odometry (the odometry stream u of eq. 1 and 6).
 
-A ``Body`` carries out the step that is asked for as well as it can. Where it truly ends differs
-from its odometry by Gaussian noise in proportion to the way. A compass gives the heading unless
-``MotionParams`` lets it drift: odometry then has a heading of its own, and goes by that.
+A ``Body`` executes the commanded step as far as its kinematics allow. Its true displacement differs
+from odometry by Gaussian noise proportional to the distance. A compass gives the heading unless
+``MotionParams`` has drift: then odometry integrates its own heading.
 """
 
 from typing import Protocol
@@ -19,7 +19,7 @@ from jaxlangnav.world.state import WorldState
 
 
 def plain_action(waypoint: Array, step: Array, is_stop: Array) -> Action:
-    """Build the action of an agent without a pace of its own: it has arrived, or searches."""
+    """Build the action of an agent at full speed: it has arrived, or searches."""
     return Action(
         waypoint=waypoint,
         step=step,
@@ -31,25 +31,25 @@ def plain_action(waypoint: Array, step: Array, is_stop: Array) -> Action:
 
 
 class Body(Protocol):
-    """How a pose changes with a command, and what odometry says of it: a record (``@pytree``).
+    """Motion model of a robot: pose and odometry after a command; a record (``@pytree``).
 
-    A body never goes further in a cycle than ``step_length`` times the action's speed: the belief
-    takes what goes further for a jump.
+    A body never moves further in a cycle than ``step_length`` times the action's speed: the filter
+    treats longer moves as jumps.
     """
 
     def move(
         self, key: Array, state: WorldState, action: Action, motion: MotionParams
     ) -> WorldState:
-        """Carry out one decision cycle's step; see ``carry_out`` for the holonomic one."""
+        """Execute one decision cycle's step; see ``carry_out`` for the holonomic one."""
         ...
 
 
 def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
-    """Carry out one decision cycle's step.
+    """Execute one decision cycle's step with a holonomic body.
 
         x' = x + R(e) u + N(0, (ε |u|)²) per axis,   odometry' = odometry + u
 
-    with e by how much the true heading exceeds odometry's (see ``_driven``).
+    with e the error of odometry's heading, true minus odometry (see ``_propagate``).
     Limits: no noise keeps odometry and truth together; a stop or a zero step changes nothing. A
     robot goes no further in a cycle than ``step_length`` times the action's speed.
 
@@ -63,18 +63,18 @@ def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParam
         The robot after the step, heading along it.
     """
     step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)
-    asked = jnp.hypot(step[0], step[1])
+    demand = jnp.hypot(step[0], step[1])
     limit = motion.step_length * action.speed
-    is_long = asked > limit
-    step = jnp.where(is_long, step * (limit / jnp.where(is_long, asked, 1.0)), step)
-    way = jnp.minimum(asked, limit)
-    heading = jnp.where(way > 0.0, jnp.arctan2(step[1], step[0]), state.odometry[2])
-    return _driven(key, state, step, way, heading, motion)
+    is_long = demand > limit
+    step = jnp.where(is_long, step * (limit / jnp.where(is_long, demand, 1.0)), step)
+    length = jnp.minimum(demand, limit)
+    heading = jnp.where(length > 0.0, jnp.arctan2(step[1], step[0]), state.odometry[2])
+    return _propagate(key, state, step, length, heading, motion)
 
 
 @pytree
 class Holonomic:
-    """Goes anywhere from where it stands, and looks where it goes: see ``carry_out``."""
+    """Holonomic body that moves in any direction and faces it: see ``carry_out``."""
 
     move = staticmethod(carry_out)
 
@@ -82,74 +82,74 @@ class Holonomic:
 HOLONOMIC = Holonomic()
 
 
-def _driven(
-    key: Array, state: WorldState, step: Array, way: Array, heading: Array, motion: MotionParams
+def _propagate(
+    key: Array, state: WorldState, step: Array, length: Array, heading: Array, motion: MotionParams
 ) -> WorldState:
-    """Turn and drive as odometry has it, and end where noise and drift of the heading lead."""
+    """Propagate odometry by a step, and the true pose with noise and heading drift."""
     # e' = e + b s + N(0, σ² s + τ² |φ|),   x' = x + R((e + e') / 2) u + N(0, (ε s)²) per axis
     # with φ the turn.
     noise = jax.random.normal(key, (3,))
     turn = jnp.abs(wrapped(heading - state.odometry[2]))
-    spread = jnp.sqrt(motion.heading_noise**2 * way + motion.turn_noise**2 * turn)
-    drift = motion.heading_bias * way + spread * noise[2]
+    std = jnp.sqrt(motion.heading_noise**2 * length + motion.turn_noise**2 * turn)
+    heading_noise = motion.heading_bias * length + std * noise[2]
     error = state.heading - state.odometry[2]
-    halfway = error + 0.5 * drift
-    cosine, sine = jnp.cos(halfway), jnp.sin(halfway)
+    mean_error = error + 0.5 * heading_noise
+    cosine, sine = jnp.cos(mean_error), jnp.sin(mean_error)
     along = jnp.stack([cosine * step[0] - sine * step[1], sine * step[0] + cosine * step[1]])
-    displacement = along + motion.odometry_noise * way * noise[:2]
+    displacement = along + motion.odometry_noise * length * noise[:2]
     return WorldState(
         position=state.position + displacement,
-        heading=heading + error + drift,
+        heading=heading + error + heading_noise,
         odometry=jnp.stack([state.odometry[0] + step[0], state.odometry[1] + step[1], heading]),
         distance=state.distance + jnp.hypot(displacement[0], displacement[1]),
     )
 
 
 BODY_RADIUS = 0.25
-"""Metres from a wall at which the middle of a robot is halted by it."""
+"""Radius of the robot, metres, at which a wall stops it."""
 
 
 def halted(before: WorldState, after: WorldState, terrain: Terrain) -> WorldState:
-    """Halt a robot at the first wall in its way; its wheels stand there, too.
+    """Stop a robot at the first wall on its path; its odometry stops there, too.
 
-    Limits: where no wall is in the way nothing changes.
+    Limits: without a wall on the path nothing changes.
     """
-    way = Stretch(*before.position, *after.position)
-    share = terrain.view.clear_share(way, BODY_RADIUS)
-    if share is None:
+    segment = Stretch(*before.position, *after.position)
+    fraction = terrain.view.clear_share(segment, BODY_RADIUS)
+    if fraction is None:
         return after
-    odometry = before.odometry + share * (after.odometry - before.odometry)
+    odometry = before.odometry + fraction * (after.odometry - before.odometry)
     return replace(
         after,
-        position=before.position + share * (after.position - before.position),
+        position=before.position + fraction * (after.position - before.position),
         odometry=odometry.at[2].set(after.odometry[2]),
-        distance=before.distance + share * (after.distance - before.distance),
+        distance=before.distance + fraction * (after.distance - before.distance),
     )
 
 
 @pytree
 class Unicycle:
-    """Turns, then drives straight ahead; never sideways."""
+    """Unicycle body that turns, then drives straight ahead."""
 
-    turn_rate: Array  # f32[] radians turned in one decision cycle at most, > 0
+    turn_rate: Array  # f32[] maximum turn in one decision cycle, radians, > 0
 
     def move(
         self, key: Array, state: WorldState, action: Action, motion: MotionParams
     ) -> WorldState:
-        """Carry out one decision cycle's step.
+        """Execute one decision cycle's step.
 
             θ' = θ + clip(∠u − θ, ±ω),   s = min(|u|, L v (1 − |θ' − θ| / ω))
             u' = s (cos θ', sin θ')
 
-        of odometry; where that leads see ``_driven``. Arguments as of ``carry_out``.
-        Limits: ω → ∞ goes where a holonomic body goes; a stop or a zero step changes nothing.
+        of odometry; for the true pose see ``_propagate``. Arguments as of ``carry_out``.
+        Limits: ω → ∞ equals a holonomic body; a stop or a zero step changes nothing.
         """
         step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)
-        asked = jnp.hypot(step[0], step[1])
-        wanted = wrapped(jnp.arctan2(step[1], step[0]) - state.odometry[2])
-        turn = jnp.where(asked > 0.0, jnp.clip(wanted, -self.turn_rate, self.turn_rate), 0.0)
+        demand = jnp.hypot(step[0], step[1])
+        target = wrapped(jnp.arctan2(step[1], step[0]) - state.odometry[2])
+        turn = jnp.where(demand > 0.0, jnp.clip(target, -self.turn_rate, self.turn_rate), 0.0)
         heading = state.odometry[2] + turn
-        rest = 1.0 - jnp.abs(turn) / self.turn_rate
-        way = jnp.minimum(asked, motion.step_length * action.speed * rest)
-        step = way * jnp.stack([jnp.cos(heading), jnp.sin(heading)])
-        return _driven(key, state, step, way, heading, motion)
+        remaining = 1.0 - jnp.abs(turn) / self.turn_rate
+        length = jnp.minimum(demand, motion.step_length * action.speed * remaining)
+        step = length * jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        return _propagate(key, state, step, length, heading, motion)

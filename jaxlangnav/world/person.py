@@ -1,18 +1,18 @@
-"""A person who watches the robot, simulated: corrects, states and answers (truth side; ours).
+"""Simulated person who observes the robot, and corrects, states and answers (not in the paper).
 
-The person has the scenario's goal in mind, sees where things truly stand, and is told by the robot
-what it goes up to, and what it takes for possible where it asks. The law:
+The person knows the goal and the true positions of objects. The robot reports which object it
+approaches, and the candidates where it asks. The model:
 
-    takes for      a thing that the robot names is the true object nearest to the place it names
-    errs           with probability ε, drawn once for each thing, a judgement is turned round
-    corrects       "no, the other one": what is gone up to, or was stopped at, is judged not to be
+    association    an object that the robot names is the true object nearest to its position
+    errors         with probability ε, sampled once per object, a judgement is inverted
+    corrections    "no, the other one": the object approached, or stopped at, is judged not to be
                    the goal for more than ``delay`` cycles; at most ``num_corrections`` times
-    answers        names the candidate nearest to the goal; "none of them" where none is taken for
-                   it; with probability ε another candidate, as likely each
-    states         once, before the decision ``states_at``; with probability ε what is false
+    answers        the candidate nearest to the goal; "none of them" where none is judged to be
+                   it; with probability ε another candidate, uniformly
+    statements     once, before the decision ``states_at``; with probability ε a false one
 
-Nothing here knows what the robot believes beyond what it says. Limits: ε = 0 never corrects a robot
-that is at the goal, and always one that is not, up to the number allowed.
+The person knows nothing of the belief except what the robot reports. Limits: ε = 0 never corrects a
+robot that is at the goal, and always one that is not, up to the number allowed.
 """
 
 import enum
@@ -29,19 +29,19 @@ from jaxlangnav.world.state import Scenario
 
 
 class Says(enum.IntEnum):
-    """What the person says."""
+    """Speech acts of the person."""
 
     NOTHING = 0
-    OTHER = 1  # "no, the other one"
+    OTHER = 1  # correction: "no, the other one"
     THIS = 2  # an answer that names a candidate
     NONE_OF_THEM = 3  # an answer that names none
-    TRUTH = 4  # the statement, as it is
-    FALSEHOOD = 5  # the statement, turned round
+    TRUTH = 4  # a true statement
+    FALSEHOOD = 5  # a false statement
 
 
 @pytree
 class PersonParams:
-    """Numbers of the law; traced."""
+    """Parameters of the simulated person; traced."""
 
     error_rate: Array = field("probability that a judgement or statement is wrong", default=0.0)
     delay: Array = field("decision cycles until something wrong is spoken of", default=1)
@@ -52,19 +52,19 @@ class PersonParams:
 
 @pytree
 class RobotView:
-    """What the person is shown of the robot; O slots of things that it speaks of."""
+    """State of the robot as shown to the person; O slots of objects in its map."""
 
     step: Array  # i32[] decision
-    aimed: Array  # i32[] slot that it goes up to or has stopped at; NONE
-    is_asking: Array  # bool[] it has asked which one
-    is_candidate: Array  # bool[O] what the question is about
-    x: Array  # f32[O] metres, map frame, where it says that they are
+    aimed: Array  # i32[] slot that it approaches or has stopped at; NONE
+    is_asking: Array  # bool[] it asks which one
+    is_candidate: Array  # bool[O] candidates of the question
+    x: Array  # f32[O] metres, map frame, reported positions
     y: Array  # f32[O]
 
 
 @pytree
 class Person:
-    """What the person remembers."""
+    """State of the simulated person."""
 
     aimed: Array = field("slot that the robot went up to when last seen", default=NONE)
     since: Array = field("cycles for which it has", default=0)
@@ -73,13 +73,13 @@ class Person:
     intends: Array = field("will speak, if things stay as they are", default=False)
 
 
-def params_of(**numbers: Any) -> PersonParams:
-    """Build the numbers of a person, of fields of ``PersonParams``.
+def params_of(**fields: Any) -> PersonParams:
+    """Build the parameters of a person from fields of ``PersonParams``.
 
     Raises:
-        ValueError: a rate that is none, or a negative delay or number.
+        ValueError: a rate outside [0, 1], or a negative delay or count.
     """
-    params = PersonParams(**numbers)
+    params = PersonParams(**fields)
     if not 0.0 <= params.error_rate <= 1.0:
         raise ValueError(f"error_rate is {params.error_rate:g}, but must be between 0 and 1")
     refuse_below(0, delay=params.delay, num_corrections=params.num_corrections)
@@ -92,63 +92,63 @@ PERSONS: dict[str, dict[str, Any]] = {
     "careless": {"error_rate": 0.1},
     "patient": {"num_corrections": 5},
 }
-"""Persons by their names: how their numbers differ from those of ``params_of``."""
+"""Named persons: arguments of ``params_of``."""
 
 
 def unspoken() -> Person:
-    """Build a person who has seen and said nothing yet."""
+    """Build the initial state of a person."""
     return strong(Person())
 
 
 def say(
-    key: Array, person: Person, seen: RobotView, scenario: Scenario, *, params: PersonParams
+    key: Array, person: Person, view: RobotView, scenario: Scenario, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
-    """Decide what to say before the robot's next decision.
+    """Sample the person's speech act before the robot's next decision.
 
     Args:
-        key: the episode's, the same in every cycle: a person who errs in a thing keeps to it.
-        person: after the last cycle.
-        seen: of the robot.
-        scenario: the truth.
-        params: the law's numbers.
+        key: the episode's, the same in every cycle, so that errors about an object persist.
+        person: state after the last cycle.
+        view: state of the robot.
+        scenario: ground truth.
+        params: parameters of the person.
 
     Returns:
         The person; i32[], a ``Says``; i32[], the slot that an answer names, NONE without one.
     """
-    of_things, of_answer, of_choice, of_words = jax.random.split(key, 4)
-    # Each place is taken for the true object nearest to it: is that the goal?
-    to_objects = jnp.hypot(
-        seen.x[:, None] - scenario.object_x[None], seen.y[:, None] - scenario.object_y[None]
+    key_judgement, key_answer, key_choice, key_statement = jax.random.split(key, 4)
+    # Associate each position with the nearest true object: is that the goal?
+    distances = jnp.hypot(
+        view.x[:, None] - scenario.object_x[None], view.y[:, None] - scenario.object_y[None]
     )
-    nearest = jnp.argmin(jnp.where(scenario.is_object[None], to_objects, jnp.inf), axis=1)
+    nearest = jnp.argmin(jnp.where(scenario.is_object[None], distances, jnp.inf), axis=1)
     is_right = nearest == scenario.goal_index
-    errs = jax.random.bernoulli(of_things, params.error_rate, seen.x.shape)
-    is_same = seen.aimed == person.aimed
+    errors = jax.random.bernoulli(key_judgement, params.error_rate, view.x.shape)
+    is_same = view.aimed == person.aimed
     since = jnp.where(is_same, person.since + 1, 0)
-    at = jnp.clip(seen.aimed, 0, seen.x.size - 1)
-    is_wrong = (seen.aimed != NONE) & (is_right[at] == errs[at])
-    may_correct = is_wrong & ~seen.is_asking & (person.num_corrections < params.num_corrections)
+    index = jnp.clip(view.aimed, 0, view.x.size - 1)
+    is_wrong = (view.aimed != NONE) & (is_right[index] == errors[index])
+    may_correct = is_wrong & ~view.is_asking & (person.num_corrections < params.num_corrections)
     corrects = may_correct & (since >= params.delay)
-    is_answer = seen.is_asking & params.answers
-    # A candidate that is taken for the goal, the nearest to it; by error any other.
-    away = jnp.hypot(seen.x - scenario.goal[0], seen.y - scenario.goal[1])
-    is_meant = is_right & seen.is_candidate
-    best = jnp.argmin(jnp.where(is_meant, away, jnp.inf))
-    meant = jnp.where(jnp.any(is_meant), best, NONE)
-    is_other = seen.is_candidate & (jnp.arange(away.size) != meant)
-    other = jax.random.categorical(of_choice, jnp.where(is_other, 0.0, -jnp.inf))
-    is_slip = jax.random.bernoulli(of_answer, params.error_rate) & jnp.any(is_other)
-    slot = jnp.where(is_slip, other, meant).astype(jnp.int32)
-    is_false = jax.random.bernoulli(of_words, params.error_rate)
-    states = seen.step == params.states_at
-    said = jnp.where(corrects, int(Says.OTHER), int(Says.NOTHING))
-    said = jnp.where(is_answer, jnp.where(slot == NONE, Says.NONE_OF_THEM, Says.THIS), said)
-    said = jnp.where(states, jnp.where(is_false, Says.FALSEHOOD, Says.TRUTH), said)
+    is_answer = view.is_asking & params.answers
+    # Of the candidates judged to be the goal, the nearest to it; by error any other.
+    goal_distance = jnp.hypot(view.x - scenario.goal[0], view.y - scenario.goal[1])
+    is_goal = is_right & view.is_candidate
+    closest = jnp.argmin(jnp.where(is_goal, goal_distance, jnp.inf))
+    goal_slot = jnp.where(jnp.any(is_goal), closest, NONE)
+    is_other = view.is_candidate & (jnp.arange(goal_distance.size) != goal_slot)
+    distractor = jax.random.categorical(key_choice, jnp.where(is_other, 0.0, -jnp.inf))
+    is_error = jax.random.bernoulli(key_answer, params.error_rate) & jnp.any(is_other)
+    slot = jnp.where(is_error, distractor, goal_slot).astype(jnp.int32)
+    is_false = jax.random.bernoulli(key_statement, params.error_rate)
+    states = view.step == params.states_at
+    act = jnp.where(corrects, int(Says.OTHER), int(Says.NOTHING))
+    act = jnp.where(is_answer, jnp.where(slot == NONE, Says.NONE_OF_THEM, Says.THIS), act)
+    act = jnp.where(states, jnp.where(is_false, Says.FALSEHOOD, Says.TRUTH), act)
     after = Person(
-        aimed=seen.aimed,
+        aimed=view.aimed,
         since=since,
-        num_corrections=person.num_corrections + (said == Says.OTHER),
-        num_answers=person.num_answers + ((said == Says.THIS) | (said == Says.NONE_OF_THEM)),
-        intends=may_correct | is_answer | (seen.step < params.states_at),
+        num_corrections=person.num_corrections + (act == Says.OTHER),
+        num_answers=person.num_answers + ((act == Says.THIS) | (act == Says.NONE_OF_THEM)),
+        intends=may_correct | is_answer | (view.step < params.states_at),
     )
-    return after, said.astype(jnp.int32), jnp.where(said == Says.THIS, slot, NONE)
+    return after, act.astype(jnp.int32), jnp.where(act == Says.THIS, slot, NONE)

@@ -1,21 +1,21 @@
-"""Random worlds of a template (section 4.2; the geometry that the paper leaves open is ours).
+"""Sampling of random worlds of a template (section 4.2; the paper does not specify geometry).
 
 Frame: the robot starts at the origin and faces +x. The operating area is
-[0, D] x [-D/√2, D/√2], D = Known mean + 2.5 sd of the row of Table 2. The law:
+[0, D] x [-D/√2, D/√2], D = Known mean + 2.5 sd of the row of Table 2. The distribution:
 
-- a hydrant stands at range N(Known mean, sd) and bearing U(-45°, 45°), whether goal or not;
-- each cone stands by a point of that same law, 1.5-3.5 m from it on the robot's side, lateral
+- a hydrant is at range N(Known mean, sd) and bearing U(-45°, 45°), whether goal or not;
+- each cone is near a point of the same distribution, 1.5-3.5 m from it toward the robot, lateral
   sd 0.4 m ("behind", null), or 1.5-3 m from it in any direction ("nearest");
 - the first cone's point is the *anchor* hydrant, the further cones' points are empty;
 - but for the anchor and its cone all objects are 4 m apart, and the anchor is the only hydrant
   behind any cone (viewer at the start, a wedge of ±45°, at any distance);
-- with a relation the anchor is the goal; without one the goal is any hydrant, by lot.
+- with a relation the anchor is the goal; without one the goal is any hydrant, uniformly.
 
-Every draw treats the hydrants alike: places for all of them, then for each of them the cone that
-it would have as the anchor, then the free cones; the lot that makes one of them the anchor falls
-last. So where the hydrants stand says nothing about which is meant, and whoever looks at
-hydrants alone is right one time in the number of hydrants.
-A null world has the geometry of "behind", as the paper issues both commands in one environment.
+Sampling treats all hydrants alike: first their positions, then for each the cone that it would have
+as the anchor, then the free cones; the anchor is chosen last. So the positions of hydrants are not
+informative about the goal, and a policy that ignores cones is right once in the number of
+hydrants. A null world has the geometry of "behind", as the paper issues both commands in one
+environment.
 """
 
 import math
@@ -41,7 +41,7 @@ from jaxlangnav.world.templates import (
 
 AREA_SIGMAS = 2.5
 OBJECT_BEARING_MAX = math.pi / 4
-SEPARATION = 4.0  # metres between objects that do not belong together
+SEPARATION = 4.0  # metres between objects that are not a pair
 CONE_DISTANCE_MIN = 1.5  # metres from the cone to its hydrant
 CONE_DISTANCE_MAX = 3.5
 NEAREST_DISTANCE_MAX = 3.0
@@ -49,15 +49,15 @@ LATERAL_SD = 0.4
 WEDGE_COSINE = math.cos(math.pi / 4)
 NUM_FREE = MAX_CONES - 1
 NUM_ATTEMPTS = 16
-"""Whole worlds tried at once; the first that meets the law is taken."""
+"""Worlds sampled in parallel; the first that meets all constraints is used."""
 NUM_CANDIDATES = 32
-"""K, places tried at once for each part of a world."""
+"""K, candidate positions sampled in parallel for each part of a world."""
 NULL, _BEHIND, _NEAREST = range(len(RELATION_NAMES))
 
 
 @pytree
 class ScenarioLaw:
-    """What a template and a relation fix about a world; traced, so one program draws them all."""
+    """Parameters of a template's world distribution; traced, so one program samples them all."""
 
     num_hydrants: Array  # i32[] 1 to MAX_HYDRANTS
     num_cones: Array  # i32[] 0 to MAX_CONES
@@ -68,115 +68,115 @@ class ScenarioLaw:
 
 @pytree
 class _Placement:
-    """A world before the lot: B = MAX_HYDRANTS hydrants, F = NUM_FREE free cones."""
+    """A world before its goal is chosen: B = MAX_HYDRANTS hydrants, F = NUM_FREE free cones."""
 
     hydrant: Array  # f32[2, B] x, y metres, map frame
-    anchor_cone: Array  # f32[2, B] metres, the first cone, should this hydrant be the anchor
+    anchor_cone: Array  # f32[2, B] metres, the first cone if this hydrant is the anchor
     free_cone: Array  # f32[2, F] metres, the further cones
-    is_met: Array  # bool[] everything found its place
+    is_met: Array  # bool[] all constraints are met
 
 
 def _area_depth(law: ScenarioLaw) -> Array:
-    """Compute D, how far the operating area reaches ahead."""
+    """Compute D, the depth of the operating area."""
     return law.range_mean + AREA_SIGMAS * law.range_sd
 
 
-def _try_placement(key: Array, law: ScenarioLaw) -> _Placement:
-    """Try once to build a world."""
-    point, offset = _draw(key, law)
+def _sample_placement(key: Array, law: ScenarioLaw) -> _Placement:
+    """Sample one world, which may violate the constraints."""
+    points, offsets = _sample_candidates(key, law)
     is_hydrant = jnp.arange(MAX_HYDRANTS) < law.num_hydrants
-    fits = jax.vmap(_hydrants_fit, in_axes=(-1, None, None))
-    is_fit = fits(point[:, :MAX_HYDRANTS], is_hydrant, _area_depth(law))
-    hydrant = point[:, :MAX_HYDRANTS, jnp.argmax(is_fit)]
-    anchor_cone, is_anchored = _place_anchor_cones(offset, law, hydrant, is_hydrant)
-    free_cone, is_free_met = _place_free_cones(point, offset, law, hydrant, anchor_cone)
-    is_met = jnp.any(is_fit) & is_anchored & is_free_met
+    check = jax.vmap(_are_valid, in_axes=(-1, None, None))
+    is_fit = check(points[:, :MAX_HYDRANTS], is_hydrant, _area_depth(law))
+    hydrant = points[:, :MAX_HYDRANTS, jnp.argmax(is_fit)]
+    anchor_cone, is_anchor_met = _place_anchor_cones(offsets, law, hydrant, is_hydrant)
+    free_cone, is_free_met = _place_free_cones(points, offsets, law, hydrant, anchor_cone)
+    is_met = jnp.any(is_fit) & is_anchor_met & is_free_met
     return _Placement(hydrant=hydrant, anchor_cone=anchor_cone, free_cone=free_cone, is_met=is_met)
 
 
 def _place_anchor_cones(
     offset: Array, law: ScenarioLaw, hydrant: Array, is_hydrant: Array
 ) -> tuple[Array, Array]:
-    """Give each hydrant the cone it would have as the anchor: f32[2, B] and bool[], all found."""
+    """Place each hydrant's cone in case it is the anchor: f32[2, B]; bool[], all are placed."""
     cones, is_met = [], jnp.array(True)
-    for index in range(MAX_HYDRANTS):
-        own = hydrant[:, index : index + 1]
-        rest = is_hydrant & (jnp.arange(MAX_HYDRANTS) != index)
-        candidate = _beside(own, offset[:, index])
-        is_only = is_behind(own, candidate) & ~_has_behind(candidate, hydrant, rest)
-        is_fit = _is_inside(candidate, _area_depth(law)) & _is_clear(candidate, hydrant, rest)
-        is_fit &= is_only | (law.relation == _NEAREST)
-        is_met &= jnp.any(is_fit) | ~is_hydrant[index] | (law.num_cones == 0)
-        cones.append(candidate[:, jnp.argmax(is_fit)])
+    for i in range(MAX_HYDRANTS):
+        figure = hydrant[:, i : i + 1]
+        rest = is_hydrant & (jnp.arange(MAX_HYDRANTS) != i)
+        candidate = _place_cones(figure, offset[:, i])
+        is_sole = is_behind(figure, candidate) & ~_has_behind(candidate, hydrant, rest)
+        is_valid = _is_inside(candidate, _area_depth(law)) & _is_clear(candidate, hydrant, rest)
+        is_valid &= is_sole | (law.relation == _NEAREST)
+        is_met &= jnp.any(is_valid) | ~is_hydrant[i] | (law.num_cones == 0)
+        cones.append(candidate[:, jnp.argmax(is_valid)])
     return jnp.stack(cones, axis=1), is_met
 
 
 def _place_free_cones(
     points: Array, offset: Array, law: ScenarioLaw, hydrant: Array, anchor_cone: Array
 ) -> tuple[Array, Array]:
-    """Place the cones that belong to no hydrant: f32[2, F] and bool[], all found."""
+    """Place the cones without a hydrant: f32[2, F]; bool[], all are placed."""
     depth, is_met = _area_depth(law), jnp.array(True)
     is_hydrant = jnp.arange(MAX_HYDRANTS) < law.num_hydrants
     placed = jnp.concatenate([hydrant, anchor_cone], axis=1)
     is_placed = jnp.concatenate([is_hydrant, is_hydrant])
     for index in range(NUM_FREE):
         point = points[:, MAX_HYDRANTS + index]
-        candidate = _beside(point, offset[:, MAX_HYDRANTS + index])
-        is_stray = _has_behind(candidate, hydrant, is_hydrant) & (law.relation != _NEAREST)
-        is_fit = _is_inside(point, depth) & _is_inside(candidate, depth) & ~is_stray
-        is_fit &= _is_clear(candidate, placed, is_placed)
+        candidate = _place_cones(point, offset[:, MAX_HYDRANTS + index])
+        is_ambiguous = _has_behind(candidate, hydrant, is_hydrant) & (law.relation != _NEAREST)
+        is_valid = _is_inside(point, depth) & _is_inside(candidate, depth) & ~is_ambiguous
+        is_valid &= _is_clear(candidate, placed, is_placed)
         is_used = index < law.num_cones - 1
-        is_met &= jnp.any(is_fit) | ~is_used
-        placed = jnp.concatenate([placed, candidate[:, jnp.argmax(is_fit)][:, None]], axis=1)
+        is_met &= jnp.any(is_valid) | ~is_used
+        placed = jnp.concatenate([placed, candidate[:, jnp.argmax(is_valid)][:, None]], axis=1)
         is_placed = jnp.concatenate([is_placed, is_used[None]])
     return placed[:, 2 * MAX_HYDRANTS :], is_met
 
 
-def _draw(key: Array, law: ScenarioLaw) -> tuple[Array, Array]:
-    """Draw points of the hydrant law and the way from each to a cone, f32[2, B + F, K] each."""
-    # Nothing is checked. Hydrants come first, then the free cones' points; ways are along and
+def _sample_candidates(key: Array, law: ScenarioLaw) -> tuple[Array, Array]:
+    """Sample candidates of hydrants and offsets to their cones, f32[2, B + F, K] each."""
+    # Without constraints. Hydrants come first, then the free cones' points; offsets are along and
     # across the line of sight.
     shape = (MAX_HYDRANTS + NUM_FREE, NUM_CANDIDATES)
-    drawn = batching.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
-    distance = law.range_mean + law.range_sd * batching.normal(drawn[0])
-    bearing = batching.between(drawn[1], -OBJECT_BEARING_MAX, OBJECT_BEARING_MAX)
+    uniform = batching.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
+    distance = law.range_mean + law.range_sd * batching.normal(uniform[0])
+    bearing = batching.between(uniform[1], -OBJECT_BEARING_MAX, OBJECT_BEARING_MAX)
     point = jnp.stack([distance * jnp.cos(bearing), distance * jnp.sin(bearing)])
 
     is_nearest = law.relation == _NEAREST
     gap_max = jnp.where(is_nearest, NEAREST_DISTANCE_MAX, CONE_DISTANCE_MAX)
-    gap = CONE_DISTANCE_MIN + (gap_max - CONE_DISTANCE_MIN) * drawn[2]
-    direction = batching.between(drawn[3], -math.pi, math.pi)
-    lateral = LATERAL_SD * batching.normal(drawn[4])
-    # The gap is exact; the lateral part only turns it away from the line of sight.
+    gap = CONE_DISTANCE_MIN + (gap_max - CONE_DISTANCE_MIN) * uniform[2]
+    direction = batching.between(uniform[3], -math.pi, math.pi)
+    lateral = LATERAL_SD * batching.normal(uniform[4])
+    # The gap is exact; the lateral part only rotates it away from the line of sight.
     lateral = jnp.clip(lateral, -gap, gap)
-    toward = -jnp.sqrt(gap**2 - lateral**2)
-    along = jnp.where(is_nearest, gap * jnp.cos(direction), toward)
+    radial = -jnp.sqrt(gap**2 - lateral**2)
+    along = jnp.where(is_nearest, gap * jnp.cos(direction), radial)
     across = jnp.where(is_nearest, gap * jnp.sin(direction), lateral)
     return point, jnp.stack([along, across])
 
 
-def _beside(point: Array, offset: Array) -> Array:
-    """Place cones by points: f32[2, K or 1], offsets along and across the sight, to f32[2, K]."""
+def _place_cones(point: Array, offset: Array) -> Array:
+    """Place cones at offsets along and across the line of sight to points: f32[2, K]."""
     frame = viewer_frame(0.0, 0.0, point[0], point[1])
     x, y = to_map(frame, offset[0], offset[1])
     return jnp.stack([point[0] + x, point[1] + y])
 
 
-def _hydrants_fit(hydrant: Array, is_hydrant: Array, depth: Array) -> Array:
-    """Check one candidate set of hydrants: f32[2, B], bool[B], f32[] to bool[]."""
+def _are_valid(hydrant: Array, is_hydrant: Array, depth: Array) -> Array:
+    """Check the constraints of candidate hydrants: f32[2, B], bool[B], f32[] to bool[]."""
     pairs = is_hydrant[:, None] & is_hydrant[None, :] & ~jnp.eye(MAX_HYDRANTS, dtype=bool)
     is_inside = jnp.all(_is_inside(hydrant, depth) | ~is_hydrant)
     return is_inside & jnp.all(_are_apart(hydrant, hydrant) | ~pairs)
 
 
 def _is_inside(point: Array, depth: Array) -> Array:
-    """Tell which points lie in the operating area: f32[2, K], f32[] to bool[K]."""
-    side = depth / math.sqrt(2.0)
-    return (point[0] >= 0.0) & (point[0] <= depth) & (jnp.abs(point[1]) <= side)
+    """Tell which points are in the operating area: f32[2, K], f32[] to bool[K]."""
+    half_width = depth / math.sqrt(2.0)
+    return (point[0] >= 0.0) & (point[0] <= depth) & (jnp.abs(point[1]) <= half_width)
 
 
 def _is_clear(point: Array, placed: Array, is_placed: Array) -> Array:
-    """Tell which points are 4 m from all placed: f32[2, K], f32[2, L], bool[L] to bool[K]."""
+    """Tell which points are 4 m from all objects: f32[2, K], f32[2, L], bool[L] to bool[K]."""
     return jnp.all(_are_apart(point, placed) | ~is_placed[:, None], axis=0)
 
 
@@ -187,7 +187,7 @@ def _are_apart(point: Array, placed: Array) -> Array:
 
 
 def _has_behind(cone: Array, hydrant: Array, is_hydrant: Array) -> Array:
-    """Tell behind which cones a hydrant is: f32[2, K], f32[2, B], bool[B] to bool[K]."""
+    """Tell which cones have a hydrant behind: f32[2, K], f32[2, B], bool[B] to bool[K]."""
     is_related = is_behind(hydrant[:, :, None], cone[:, None, :])
     return jnp.any(is_related & is_hydrant[:, None], axis=0)
 
@@ -195,7 +195,7 @@ def _has_behind(cone: Array, hydrant: Array, is_hydrant: Array) -> Array:
 def is_behind(figure: Array, landmark: Array) -> Array:
     """Tell whether figures f32[2, ...] are behind landmarks, seen from the start: within 45°.
 
-    The distance is left open so that what is drawn as "not behind" is so at every distance.
+    The distance is unbounded, so that a hydrant "not behind" is so at every distance.
     """
     frame = viewer_frame(0.0, 0.0, landmark[0], landmark[1])
     x, y = figure[0] - landmark[0], figure[1] - landmark[1]
@@ -204,7 +204,7 @@ def is_behind(figure: Array, landmark: Array) -> Array:
 
 
 def scenario_law(*, template: str | Template, relation: str) -> ScenarioLaw:
-    """Build the law of a template's worlds, for ``draw_scenario``.
+    """Build the distribution of a template's worlds, for ``draw_scenario``.
 
     Args:
         template: a template or its name, such as "2H1C".
@@ -231,15 +231,15 @@ def scenario_law(*, template: str | Template, relation: str) -> ScenarioLaw:
 
 
 def sample_scenario(key: Array, *, template: str | Template, relation: str) -> Scenario:
-    """Draw one world of a template; ``vmap`` over keys draws many.
+    """Sample one world of a template; ``vmap`` over keys for many.
 
     Args:
         key: random key.
         template: a template or its name, such as "2H1C".
-        relation: "null", "behind" or "nearest": what the command will say of the goal.
+        relation: "null", "behind" or "nearest": the relation of the command.
 
     Returns:
-        The world. ``is_valid`` is False where no candidate met the law: count such worlds.
+        The world. ``is_valid`` is False where no candidate met the constraints.
 
     Raises:
         ValueError: unknown template or relation.
@@ -249,41 +249,41 @@ def sample_scenario(key: Array, *, template: str | Template, relation: str) -> S
 
 @jax.jit
 def draw_scenario(key: Array, law: ScenarioLaw) -> Scenario:
-    """Draw one world of a law: the first of a fixed number of attempts that meets it.
+    """Sample one world by rejection: the first of a fixed number of attempts that is valid.
 
     Args:
         key: random key.
-        law: what to draw; traced.
+        law: the distribution; traced.
 
     Returns:
-        The world; where no attempt meets the law, the first attempt with ``is_valid`` False.
+        The world; where no attempt is valid, the first one with ``is_valid`` False.
     """
-    key_place, key_lot = jax.random.split(key)
+    key_place, key_goal = jax.random.split(key)
     keys = jax.random.split(key_place, NUM_ATTEMPTS)
-    attempts = jax.vmap(_try_placement, in_axes=(0, None))(keys, law)
-    chosen = jax.tree.map(lambda leaf: leaf[jnp.argmax(attempts.is_met)], attempts)
-    lots = (jax.random.uniform(key_lot, (2,)) * law.num_hydrants).astype(jnp.int32)
-    anchor, other = jnp.minimum(lots, law.num_hydrants - 1)
+    attempts = jax.vmap(_sample_placement, in_axes=(0, None))(keys, law)
+    placement = jax.tree.map(lambda leaf: leaf[jnp.argmax(attempts.is_met)], attempts)
+    choices = (jax.random.uniform(key_goal, (2,)) * law.num_hydrants).astype(jnp.int32)
+    anchor, other = jnp.minimum(choices, law.num_hydrants - 1)
     goal_index = jnp.where(law.relation == NULL, other, anchor)
     # Slots: hydrants, then the anchor's cone, then the free cones.
-    cone = chosen.anchor_cone[:, anchor]
-    place = jnp.concatenate([chosen.hydrant, cone[:, None], chosen.free_cone], axis=1)
+    cone = placement.anchor_cone[:, anchor]
+    position = jnp.concatenate([placement.hydrant, cone[:, None], placement.free_cone], axis=1)
     object_type = jnp.array([HYDRANT] * MAX_HYDRANTS + [CONE] * MAX_CONES, jnp.int32)
     is_object = jnp.concatenate(
         [jnp.arange(MAX_HYDRANTS) < law.num_hydrants, jnp.arange(MAX_CONES) < law.num_cones]
     )
     order = jnp.argsort(~is_object, stable=True)
     is_slot = is_object[order]
-    far = _area_depth(law)
-    side = far / math.sqrt(2.0)
+    depth = _area_depth(law)
+    half_width = depth / math.sqrt(2.0)
     return Scenario(
         object_type=jnp.where(is_slot, object_type[order], NONE),
-        object_x=jnp.where(is_slot, place[0, order], 0.0),
-        object_y=jnp.where(is_slot, place[1, order], 0.0),
+        object_x=jnp.where(is_slot, position[0, order], 0.0),
+        object_y=jnp.where(is_slot, position[1, order], 0.0),
         is_object=is_slot,
-        goal=place[:, goal_index],
+        goal=position[:, goal_index],
         goal_index=goal_index,
         start=jnp.zeros(3, jnp.float32),
-        area=jnp.stack([jnp.zeros_like(far), far, -side, side]),
-        is_valid=chosen.is_met,
+        area=jnp.stack([jnp.zeros_like(depth), depth, -half_width, half_width]),
+        is_valid=placement.is_met,
     )

@@ -1,19 +1,19 @@
-"""The simulated object detector (section 4.2: limited range; section 4.3: limited field of view).
+"""Simulated object detector (section 4.2: limited range; section 4.3: limited field of view).
 
-Each object within range and field of view is detected with a fixed probability. Its relative
-position in the robot's frame gets isotropic Gaussian noise and is reported as range and bearing.
-What the place itself hides is the business of its ``terrain``.
+Each object within range and field of view is detected with a fixed probability. Its position in the
+robot's frame gets isotropic Gaussian noise and is reported as range and bearing. Occlusion is
+modelled by the scenario's ``terrain``.
 
-The paper's detector invents nothing and its types are always right (section 3.2). Real ones err,
-as ours do where ``Scenario.errors`` says so:
+The paper's detector has no false detections or wrong types (section 3.2). Real ones have, as ours
+where ``Scenario.errors`` is set:
 
-- *fresh* ghosts: in each look, of each type that is invented, a Poisson number of false detections
-  with mean ``SensorParams.false_detections``, each anywhere in view, evenly by area, anew at every
-  look (of more than ``MOST_FRESH`` in one look the rest is dropped);
-- *haunted* places, drawn with the world: one in view is reported in a look with a probability of
-  its own, where it is, with the noise of any thing. Nothing tells the belief of these;
-- labels: a thing detected is called another type with probability ``SensorParams.mislabelled``,
-  each of the others equally likely, anew at every look.
+- *random* clutter: in each scan, for each affected type, a Poisson number of false detections with
+  mean ``SensorParams.false_detections``, uniform over the field of view, independent between scans
+  (more than ``MAX_CLUTTER`` in one scan are dropped);
+- *fixed* clutter at positions sampled with the world: one in view is reported in a scan with its
+  own probability, with the noise of a real detection. The filter does not model it;
+- labels: a detected object gets another type with probability ``SensorParams.mislabelled``, each
+  of the others equally likely, independent between scans.
 """
 
 import chex
@@ -27,87 +27,87 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world.state import Errors, Scenario, WorldState
 
-MOST_FRESH = 4
-"""Fresh ghosts in one look; at a mean of 0.1 there are more in one look of ten million."""
-Ghosts = tuple[Array, Array, Array, Array]
+MAX_CLUTTER = 4
+"""Limit of random clutter in one scan; at a mean of 0.1 exceeded once in ten million scans."""
+Clutter = tuple[Array, Array, Array, Array]
 """Type i32[n]; x ahead, y to the left, f32[n] metres, robot frame; whether reported, bool[n]."""
 
 
-def _located(
-    x: Array, y: Array, is_there: Array, state: WorldState, scenario: Scenario, sensor: SensorParams
+def _to_robot(
+    x: Array, y: Array, is_used: Array, state: WorldState, scenario: Scenario, sensor: SensorParams
 ) -> tuple[Array, Array, Array]:
-    """Put places into the robot's frame and tell which are in view."""
+    """Transform positions into the robot's frame, and determine which are in view."""
     dx, dy = x - state.position[0], y - state.position[1]
     cosine, sine = jnp.cos(state.heading), jnp.sin(state.heading)
     ahead, left = cosine * dx + sine * dy, cosine * dy - sine * dx
     eye = eye_of(state.position[0], state.position[1], state.heading, sensor)
-    return ahead, left, is_there & scenario.terrain.view.sees(eye, x, y)
+    return ahead, left, is_used & scenario.terrain.view.sees(eye, x, y)
 
 
-def _labels_read(key: Array, kind: Array, errors: Errors, sensor: SensorParams) -> Array:
-    """Read the labels of things, some of them wrongly."""
-    # Limits: a rate of 0, or a single type told apart, reads every label as it is.
-    uniform = jax.random.uniform(key, (2, kind.size))
-    others = jnp.sum(errors.is_type) - 1
-    is_wrong = (uniform[0] < sensor.mislabelled) & (others > 0) & (kind != NONE)
-    choice = _evenly(uniform[1], others)
-    # The thing's own type is stepped over.
-    choice = choice + (choice >= (jnp.cumsum(errors.is_type) - 1)[jnp.maximum(kind, 0)])
-    return jnp.where(is_wrong, _nth(errors.is_type, choice), kind).astype(kind.dtype)
+def _sample_labels(key: Array, label: Array, errors: Errors, sensor: SensorParams) -> Array:
+    """Sample the reported labels of objects, some of them wrong."""
+    # Limits: a rate of 0, or a single type, leaves every label unchanged.
+    uniform = jax.random.uniform(key, (2, label.size))
+    num_others = jnp.sum(errors.is_type) - 1
+    is_wrong = (uniform[0] < sensor.mislabelled) & (num_others > 0) & (label != NONE)
+    index = _pick_index(uniform[1], num_others)
+    # Skip the object's true type.
+    index = index + (index >= (jnp.cumsum(errors.is_type) - 1)[jnp.maximum(label, 0)])
+    return jnp.where(is_wrong, _nth_true(errors.is_type, index), label).astype(label.dtype)
 
 
-def _evenly(uniform: Array, number: Array) -> Array:
-    """Choose one of so many, each equally likely: f32[n] in [0, 1) to i32[n]."""
-    return jnp.minimum((uniform * number).astype(jnp.int32), number - 1)
+def _pick_index(uniform: Array, count: Array) -> Array:
+    """Map uniform numbers to equally likely indices: f32[n] in [0, 1) to i32[n]."""
+    return jnp.minimum((uniform * count).astype(jnp.int32), count - 1)
 
 
-def _nth(is_one: Array, rank: Array) -> Array:
-    """Find the index of the rank-th that is one: bool[T], i32[n] from 0, to i32[n]."""
-    is_chosen = (jnp.cumsum(is_one) - 1)[None, :] == rank[:, None]
-    return jnp.argmax(is_chosen & is_one[None, :], axis=1)
+def _nth_true(mask: Array, rank: Array) -> Array:
+    """Find the index of the rank-th true element: bool[T], i32[n] from 0, to i32[n]."""
+    is_at_rank = (jnp.cumsum(mask) - 1)[None, :] == rank[:, None]
+    return jnp.argmax(is_at_rank & mask[None, :], axis=1)
 
 
-def _fresh_ghosts(
+def _random_clutter(
     key: Array, state: WorldState, scenario: Scenario, errors: Errors, sensor: SensorParams
-) -> Ghosts:
-    """Invent detections anew for one look."""
-    # number ~ Poisson(λ T),   λ = ``false_detections``, T types that are invented
-    # Limits: λ = 0 invents nothing.
-    number_key, place_key = jax.random.split(key)
+) -> Clutter:
+    """Sample the random clutter of one scan."""
+    # count ~ Poisson(λ T),   λ = ``false_detections``, T affected types
+    # Limits: λ = 0 gives no clutter.
+    count_key, position_key = jax.random.split(key)
     mean = sensor.false_detections * jnp.sum(errors.is_invented)
-    terms = jnp.cumprod(jnp.concatenate([jnp.exp(-mean)[None], mean / jnp.arange(1, MOST_FRESH)]))
-    number = jnp.sum(jax.random.uniform(number_key) > jnp.cumsum(terms))
-    uniform = jax.random.uniform(place_key, (3, MOST_FRESH))
-    metres = sensor.range_max * jnp.sqrt(uniform[0])
+    terms = jnp.cumprod(jnp.concatenate([jnp.exp(-mean)[None], mean / jnp.arange(1, MAX_CLUTTER)]))
+    count = jnp.sum(jax.random.uniform(count_key) > jnp.cumsum(terms))
+    uniform = jax.random.uniform(position_key, (3, MAX_CLUTTER))
+    radius = sensor.range_max * jnp.sqrt(uniform[0])
     bearing = sensor.field_of_view * (uniform[1] - 0.5)
-    turned = state.heading + bearing
-    x = state.position[0] + metres * jnp.cos(turned)
-    y = state.position[1] + metres * jnp.sin(turned)
-    is_there = jnp.arange(MOST_FRESH) < number
-    ahead, left, is_reported = _located(x, y, is_there, state, scenario, sensor)
+    direction = state.heading + bearing
+    x = state.position[0] + radius * jnp.cos(direction)
+    y = state.position[1] + radius * jnp.sin(direction)
+    is_used = jnp.arange(MAX_CLUTTER) < count
+    ahead, left, is_reported = _to_robot(x, y, is_used, state, scenario, sensor)
     ahead, left = scenario.sensor_model.simulate(jnp.zeros((2, 1)), ahead, left, sensor)
-    kind = _nth(errors.is_invented, _evenly(uniform[2], jnp.sum(errors.is_invented)))
-    return kind.astype(jnp.int32), ahead, left, is_reported
+    label = _nth_true(errors.is_invented, _pick_index(uniform[2], jnp.sum(errors.is_invented)))
+    return label.astype(jnp.int32), ahead, left, is_reported
 
 
-def _haunting_ghosts(
+def _fixed_clutter(
     key: Array, state: WorldState, scenario: Scenario, errors: Errors, sensor: SensorParams
-) -> Ghosts:
-    """Report places that are mistaken for things again and again."""
-    chance_key, noise_key = jax.random.split(key)
-    place = errors.haunt_x, errors.haunt_y, errors.haunt_type != NONE
-    ahead, left, is_seen = _located(*place, state, scenario, sensor)
+) -> Clutter:
+    """Sample the detections of fixed clutter."""
+    uniform_key, noise_key = jax.random.split(key)
+    position = errors.haunt_x, errors.haunt_y, errors.haunt_type != NONE
+    ahead, left, is_visible = _to_robot(*position, state, scenario, sensor)
     normal = jax.random.normal(noise_key, (2, ahead.size))
-    place = scenario.sensor_model.simulate(normal, ahead, left, sensor)
-    chance = jax.random.uniform(chance_key, ahead.shape)
-    is_reported = is_seen & (chance < errors.haunt_probability)
-    return errors.haunt_type, *place, is_reported
+    position = scenario.sensor_model.simulate(normal, ahead, left, sensor)
+    uniform = jax.random.uniform(uniform_key, ahead.shape)
+    is_reported = is_visible & (uniform < errors.haunt_probability)
+    return errors.haunt_type, *position, is_reported
 
 
 NUM_DETECTIONS, NUM_DETECTIONS_CROWDED = 8, 16
-"""Slots of an observation, in places of at most eight things and of more."""
-_ERRING = 79
-"""Folded into a look's key for what the detector gets wrong; the rest of the look stays."""
+"""Slots of an observation, in worlds of at most eight objects and of more."""
+_ERROR_KEY = 79
+"""Folded into a scan's key for detector errors; true detections stay the same."""
 
 
 def sense(
@@ -121,16 +121,16 @@ def sense(
 ) -> Observation:
     """Detect the objects around the robot, nearest first.
 
-    Limits: no noise and probability 1 report what is ``visible``, probability 0 what is invented;
-    of more than D the nearest are kept, and the observation reaches no farther than they.
+    Limits: no noise and probability 1 report what is ``visible``, probability 0 only clutter; of
+    more than D the nearest are kept, and the reported range is limited to theirs.
 
     Args:
         key: random key.
         state: the robot.
         scenario: the world.
-        sensor: what the detector is truly like; traced.
-        told: what the robot takes it for; the truth if None.
-        num_detections: D, slots of the observation; by the number of the world's slots if None.
+        sensor: the true sensor model; traced.
+        told: the sensor model that the robot assumes; the true one if None.
+        num_detections: D, slots of the observation; if None, by the world's number of slots.
     """
     chex.assert_shape([state.position, state.odometry], [(2,), (3,)])
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
@@ -138,32 +138,32 @@ def sense(
     if num_detections is None:
         num_detections = NUM_DETECTIONS_CROWDED if x.size > NUM_DETECTIONS else NUM_DETECTIONS
     miss, noise = batching.uniforms(jax.random.split(key), 2 * x.size)
-    is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
-    normal, kind = batching.normal(noise).reshape(2, *x.shape), scenario.object_type
+    is_detected = is_visible & (miss[: x.size] < sensor.detection_probability)
+    normal, label = batching.normal(noise).reshape(2, *x.shape), scenario.object_type
     x, y = scenario.sensor_model.simulate(normal, x, y, sensor)
     if (errors := scenario.errors) is not None:
-        keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)
-        kind = _labels_read(keys[0], kind, errors, sensor)
-        fresh = _fresh_ghosts(keys[1], state, scenario, errors, sensor)
-        haunting = _haunting_ghosts(keys[2], state, scenario, errors, sensor)
-        parts = zip((kind, x, y, is_found), fresh, haunting, strict=True)
-        kind, x, y, is_found = (jnp.concatenate(part) for part in parts)
-    distance = jnp.where(is_found, jnp.hypot(x, y), jnp.inf)
-    nearest = jnp.argsort(distance)
-    order = jnp.pad(nearest, (0, max(0, num_detections - nearest.size)))[:num_detections]
-    is_detection = is_found[order] & (jnp.arange(num_detections) < nearest.size)
+        error_keys = jax.random.split(jax.random.fold_in(key, _ERROR_KEY), 3)
+        label = _sample_labels(error_keys[0], label, errors, sensor)
+        random = _random_clutter(error_keys[1], state, scenario, errors, sensor)
+        fixed = _fixed_clutter(error_keys[2], state, scenario, errors, sensor)
+        parts = zip((label, x, y, is_detected), random, fixed, strict=True)
+        label, x, y, is_detected = (jnp.concatenate(part) for part in parts)
+    distance = jnp.where(is_detected, jnp.hypot(x, y), jnp.inf)
+    by_distance = jnp.argsort(distance)
+    order = jnp.pad(by_distance, (0, max(0, num_detections - by_distance.size)))[:num_detections]
+    is_detection = is_detected[order] & (jnp.arange(num_detections) < by_distance.size)
     if (attribute := scenario.object_attribute) is not None:
-        # What is invented looks like nothing: it comes after the things.
-        seen = attribute[jnp.minimum(order, attribute.size - 1)]
-        attribute = jnp.where(is_detection & (order < attribute.size), seen, 0)
+        # Clutter, which comes after the objects, has no attributes.
+        codes = attribute[jnp.minimum(order, attribute.size - 1)]
+        attribute = jnp.where(is_detection & (order < attribute.size), codes, 0)
     told = sensor if told is None else told
-    if nearest.size > num_detections:
-        # Infinite where nothing has been left out.
-        reach = jnp.minimum(told.range_max, distance[nearest[num_detections]])
-        told = replace(told, range_max=reach)
+    if by_distance.size > num_detections:
+        # Infinite where nothing was dropped.
+        radius = jnp.minimum(told.range_max, distance[by_distance[num_detections]])
+        told = replace(told, range_max=radius)
     return Observation(
         pose=state.odometry,
-        detection_type=jnp.where(is_detection, kind[order], NONE),
+        detection_type=jnp.where(is_detection, label[order], NONE),
         detection_range=jnp.where(is_detection, distance[order], 0.0),
         detection_bearing=jnp.where(is_detection, jnp.arctan2(y, x)[order], 0.0),
         is_detection=is_detection,
@@ -175,10 +175,10 @@ def sense(
 def visible(
     state: WorldState, scenario: Scenario, sensor: SensorParams
 ) -> tuple[Array, Array, Array]:
-    """Find which objects are in view: in range, in the field of view, and not hidden.
+    """Determine which objects are in view: in range, in the field of view, and not occluded.
 
     f32[O] x ahead and f32[O] y to the left, metres, robot frame; bool[O] in view.
     """
-    return _located(
+    return _to_robot(
         scenario.object_x, scenario.object_y, scenario.is_object, state, scenario, sensor
     )

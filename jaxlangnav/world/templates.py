@@ -1,7 +1,7 @@
 """World templates and the printed figures of Table 2 (section 4.2).
 
-A template says how many hydrants and cones a world has: "2H1C". The paper gives no geometry;
-the distances of its known-map robot (column *Known*) fix how far the intended hydrant stands.
+A template is the number of hydrants and cones of a world: "2H1C". The paper gives no geometry;
+the distances of its known-map robot (column *Known*) determine the distance of the hydrant.
 """
 
 import dataclasses
@@ -18,12 +18,12 @@ RELATION_NAMES = ("null", "behind", "nearest")
 MAX_HYDRANTS = 4
 MAX_CONES = 4
 TEMPLATE_NAMES = ("1H1C", "1H2C", "2H1C", "2H2C")
-"""The templates of the paper; any "<h>H<c>C" up to four of each is understood as well."""
+"""The templates of the paper; any "<h>H<c>C" up to four of each is valid as well."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Template:
-    """How many objects a world has."""
+    """Number of objects of each type in a world."""
 
     name: str
     num_hydrants: int
@@ -57,7 +57,7 @@ TABLE_2 = (
 
 
 def parse_template(name: str) -> Template:
-    """Read a template's name, "2H1C" or "2h, 1c": two hydrants (1 to 4) and one cone (0 to 4).
+    """Parse a template's name, "2H1C" or "2h, 1c": two hydrants (1 to 4) and one cone (0 to 4).
 
     Raises:
         ValueError: the name is not of this form, or a number is outside its limits.
@@ -66,38 +66,38 @@ def parse_template(name: str) -> Template:
     match = re.fullmatch(r"(\d{1,9})H(\d{1,9})C", compact)
     if match is None:
         # "1C2H" means 2H1C
-        turned = re.sub(r"(\d+C)(\d+H)", r"\2\1", shorten(compact))
-        close = difflib.get_close_matches(turned, TEMPLATE_NAMES, n=1, cutoff=0.4)
-        hint = f" Did you mean {close[0]}?" if close else ""
+        reordered = re.sub(r"(\d+C)(\d+H)", r"\2\1", shorten(compact))
+        closest = difflib.get_close_matches(reordered, TEMPLATE_NAMES, n=1, cutoff=0.4)
+        hint = f" Did you mean {closest[0]}?" if closest else ""
         raise ValueError(
             f"unknown world template {as_text(name)}: expected <hydrants>H<cones>C, one of "
             f"{', '.join(TEMPLATE_NAMES)} or the like.{hint}"
         )
     hydrants, cones = int(match[1]), int(match[2])
-    for what, number, least, most in (
+    for what, count, minimum, maximum in (
         ("hydrants", hydrants, 1, MAX_HYDRANTS),
         ("cones", cones, 0, MAX_CONES),
     ):
-        if not least <= number <= most:
-            where = f"world template {as_text(name)} has {number} {what}"
-            raise ValueError(f"{where}: choose {least} to {most}")
+        if not minimum <= count <= maximum:
+            message = f"world template {as_text(name)} has {count} {what}"
+            raise ValueError(f"{message}: choose {minimum} to {maximum}")
     return Template(name=f"{hydrants}H{cones}C", num_hydrants=hydrants, num_cones=cones)
 
 
 def check_relation(relation: str) -> int:
-    """Look up the index of one of ``RELATION_NAMES``, or raise a ValueError of one line."""
+    """Return the index of one of ``RELATION_NAMES``, or raise a one-line ValueError."""
     if relation not in RELATION_NAMES:
-        known = f"{', '.join(RELATION_NAMES)}{closest_choice(relation, RELATION_NAMES)}"
-        raise ValueError(f"unknown relation {as_text(relation)}: choose one of {known}")
+        choices = f"{', '.join(RELATION_NAMES)}{closest_choice(relation, RELATION_NAMES)}"
+        raise ValueError(f"unknown relation {as_text(relation)}: choose one of {choices}")
     return RELATION_NAMES.index(relation)
 
 
 def known_range(template: Template, relation: str) -> tuple[float, float]:
-    """Look up how far the intended hydrant stands from the start: column Known of Table 2.
+    """Look up the distance from the start to the intended hydrant: column Known of Table 2.
 
-    A combination that the paper does not print takes the nearest row that it prints: the same
-    relation or else null, at most two hydrants, at most two cones, and 2H1C for 2H2C. Worlds
-    with three or four of a kind are scaled up so that each object keeps the room of 2H1C.
+    A combination that is not in the paper uses the closest row that is: the same relation or else
+    null, at most two hydrants, at most two cones, and 2H1C for 2H2C. Worlds with three or four of
+    a type are scaled up so that the density of objects is that of 2H1C.
 
     Returns:
         Mean and standard deviation, metres.
@@ -106,6 +106,6 @@ def known_range(template: Template, relation: str) -> tuple[float, float]:
     world = "2H1C" if template.num_hydrants > 1 else f"1H{min(max(template.num_cones, 1), 2)}C"
     rows = {row.relation: row for row in TABLE_2 if row.world == world}
     row = rows.get(relation, rows["null"])
-    numbers = template.num_hydrants, template.num_cones
-    scale = math.sqrt(sum(numbers) / 3) if max(numbers) > 2 else 1.0
+    counts = template.num_hydrants, template.num_cones
+    scale = math.sqrt(sum(counts) / 3) if max(counts) > 2 else 1.0
     return row.distance_known * scale, row.distance_known_sd * scale
