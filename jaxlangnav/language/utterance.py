@@ -35,7 +35,7 @@ class Kind(enum.StrEnum):
 
 Wording = enum.StrEnum(
     "Wording",
-    "OTHER CLOSER RETURN YES NO DENIAL ANY LEFT RIGHT NEAREST MAX_METRES "
+    "OTHER CLOSER RETURN YES NO DENIAL ANY LEFT RIGHT NEAREST FARTHEST "
     "FIRST SECOND THIRD FOURTH FIFTH SIXTH LAST",
 )
 """Wordings of whole utterances, named as in the table. ``DENIAL`` is "no" alone: the answer to a

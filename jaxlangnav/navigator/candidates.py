@@ -16,7 +16,7 @@ from jaxlangnav.semantic_map.belief import to_map_frame
 
 _ORDINALS = ("FIRST", "SECOND", "THIRD", "FOURTH", "FIFTH", "SIXTH")
 _PLACES: dict[Wording | None, int] = {Wording[name]: n for n, name in enumerate(_ORDINALS)}
-_PLACES |= {Wording.NEAREST: 0, Wording.MAX_METRES: -1, Wording.LAST: -1}
+_PLACES |= {Wording.NEAREST: 0, Wording.FARTHEST: -1, Wording.LAST: -1}
 _LEAST_MENTIONED = 1e-3  # probability of a reading below which its types are left out
 _LEAST = 0.01  # goal probability below which a thing is no candidate for a question
 
