@@ -19,7 +19,7 @@ from jaxlangnav.planner.latency import (
     NUM_STOPS,
     SIGHT_MARGIN,
     Tour,
-    _between_patches,
+    _patch_travel,
     first_sight,
     latency,
 )
@@ -134,7 +134,7 @@ def test_latency_is_the_mean_way_until_found() -> None:
     # It may be nowhere: the way until all has been looked at counts as much as that is likely.
     is_missed = ~is_seen & (mass > 0.1 * mass.mean())
     whole = 6.0 + away[is_missed].mean() + is_missed.sum() * 100.0 / CELLS**2 / (2 * RANGE)
-    whole += float(_between_patches(jnp.asarray(is_missed)[None], AREA)[0])
+    whole += float(_patch_travel(jnp.asarray(is_missed)[None], AREA)[0])
     search = replace(search, nowhere=jnp.float32(0.3))
     found = LATENCY(line, search, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [0.7 * expected + 0.3 * whole], rtol=1e-4)
@@ -325,14 +325,14 @@ def test_free_hypotheses_are_spread_over_what_is_unexplored_by_the_prior(share: 
 # ---------------------------------------------------------------- looking at all of an area
 
 
-def test_ways_between_patches_by_hand() -> None:
+def test_ways_patch_travel_by_hand() -> None:
     """Blocks of two cells a side are 1.67 m wide; what lies no farther apart than 2.5 m is one."""
 
     def metres(*cells: tuple[int, int]) -> float:
         is_missed = np.zeros((1, CELLS, CELLS), bool)
         for row, column in cells:
             is_missed[0, row, column] = True
-        return float(_between_patches(jnp.asarray(is_missed.reshape(1, -1)), AREA)[0])
+        return float(_patch_travel(jnp.asarray(is_missed.reshape(1, -1)), AREA)[0])
 
     block = 10.0 / 6.0
     assert metres() == metres((0, 0)) == metres((0, 0), (0, 3)) == 0.0
