@@ -295,7 +295,6 @@ def test_it_is_what_it_was_attributes_and_all(model) -> None:
 # ---------------------------------------------------------------- driven
 
 
-@pytest.mark.slow
 def test_own_nouns_drive_an_episode_and_compile_nothing(robot, caplog) -> None:
     labels = ["gazebo", "easel"]
     assert (labels.index("gazebo"), labels.index("easel")) == (HYDRANT, CONE)

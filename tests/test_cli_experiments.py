@@ -62,6 +62,7 @@ def test_reproduce_table2_judges_beliefs(capsys: pytest.CaptureFixture[str]) -> 
     assert drawn == pytest.approx(judged)
 
 
+@pytest.mark.slow
 def test_reproduce_table2_takes_the_detector_and_the_odometry(tmp_path, capsys):
     words = ["reproduce", "table2", "--episodes", "8", "--policy", "frontier,known"]
     usual = document([*words, "--out", str(tmp_path)], capsys)

@@ -92,6 +92,7 @@ def test_the_known_map_goes_straight(tasks: Task, instructions: Any) -> None:
     np.testing.assert_allclose(result.distance, straight, rtol=0.03, atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_blind_search_is_right_half_of_the_time(tasks: Task, instructions: Any) -> None:
     for policy in SEARCHES:
         result = run(policy, tasks, instructions)

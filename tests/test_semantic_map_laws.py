@@ -58,6 +58,7 @@ def share_alike(ours, theirs, **slots: int) -> float:
     return same.mean()
 
 
+@pytest.mark.slow
 def test_more_slots_change_nothing() -> None:
     """Half the object and fewer mention, reading and relation slots: the same beliefs."""
     config = MapConfig(num_particles=64, num_objects=3, num_cells=32)

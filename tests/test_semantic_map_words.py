@@ -68,6 +68,7 @@ def assert_same(found, expected, asked: np.ndarray) -> None:
             np.testing.assert_array_equal(one[shown], other[shown])
 
 
+@pytest.mark.slow
 def test_grounding_those_asked_equals_grounding_all() -> None:
     keys, beliefs, sentences, asked = lanes()
     given = (keys, beliefs, sentences, asked, by_hand.params())

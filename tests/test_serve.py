@@ -331,10 +331,6 @@ def test_utterances_wait_in_a_short_queue(tmp_path: Path) -> None:
     one.close()  # a full queue does not keep it from ending
 
 
-def test_the_engine_is_warmed_up_by_a_sentence(tmp_path: Path) -> None:
-    live.warm_up(load_shipped(), tmp_path)
-
-
 @pytest.mark.parametrize(
     ("options", "why"),
     [
