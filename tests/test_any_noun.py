@@ -112,19 +112,6 @@ def test_new_nouns_are_read_as_those_of_the_training(text, steps, model) -> None
         assert list(likeliest(text, *pair, types, model)[:2]) == new, pair
 
 
-def test_any_sentence_is_data_of_one_shape(model) -> None:
-    def form(text):
-        leaves = jax.tree.leaves(understood(text, model, attributes=("colour",)).instruction)
-        return [(leaf.shape, leaf.dtype) for leaf in leaves]
-
-    first = form("go to the hydrant")
-    for text in (
-        "go to the gazebo behind the easel", "go to the red truck near the zorbel",
-        "go to the thing behind the cone",
-    ):  # fmt: skip
-        assert form(text) == first
-
-
 # ---------------------------------------------------------------- what it is bound to
 
 

@@ -15,7 +15,7 @@ import pytest
 from jaxlangnav.cli import main as cli, settings
 from jaxlangnav.cli.follow import Follow
 from jaxlangnav.cli.main import parse_arguments
-from jaxlangnav.cli.output import Output, UsageError, platform_fault, write_document
+from jaxlangnav.cli.output import Output, platform_fault, write_document
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
@@ -123,10 +123,12 @@ REFUSED: list[tuple[list[str], str]] = [
     ([*GO, "--config.map.num-objects", "many"], "must be a whole number"),
     ([*GO, "--config.map.num-objects", "0"], "num_objects is 0, but must be at least 1"),
     (["parse", "go", "--params.planner.discount", "1"], 'unknown option "--params.planner.disc'),
+    (["parse", "go", settings.HELP_ALL], "unknown option"),
     # Work that no memory holds, which leaves nothing behind.
     ([*GO, "--particles", HUGE, "--out", "out"], "particles is 1,000,000,000,000"),
     ([*GO, "--max-steps", HUGE, "--out", "out"], "max steps is 1,000,000,000,000"),
     ([*GO, "--config.map.num-cells", "360000", "--out", "out"], "360,000 cells a side"),
+    ([*GO, "--config.map.num-objects", "1" + 30 * "0"], "memory"),
     *((["reproduce", part, "--particles", HUGE, "--out", "out"], "particles is 1,000,000,000,000")
       for part in ("fig4", "fig5")),
     *((["reproduce", part, "--episodes", HUGE, "--out", "out"], "episodes is 1,000,000,000,000")
@@ -234,11 +236,6 @@ def test_one_missing_platform_of_several_is_named(monkeypatch: pytest.MonkeyPatc
     assert platform_fault(RuntimeError("something else")) is None
 
 
-def test_a_bad_world_is_refused_before_anything_is_told(tmp_path, capsys):
-    (tmp_path / "bad.toml").write_text("nothing = 1")
-    refused(["ground", "go to the hydrant", "--world", str(tmp_path / "bad.toml")], capsys)
-
-
 @pytest.mark.parametrize("text", ["go to the zorb\x07", "Stop! \x1b[31m", "go\x00 to"])
 def test_a_refusal_of_a_sentence_cannot_act_on_a_terminal(text: str) -> None:
     with pytest.raises(LanguageError) as caught:
@@ -316,8 +313,3 @@ def test_plain_help_is_short_and_the_long_one_has_everything(capsys):
     told = capsys.readouterr().out
     assert all(one.flag in told for one in settings.options(Follow.SETTINGS))
     assert "metres between visited nodes" in told
-
-
-def test_commands_without_settings_have_no_long_help() -> None:
-    with pytest.raises(UsageError, match="unknown option"):
-        parse_arguments(["parse", TEXT, settings.HELP_ALL])

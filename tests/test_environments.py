@@ -111,39 +111,27 @@ def test_a_sentence_is_embedded(
     assert int(command.figure) == (NONE if relation == "behind" else HYDRANT)
 
 
-def test_a_world_file_and_any_sentence_make_an_environment() -> None:
-    params = functional.default_params(world="street", instruction="find the car", shaping=0.1)
+@pytest.mark.parametrize(
+    ("options", "shaping"),
+    [({}, 0.0), ({"world": "street", "instruction": "find the car", "shaping": 0.1}, 0.1)],
+)
+def test_going_to_the_goal_and_stopping_is_rewarded(options: dict, shaping: float) -> None:
+    """In a world of the tables, or of a file and with any sentence."""
+    params = functional.default_params(**options)
     _, state = RESET(jax.random.key(0), params)
     total, metres = 0.0, float(jnp.hypot(*(state.scenario.goal - state.world.position)))
     for key in jax.random.split(jax.random.key(1), 60):
         way = state.scenario.goal - state.world.position
-        is_near = jnp.hypot(way[0], way[1]) < params.sensor.range_max - 0.5
+        is_near = jnp.hypot(way[0], way[1]) < params.stop_radius - 0.5
         action = STOP if is_near else jnp.append(jnp.clip(way, -1.0, 1.0), -1.0)
         _, state, reward, is_over, info = STEP(key, state, action, params)
         total += float(reward)
         if is_over:
             break
     assert bool(info.is_success)
-    assert float(params.stop_radius) > 1.5  # to find is to see
-    nearer = 0.1 * (metres - float(info.goal_distance))
+    assert (float(params.stop_radius) > 1.5) == bool(options)  # to find is to see
+    nearer = shaping * (metres - float(info.goal_distance))
     assert total == pytest.approx(1.0 - 0.01 * float(info.distance) + nearer, abs=1e-4)
-
-
-def test_going_to_the_goal_and_stopping_is_rewarded() -> None:
-    params = functional.default_params(metre_cost=0.01)
-    _, state = RESET(jax.random.key(0), params)
-    total, keys = 0.0, jax.random.split(jax.random.key(1), 40)
-    for key in keys:
-        way = state.scenario.goal - state.world.position
-        action = jnp.append(jnp.clip(way, -1.0, 1.0), -1.0)
-        if jnp.hypot(way[0], way[1]) < 1.0:
-            action = STOP
-        _, state, reward, is_over, info = STEP(key, state, action, params)
-        total += float(reward)
-        if is_over:
-            break
-    assert bool(info.is_success)
-    assert total == pytest.approx(1.0 - 0.01 * float(info.distance), abs=1e-5)
 
 
 def test_stopping_elsewhere_earns_nothing_and_time_runs_out() -> None:

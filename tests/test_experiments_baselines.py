@@ -143,14 +143,6 @@ def test_a_noiseless_walk_by_hand(instructions: Any) -> None:
         np.testing.assert_allclose(result.distance, expected, atol=1e-4)
 
 
-def test_a_result_does_not_depend_on_its_place(tasks: Task, instructions: Any) -> None:
-    order = np.random.default_rng(0).permutation(BLOCK)
-    shuffled = jax.tree.map(lambda leaf: leaf[order], tasks)
-    for policy in ("frontier", "known"):
-        straight, mixed = run(policy, tasks, instructions), run(policy, shuffled, instructions)
-        np.testing.assert_array_equal(straight.distance[order], mixed.distance)
-
-
 def test_limits_of_rows() -> None:
     rows = [RowSpec(world="2H1C", range=3.0, relation=one) for one in ("null", "behind")]
     null, behind = bound_rows(rows)

@@ -52,15 +52,6 @@ def document(*rows: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def test_the_paper_is_printed_as_it_stands() -> None:
-    printed = printed_rows(TABLE_2)
-    assert len(printed) == 7
-    assert [one["relation"] for one in printed].count(None) == 3
-    last = printed[-1]
-    assert (last["world"], last["range"], last["relation"]) == ("2H1C", 5.0, "nearest")
-    assert (last["success_rate"], last["distance_mean"], last["distance_sd"]) == (46.2, 12.05, 5.76)
-
-
 def test_cells_by_hand() -> None:
     text = paper.results_table(document(row(ece=0.0251, brier=None, coverage90=90.6))).markdown()
     expected = (

@@ -184,11 +184,6 @@ def test_too_much_is_refused(model):
         to_readings(crowded)
 
 
-def test_a_statement_informs_and_asks_nothing(model):
-    instruction = understand("the hydrant is behind the cone", model).instruction
-    assert int(instruction.num_clauses) == 0
-
-
 # ---------------------------------------------------------------- what is asked for
 
 

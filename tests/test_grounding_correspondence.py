@@ -33,7 +33,6 @@ from jaxlangnav.grounding.symbols import (
     SymbolDomain,
     count_factors,
     object_symbol,
-    post_order,
     region_symbol,
     relation_symbol,
 )
@@ -404,12 +403,6 @@ def test_counts_follow_the_formula(text, phrases, objects):
     counts = count_factors(parse(text).clauses, BehaviorSpace(objects))
     assert counts["factors"] == (phrases - 1) * 8 * objects + 5 + 14 * objects
     assert counts["variables"] == phrases + 2 * counts["factors"]
-
-
-def test_children_stand_before_parents():
-    nodes = post_order(parse(SENTENCE).clauses[0])
-    assert all(child < i for i, node in enumerate(nodes) for child in node.children)
-    assert nodes[-1].path == (0,)
 
 
 def test_sets_and_members_are_inverse():

@@ -123,15 +123,6 @@ def test_dead_weights_are_said_and_healed(robot) -> None:
         assert_arrives(robot, state, start=place)
 
 
-def test_a_place_that_cannot_be_is_refused(robot) -> None:
-    """In a batch, where it is data, it is a fault (test_semantic_map_robustness)."""
-    for broken in ((np.nan, 0.0, 0.0), (1e39, 0.0, 0.0), (0.0,)):
-        with pytest.raises(ValueError, match=r"^pose.* but must"):
-            robot.start(TEXT, pose=broken)
-    with pytest.raises(ValueError, match=r"^area.* but must"):
-        robot.start(TEXT, area=(0.0, np.nan, -5.0, 5.0))
-
-
 def test_a_statement_is_no_beginning_and_ends_nothing(robot) -> None:
     said = "the hydrant is behind the car"
     with pytest.raises(ValueError, match="asks for nothing"):

@@ -128,12 +128,6 @@ def test_no_steps_are_refused(record):
         record(0, max_steps=0)
 
 
-def test_one_step_can_be_taken_out():
-    one = make_recording(5, 7)
-    assert one.at(2).weight.shape == (7,)
-    assert np.array_equal(one.at(-1).position, one.frames.position[4])
-
-
 def test_types_have_names():
     scene = make_recording(2).scene
     assert scene.type_name(1) == "cone"

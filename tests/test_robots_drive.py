@@ -86,26 +86,6 @@ def test_a_goal_that_is_taken_away_is_never_arrived_at(navigator) -> None:
     ends(Ending.NOT_FOUND, navigator, robot)
 
 
-def test_slippery_ground_ends_at_the_goal_all_the_same(navigator) -> None:
-    robot = put()
-    robot.slippery.append((1.5, 0.0, 0.4))
-    drive = go(navigator, robot)
-    assert drive.ending in (Ending.ARRIVED, Ending.NOT_FOUND, Ending.BLOCKED), drive.why
-    if drive.ending is Ending.ARRIVED:
-        assert goal_distance(robot) < 1.5
-
-
-def test_a_person_who_steps_in_the_way_is_gone_around(navigator) -> None:
-    robot = put()
-
-    def step_in(one: KinematicRobot) -> None:
-        x, y, heading = one.true_pose
-        one.obstacles.append((x + 1.1 * np.cos(heading), y + 1.1 * np.sin(heading), 0.25))
-
-    robot.at(2.5, step_in)
-    ends(Ending.ARRIVED, navigator, robot)
-
-
 def test_who_is_walled_in_is_blocked(navigator) -> None:
     robot = put()
     turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]

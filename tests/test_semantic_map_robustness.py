@@ -134,13 +134,6 @@ def test_no_noise_at_all(noise: float) -> None:
     assert ((weight * (particles.referent[:, 0] == 1)).sum(-1) > 0.9).all()
 
 
-def test_certain_detection_and_a_vanished_object() -> None:
-    """p_d = 1 and an object that is gone: log(1 − p_d) is kept finite."""
-    seen, gone = look((CONE, 1.0, 0.0), probability=1.0), look(probability=1.0)
-    _, info = follow([seen, *[gone] * 7])
-    assert not info.fault.any()
-
-
 def test_garbage_where_there_is_no_detection_changes_nothing() -> None:
     good = look((CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2))
     names, ranges = np.array(good.detection_type), np.array(good.detection_range)

@@ -1,7 +1,6 @@
 """World files: what is read, what is written back, and every complaint."""
 
 import copy
-import json
 import tomllib
 from pathlib import Path
 
@@ -302,15 +301,6 @@ def test_files_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(WorldFileError, match=r"yard\.toml: cannot be written: "):
         save_world(world, tmp_path / "file" / "yard.toml")
-
-
-def test_tables_are_plain_data() -> None:
-    world = open_world("street")
-    table = world_to_dict(world)
-    assert json.loads(json.dumps(table)) == table
-    assert table["start"]["heading"] == 90.0
-    assert table["sensor"]["field_of_view"] == 120.0
-    assert table["sensor"]["noise"] == 0.1
 
 
 def test_templates_place_the_types_that_the_lexicon_calls_hydrant_and_cone() -> None:
