@@ -39,7 +39,7 @@ from jaxlangnav.experiments.sweep import run_sweep, total_episodes
 from jaxlangnav.experiments.sweep_config import config_from_dict
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.viz import style
-from jaxlangnav.viz.sweep import POLICY_LOOKS, range_figure
+from jaxlangnav.viz.sweep import POLICY_STYLES, range_figure
 
 jaxlangnav.keep_compiled_programs()
 mpl.rcParams.update(style.rc())
@@ -134,7 +134,7 @@ left.set(xlabel="frontier (m)", ylabel="informed (m)", xlim=(0, most), ylim=(0, 
 left.set_title("metres walked in the same world")
 left.legend(loc="upper left")
 for policy in config.policies:
-    color, _, name = POLICY_LOOKS[policy]
+    color, _, name = POLICY_STYLES[policy]
     for relation, line in (("null", ":"), ("behind", "-")):
         if policy == "known" and relation == "null":
             continue

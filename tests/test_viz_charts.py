@@ -118,12 +118,12 @@ def test_a_sweep_s_settings_and_arms_are_named_by_what_varies():
     rates, ways = rows.summary_figure(document).axes
     assert len(rates.get_yticklabels()) == 2
     assert [len(one.containers) for one in (rates, ways)] == [4, 4]
-    looks = sweep.looks_of([line[1] for line in lines[:3]])
+    looks = sweep.policy_styles([line[1] for line in lines[:3]])
     assert len({look[:2] for look in looks.values()}) == 3
 
 
 def test_a_sweep_too_large_for_a_figure_is_refused():
-    many = swept(**{"sensor.noise": np.linspace(0, 1, rows.MOST_LINES + 1).tolist()})
+    many = swept(**{"sensor.noise": np.linspace(0, 1, rows.MAX_LINES + 1).tolist()})
     with pytest.raises(ValueError, match="49 settings, but a figure can show 48"):
         rows.summary_figure(many)
 

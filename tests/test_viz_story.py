@@ -41,8 +41,8 @@ def test_whereabouts_are_seen_from_the_robot(degrees, said):
     # The robot at (1, 1) heads up.
     bearing = math.radians(degrees + 90)
     x, y = 1.0 + 2.0 * math.cos(bearing), 1.0 + 2.0 * math.sin(bearing)
-    assert sentences.whereabouts(x, y, 1.0, 1.0, math.pi / 2) == f"2.0 m {said}"
-    assert sentences.whereabouts(1.1, 1.0, 1.0, 1.0, 0.0) == "right here"
+    assert sentences.describe_offset(x, y, 1.0, 1.0, math.pi / 2) == f"2.0 m {said}"
+    assert sentences.describe_offset(1.1, 1.0, 1.0, 1.0, 0.0) == "right here"
 
 
 def test_percent_never_rounds_to_certainty():
@@ -92,7 +92,7 @@ def test_readings_in_words(readings, said):
     ],
 )
 def test_things_are_counted(nouns, said):
-    assert sentences.counted(nouns) == said
+    assert sentences.noun_list(nouns) == said
 
 
 def test_what_is_asked_for_is_told_with_its_constraints():
@@ -105,7 +105,7 @@ def test_what_is_asked_for_is_told_with_its_constraints():
             CommandSummary("navigate", "normal", AT, NONE, 1.0, ()),
         ),
     )
-    assert sentences.describe_asked(scene) == [
+    assert sentences.describe_commands(scene) == [
         "go to the hydrant behind a cone, keeping away from the cone",
         "find the cone carefully (70 %)",
         "go behind the cone quickly",
@@ -137,9 +137,9 @@ def test_the_unseen_goal_has_a_share_only_where_there_is_doubt(one):
         goal_mass=np.zeros_like(one.at(0).goal_mass),
         hypothesis_goal_mass=one.at(0).weight,
     )
-    assert "has not been seen yet: " in sentences.believed(one.scene, frame)
+    assert "has not been seen yet: " in sentences.describe_goal(one.scene, frame)
     doubtful = replace(frame, hypothesis_goal_mass=0.9 * frame.weight)
-    assert "has not been seen yet (90 %): " in sentences.believed(one.scene, doubtful)
+    assert "has not been seen yet (90 %): " in sentences.describe_goal(one.scene, doubtful)
 
 
 def test_the_story_in_full():
@@ -198,10 +198,10 @@ def test_an_ending_without_a_goal_is_told_and_named():
         status=np.int32(Status.NOT_FOUND),
         is_stop=np.array(False),
     )
-    told = narrative.tell_step(moment(one, ended, one.at(2)))[-1]
+    told = narrative.narrate_step(moment(one, ended, one.at(2)))[-1]
     assert told.startswith("Says that there is no hydrant and no cone: ")
     assert narrative.headline(moment(one, ended, one.at(2))) == "gives up"
-    assert not narrative._is_quiet(moment(one, ended, one.at(2)))
+    assert not narrative._is_uneventful(moment(one, ended, one.at(2)))
     result = replace(one.result, ending=np.int32(Status.NOT_FOUND), is_success=np.array(False))
     closing = narrative.closing(one.scene, ended, result)
     assert closing[0] == "Not found: it says that there is no hydrant and no cone."
@@ -213,7 +213,7 @@ def test_a_landmark_that_was_not_found_is_told():
     frame = one.at(-1)
     assert frame.object_type[0, 0] == CONE
     blind = replace(frame, object_type=np.where(frame.object_type == CONE, NONE, frame.object_type))
-    assert "no cone was to be found" in narrative.tell_step(moment(one, blind, one.at(2)))[-1]
+    assert "no cone was to be found" in narrative.narrate_step(moment(one, blind, one.at(2)))[-1]
     assert narrative.closing(one.scene, blind, one.result)[-1] == (
         "It has seen no cone, and took what fits best."
     )
@@ -223,19 +223,19 @@ def test_a_landmark_that_was_not_found_is_told():
 @pytest.mark.parametrize("fault", Fault)
 def test_a_step_with_a_fault_says_why_it_stands(one, fault: Fault):
     frame = replace(one.at(3), fault=np.int32(fault))
-    (told,) = narrative.tell_step(moment(one, frame, one.at(2)))
+    (told,) = narrative.narrate_step(moment(one, frame, one.at(2)))
     assert told == f"Stands still: {FAULT_WORDS[fault]}."
     both = replace(frame, fault=np.int32(Fault.POSE | Fault.SENSOR))
-    (told,) = narrative.tell_step(moment(one, both, None))
+    (told,) = narrative.narrate_step(moment(one, both, None))
     assert told.count(FAULT_WORDS[Fault.POSE]) == told.count(FAULT_WORDS[Fault.SENSOR]) == 1
     assert narrative.headline(moment(one, frame, one.at(2))) == "stands still"
-    assert not narrative._is_quiet(moment(one, frame, one.at(2)))
+    assert not narrative._is_uneventful(moment(one, frame, one.at(2)))
 
 
 def test_a_long_search_is_told_ten_steps_a_line(one):
     for number, said in (1, "1 hypothesis"), (2, "2 hypotheses"), (600, "hypotheses refuted 600 t"):
         frame = replace(one.at(1), num_regrounded=np.int32(number), waypoint_kind=np.int32(0))
-        _, second = narrative._drawn_together([moment(one, frame, one.at(0))] * 11, one)
+        _, second = narrative._merge_steps([moment(one, frame, one.at(0))] * 11, one)
         assert said in second
 
 
@@ -259,15 +259,15 @@ def test_the_next_command_is_told():
     one = make_recording(6, 20)
     before, frame = one.at(1), replace(one.at(2), clause=np.int32(1))
     assert narrative.headline(moment(one, frame, before)) == "turns to the next command"
-    assert narrative.tell_step(moment(one, frame, before))[0] == "Turns to command 2 of 1."
-    assert not narrative._is_quiet(moment(one, frame, before))
+    assert narrative.narrate_step(moment(one, frame, before))[0] == "Turns to command 2 of 1."
+    assert not narrative._is_uneventful(moment(one, frame, before))
 
 
 def test_a_changed_reading_is_told():
     one = make_recording(4, 20)
     before, frame = one.at(1), replace(one.at(2), reading=np.ones(20, np.int32))
-    assert "a hydrant (" in sentences.reread(moment(one, frame, before))
-    assert sentences.reread(moment(one, before, before)) == ""
+    assert "a hydrant (" in sentences.describe_new_reading(moment(one, frame, before))
+    assert sentences.describe_new_reading(moment(one, before, before)) == ""
 
 
 def test_objects_are_summed_up_over_particles(one):
@@ -310,7 +310,7 @@ def test_the_goal_field_is_the_sum_of_equation_11(one):
 @pytest.mark.parametrize("number", [1, 2, 4, 6, 50])
 def test_moments_hold_first_and_last(number):
     one = make_recording(12, 10)
-    chosen = narrative.pick_moments(one, number)
+    chosen = narrative.select_steps(one, number)
     assert len(chosen) == min(number, 12)
     assert chosen == sorted(set(chosen))
     assert chosen[-1] == 11
@@ -320,6 +320,6 @@ def test_moments_hold_first_and_last(number):
 def test_moments_catch_the_discoveries():
     one = make_recording(13, 10)
     news = np.flatnonzero(one.frames.is_news)
-    assert set(news) <= set(narrative.pick_moments(one, 6))
+    assert set(news) <= set(narrative.select_steps(one, 6))
     with pytest.raises(ValueError, match="number of panels is 0"):
-        narrative.pick_moments(make_recording(3, 5), 0)
+        narrative.select_steps(make_recording(3, 5), 0)

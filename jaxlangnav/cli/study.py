@@ -23,7 +23,7 @@ from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.task.follow import OpenedEpisode, record_episode
 from jaxlangnav.task.opening import open_task
 from jaxlangnav.viz.html import write_graph, write_html
-from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, pick_moments
+from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, select_steps
 from jaxlangnav.viz.panels import belief_figure, values_figure
 from jaxlangnav.viz.style import save
 
@@ -111,7 +111,7 @@ def _figure(
             given = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
             episode = record_episode(OpenedEpisode(**given, config=sizes))
         output.tell(narrate(episode))
-        steps, scene, result = pick_moments(episode, num_panels), episode.scene, episode.result
+        steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result
         document = {
             "experiment": name,
             "instruction": TEXT,

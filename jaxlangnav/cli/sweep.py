@@ -136,10 +136,10 @@ class Summarize:
         if importlib.util.find_spec("matplotlib") is None:
             output.note('note: no figure without matplotlib: pip install "jaxlangnav[viz]"')
             return paths
-        from jaxlangnav.viz.rows import MOST_LINES, summary_figure, summary_lines
+        from jaxlangnav.viz.rows import MAX_LINES, summary_figure, summary_lines
         from jaxlangnav.viz.style import save
 
-        if len({setting for setting, _, _ in summary_lines(document)}) > MOST_LINES:
-            output.note(f"note: no figure of more than {MOST_LINES} settings; the tables have all")
+        if len({setting for setting, _, _ in summary_lines(document)}) > MAX_LINES:
+            output.note(f"note: no figure of more than {MAX_LINES} settings; the tables have all")
             return paths
         return [*paths, *save(summary_figure(document), out / "summary")]

@@ -22,7 +22,7 @@ from jaxlangnav.environments.functional import DISCRETE_ACTIONS, EnvironmentStat
 from jaxlangnav.environments.pool import NUM_WORLDS, draw_pool
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.pytree import replace
-from jaxlangnav.viz.mapping import drive_picture
+from jaxlangnav.viz.mapping import render_world
 from jaxlangnav.viz.style import require
 
 Actions = Literal["continuous", "discrete"]
@@ -108,7 +108,7 @@ class _Worlds:
         for index, way in enumerate(self._ways):
             lane: EnvironmentState = jax.tree.map(lambda leaf, at=index: leaf[at], lanes)
             seen = lane.scenario, self.params.sensor, lane.world
-            pictures.append(drive_picture(*seen, way=np.stack(way), text=self.text))
+            pictures.append(render_world(*seen, path=np.stack(way), text=self.text))
         return tuple(pictures)
 
 

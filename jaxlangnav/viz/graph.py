@@ -1,4 +1,4 @@
-"""The factor graph of a sentence with probabilities, as Figure 3 of the paper (eq. 4).
+"""Draw the DCG factor graph of a sentence with its probabilities, as Figure 3 (eq. 4).
 
 Black squares are factors, white circles unknown and grey circles known random variables: the
 phrase λ, the grounding γ and the correspondence φ of each symbol. Of the 494 symbols of a phrase
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLUMN, _ROW = 2.0, 0.62  # inches a phrase and a symbol take
+_PHRASE_WIDTH, _SYMBOL_HEIGHT = 2.0, 0.62  # inches
 
 
 def _phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
-    """Compute for every phrase how probable each of its symbols is."""
+    """Infer the symbol marginals of every phrase."""
     graph = CorrespondenceGraph(Annotations(model.type_names), model.annotation)
     trees = (graph.weigh(root, None, clause) for clause, root in enumerate(parse.clauses))
     return [belief for tree in trees for belief in tree.beliefs()]
 
 
 def _symbol_name(symbol: AnnotationSymbol, type_names: tuple[str, ...]) -> str:
-    """Name an annotation symbol: "hydrant behind cone", "behind cone", "hydrant"."""
-    things = {NONE: "", ROBOT: "robot", **dict(enumerate(type_names))}
-    parts = [things[symbol.figure]]
+    """Format an annotation symbol: "hydrant behind cone", "behind cone", "hydrant"."""
+    names = {NONE: "", ROBOT: "robot", **dict(enumerate(type_names))}
+    parts = [names[symbol.figure]]
     if symbol.relation != NONE:
-        parts += [REGISTRY[symbol.relation].words, things[symbol.landmark]]
+        parts += [REGISTRY[symbol.relation].words, names[symbol.landmark]]
     return " ".join(parts).strip()
 
 
@@ -56,7 +56,7 @@ def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -
 def beliefs_figure(
     beliefs: Sequence[PhraseBelief], names: Sequence[str], *, title: str, num_symbols: int = 3
 ) -> "Figure":
-    """Draw the factor graph of any tree with any S symbols (``grounding.correspondence``).
+    """Draw the factor graph of a phrase tree over any S symbols (``grounding.correspondence``).
 
     ``beliefs``: of all phrases, parents first; ``names``: of the S symbols; ``title``: the
     sentence; ``num_symbols``: how many of the likeliest symbols of each phrase to show, at least 1.
@@ -66,20 +66,20 @@ def beliefs_figure(
     with style.house_style():
         from matplotlib.figure import Figure
 
-        width = max(_COLUMN * len(beliefs) + 0.6, 8.9)
-        height = 2.35 + _ROW * num_symbols
+        width = max(_PHRASE_WIDTH * len(beliefs) + 0.6, 8.9)
+        height = 2.35 + _SYMBOL_HEIGHT * num_symbols
         figure = Figure(figsize=(width, height))
         axes = figure.add_axes((0, 0, 1, 1 - 0.62 / height))
         axes.set(xlim=(0, width), ylim=(0, height - 0.62))
         axes.axis("off")
-        left = (width - _COLUMN * len(beliefs)) / 2 + 0.32
-        places = {one.path: left + _COLUMN * i for i, one in enumerate(beliefs)}
-        for one in beliefs:
-            _draw_phrase(axes, one, places, names, num_symbols)
+        left = (width - _PHRASE_WIDTH * len(beliefs)) / 2 + 0.32
+        columns = {belief.path: left + _PHRASE_WIDTH * i for i, belief in enumerate(beliefs)}
+        for belief in beliefs:
+            _draw_phrase(axes, belief, columns, names, num_symbols)
         x, y = 0.25, 0.16
         axes.plot([x], [y], marker="s", markersize=7, color=style.INK)
-        _circle(axes, x + 1.05, y, face=style.LINE)
-        _circle(axes, x + 3.35, y, face=style.PAPER, share=0.7)
+        _draw_variable(axes, x + 1.05, y, face=style.LINE)
+        _draw_variable(axes, x + 3.35, y, face=style.PAPER, fill=0.7)
         axes.plot([x + 6.12, x + 6.4], [y, y], color=style.SERIES[0], linewidth=1.2)
         for right, text in (
             (0.14, "factor Ψ"),
@@ -99,65 +99,65 @@ def beliefs_figure(
     return figure
 
 
-def _height_of(rank: int) -> float:
-    """Compute where the factor of a rank stands, inches; the likeliest is lowest."""
-    return 1.75 + _ROW * rank
+def _factor_height(rank: int) -> float:
+    """Compute the y coordinate of the factor of a rank, inches; the likeliest is lowest."""
+    return 1.75 + _SYMBOL_HEIGHT * rank
 
 
 def _draw_phrase(
     axes: "Axes",
-    one: PhraseBelief,
-    places: dict[tuple[int, ...], float],
+    belief: PhraseBelief,
+    columns: dict[tuple[int, ...], float],
     names: Sequence[str],
     num_symbols: int,
 ) -> None:
-    """Draw a phrase with its likeliest symbols, and what its parent's factors have from it."""
-    x = places[one.path]
-    order = np.argsort(-one.probability, kind="stable")[:num_symbols]
-    top = _height_of(len(order) - 1)
+    """Draw a phrase, its likeliest symbols and the link to its parent's factors."""
+    x = columns[belief.path]
+    top_symbols = np.argsort(-belief.probability, kind="stable")[:num_symbols]
+    top = _factor_height(len(top_symbols) - 1)
     axes.plot([x, x], [0.95, top], color=style.MUTED, linewidth=0.9, zorder=1)
     axes.plot([x, x], [top, top + 0.42], color=style.MUTED, linewidth=0.9, linestyle=":", zorder=1)
-    _circle(axes, x, 0.95, face=style.LINE)
-    words = " ".join(word.text for word in one.phrase.words)
-    axes.text(x, 0.74, one.phrase.label, ha="center", va="top", fontweight="bold", fontsize=9)
-    said = f"“{words}”" if words else "(no words)"
-    extreme = {0: "", 1: " (superlative)"}.get(one.rank, f" (number {one.rank})")
-    axes.text(x, 0.56, said + extreme, ha="center", va="top", fontsize=9)
-    for rank, index in enumerate(order):
-        y, share = _height_of(rank), float(one.probability[index])
+    _draw_variable(axes, x, 0.95, face=style.LINE)
+    words = " ".join(word.text for word in belief.phrase.words)
+    axes.text(x, 0.74, belief.phrase.label, ha="center", va="top", fontweight="bold", fontsize=9)
+    quoted = f"“{words}”" if words else "(no words)"
+    superlative = {0: "", 1: " (superlative)"}.get(belief.rank, f" (number {belief.rank})")
+    axes.text(x, 0.56, quoted + superlative, ha="center", va="top", fontsize=9)
+    for rank, symbol in enumerate(top_symbols):
+        y, prob = _factor_height(rank), float(belief.probability[symbol])
         axes.plot([x, x + 0.62], [y, y], color=style.MUTED, linewidth=0.9, zorder=1)
         axes.plot([x], [y], marker="s", markersize=7, color=style.INK, zorder=3)
-        _circle(axes, x + 0.31, y, face=style.LINE)
-        _circle(axes, x + 0.62, y, face=style.PAPER, share=share)
-        color, weight = (style.INK, "bold") if share >= 0.5 else (style.MUTED, "normal")
+        _draw_variable(axes, x + 0.31, y, face=style.LINE)
+        _draw_variable(axes, x + 0.62, y, face=style.PAPER, fill=prob)
+        color, weight = (style.INK, "bold") if prob >= 0.5 else (style.MUTED, "normal")
         axes.text(
-            x + 0.12, y + 0.15, names[int(index)], fontsize=8, va="bottom", zorder=6,
+            x + 0.12, y + 0.15, names[int(symbol)], fontsize=8, va="bottom", zorder=6,
             bbox={"fc": style.PAPER, "ec": "none", "pad": 0.6}, fontweight=weight, color=color,
         )  # fmt: skip
-        axes.text(x + 0.78, y, percent(share), fontsize=8, va="center", color=color)
-    rest = len(names) - len(order)
-    axes.text(x + 0.08, top + 0.36, f"{rest} more", fontsize=7.5, va="bottom", color=style.MUTED)
-    ranks = [rank for rank, index in enumerate(order) if one.probability[index] >= 0.5]
-    if one.parent is None or not ranks:
+        axes.text(x + 0.78, y, percent(prob), fontsize=8, va="center", color=color)
+    hidden = len(names) - len(top_symbols)
+    axes.text(x + 0.08, top + 0.36, f"{hidden} more", fontsize=7.5, va="bottom", color=style.MUTED)
+    ranks = [rank for rank, symbol in enumerate(top_symbols) if belief.probability[symbol] >= 0.5]
+    if belief.parent is None or not ranks:
         return
     from matplotlib.patches import FancyArrowPatch
 
-    start, end = x + 0.31, places[one.parent]
-    # Flatter over a longer way, so that links stay below the factors they pass.
-    bend = -0.3 * _COLUMN / (start - end)
-    look = {"color": style.SERIES[0], "linewidth": 1.2, "zorder": 2}
-    axes.plot([start, start], [_height_of(ranks[0]), _height_of(ranks[-1])], **look)
+    start, end = x + 0.31, columns[belief.parent]
+    # Longer links are flatter, so that they stay below the factors they pass.
+    bend = -0.3 * _PHRASE_WIDTH / (start - end)
+    props = {"color": style.SERIES[0], "linewidth": 1.2, "zorder": 2}
+    axes.plot([start, start], [_factor_height(ranks[0]), _factor_height(ranks[-1])], **props)
     arrow = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 5, "shrinkB": 0}
-    curve, ends = f"arc3,rad={bend:.3f}", ((start, _height_of(ranks[0])), (end, 1.3))
-    axes.add_patch(FancyArrowPatch(*ends, connectionstyle=curve, **arrow, **look))
+    curve, ends = f"arc3,rad={bend:.3f}", ((start, _factor_height(ranks[0])), (end, 1.3))
+    axes.add_patch(FancyArrowPatch(*ends, connectionstyle=curve, **arrow, **props))
 
 
-def _circle(axes: "Axes", x: float, y: float, *, face: str, share: float = 0.0) -> None:
-    """Draw a random variable, filled clockwise from the top by a probability."""
+def _draw_variable(axes: "Axes", x: float, y: float, *, face: str, fill: float = 0.0) -> None:
+    """Draw a random variable as a circle filled clockwise by a probability."""
     from matplotlib.patches import Circle, Wedge
 
     axes.add_patch(Circle((x, y), 0.095, facecolor=face, edgecolor=style.INK, lw=0.9, zorder=3))
-    if share > 0.0:
-        start = 90 - 360 * min(share, 1.0)
+    if fill > 0.0:
+        start = 90 - 360 * min(fill, 1.0)
         axes.add_patch(Wedge((x, y), 0.095, start, 90, facecolor=style.GOOD, lw=0, zorder=4))
         axes.add_patch(Circle((x, y), 0.095, fill=False, edgecolor=style.INK, lw=0.9, zorder=5))

@@ -1,7 +1,7 @@
-"""An episode as one web page that opens offline in any browser: slider, map, numbers, story.
+"""Export an episode as one self-contained web page: slider, map, charts and narrative.
 
-The page stands in ``recording.html``; this module packs the recording into it. Large arrays go
-in as base64 of little-endian numbers: positions of hypotheses on a 16-bit grid over the map
+``recording.html`` is the template; this module fills in the recording. Large arrays are stored
+as base64 of little-endian numbers: positions of hypotheses on a 16-bit grid over the map
 (better than a millimetre on 50 m), weights relative to the heaviest particle of their step.
 """
 
@@ -28,14 +28,14 @@ from jaxlangnav.viz.narrative import narrate
 from jaxlangnav.viz.panels import belief_figure, values_figure
 from jaxlangnav.viz.sentences import describe_readings, percent
 
-_ABSENT = 65535  # grid coordinate of a hypothesis that is none
-_NODES = {FRONTIER: "frontier", VISITED: "visited place", OBJECT_NODE: "object"}
+_ABSENT = 65535  # grid coordinate that marks a missing hypothesis
+_NODE_NAMES = {FRONTIER: "frontier", VISITED: "visited place", OBJECT_NODE: "object"}
 _UNNAMED, _NO_TYPE = 254, 255
-"""Types of a hypothesis in one byte: what has no name of its own, and none at all."""
+"""Hypothesis type codes, u8: a type without a name, and no type."""
 
 
 def write_html(recording: Recording, path: Path | str) -> Path:
-    """Write an episode as a self-contained page; folders are made."""
+    """Write an episode as a self-contained HTML page; folders are made."""
     return write_text(_render_html(recording), Path(path))
 
 
@@ -44,7 +44,7 @@ def _render_html(recording: Recording) -> str:
 
 
 def fill_page(title: str, data: Any, *, controls: str = "", connect: str = "") -> str:
-    """Fill the page of an episode.
+    """Fill the HTML template of an episode page.
 
     Args:
         title: of the window.
@@ -53,8 +53,8 @@ def fill_page(title: str, data: Any, *, controls: str = "", connect: str = "") -
         connect: of the content security policy: where the page may connect to, nowhere if empty.
     """
     template = resources.files("jaxlangnav.viz") / "recording.html"
-    # Inside a script element only "</" and "<!--" could end the data early. In one pass, as the
-    # sentence itself may hold the name of a place to be filled.
+    # Inside a script element only "</" and "<!--" could end the data early. One pass, since the
+    # sentence itself may contain a placeholder.
     parts = {
         "__TITLE__": html.escape(sanitize(title)),
         "__DATA__": page_json(data).replace("<", "\\u003c"),
@@ -62,16 +62,16 @@ def fill_page(title: str, data: Any, *, controls: str = "", connect: str = "") -
         "__CONNECT__": f"; connect-src {connect}" if connect else "",
     }
     page = template.read_text(encoding="utf-8")
-    return re.sub("|".join(parts), lambda found: parts[found[0]], page)
+    return re.sub("|".join(parts), lambda match: parts[match[0]], page)
 
 
 def page_json(data: Any) -> str:
-    """Write what a page reads as JSON, as short as it goes."""
+    """Serialize page data as compact JSON."""
     return json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, Any]:
-    """Gather everything the page shows, in JSON's own types.
+    """Collect everything the page shows as JSON-serializable types.
 
     Args:
         recording: the episode, as far as it has come.
@@ -79,10 +79,10 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
     """
     scene, frames, world = recording.scene, recording.frames, recording.scene.scenario
     claims = describe_readings(scene, least=0.005)
-    # What the words are taken to say, first and after each utterance under way.
-    scenes = [scene, *(one.scene for one in recording.said if one.scene is not None)]
-    told = (describe_readings(one, least=0.005) for one in scenes)
-    all_claims = list(dict.fromkeys(claim for listed in told for claim, _ in listed))
+    # Readings of the first sentence and after each later utterance.
+    scenes = [scene, *(remark.scene for remark in recording.said if remark.scene is not None)]
+    readings = (describe_readings(current, least=0.005) for current in scenes)
+    all_claims = list(dict.fromkeys(claim for reading in readings for claim, _ in reading))
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
     return {
         "text": sanitize(scene.text),
@@ -98,7 +98,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
         "area": list(scene.area),
         "range": float(scene.sensor.range_max),
         "field_of_view": float(scene.sensor.field_of_view),
-        "goal": [float(one) for one in scene.scenario.goal] if scene.is_judged else None,
+        "goal": [float(value) for value in scene.scenario.goal] if scene.is_judged else None,
         "success_radius": scene.stop_radius,
         "walls": scene.walls.tolist(),
         "truth": [
@@ -110,46 +110,46 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
             for slot in np.flatnonzero(world.is_object)
         ],
         "value_stops": [
-            [int(stop[place : place + 2], 16) for place in (1, 3, 5)] for stop in style.VALUE_STOPS
+            [int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in style.VALUE_STOPS
         ],
         "types": [
-            {"name": name, "color": style.type_color(kind), "shape": style.type_marker(kind)}
-            for kind, name in enumerate(scene.type_names)
+            {"name": name, "color": style.type_color(type_id), "shape": style.type_marker(type_id)}
+            for type_id, name in enumerate(scene.type_names)
         ],
         "claims": all_claims,
         "pictures": [
-            {title: base64.b64encode(one).decode("ascii") for title, one in step.items()}
+            {title: base64.b64encode(jpeg).decode("ascii") for title, jpeg in step.items()}
             for step in recording.pictures
         ],
-        **_by_step(recording, all_claims, is_under_way=is_under_way),
-        **_arrays(recording),
+        **_step_data(recording, all_claims, is_under_way=is_under_way),
+        **_array_data(recording),
     }
 
 
-def _by_step(recording: Recording, claims: list[str], *, is_under_way: bool) -> dict[str, Any]:
-    """Gather what is short enough to stand in the page as it is: the story, objects, events."""
+def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -> dict[str, Any]:
+    """Collect the plain JSON data of each step: narrative, objects, detections, claims."""
     frames = recording.frames
-    story = [narrative.tell_step(moment) for moment in recording.moments]
-    objects, detections, shares = [], [], []
+    story = [narrative.narrate_step(moment) for moment in recording.moments]
+    objects, detections, claim_probs = [], [], []
     for moment in recording.moments:
         frame = moment.frame
         seen = [
-            [one.object_type, *_short(one.x, one.y, one.spread, one.probability, one.goal_mass)]
-            for one in summary.seen_objects(frame)
+            [obj.object_type, *_rounded(obj.x, obj.y, obj.spread, obj.probability, obj.goal_mass)]
+            for obj in summary.seen_objects(frame)
         ]
         objects.append(seen)
         bearing = frame.heading + frame.detection_bearing
         x = frame.robot[0] + frame.detection_range * np.cos(bearing)
         y = frame.robot[1] + frame.detection_range * np.sin(bearing)
-        looks = np.flatnonzero(frame.is_detection)
-        detections.append([[int(frame.detection_type[i]), *_short(x[i], y[i])] for i in looks])
-        now = sentences.claim_shares(moment.scene, frame)
-        shares.append(_short(*(now.get(claim, 0.0) for claim in claims)))
+        visible = np.flatnonzero(frame.is_detection)
+        detections.append([[int(frame.detection_type[i]), *_rounded(x[i], y[i])] for i in visible])
+        probs = sentences.claim_probabilities(moment.scene, frame)
+        claim_probs.append(_rounded(*(probs.get(claim, 0.0) for claim in claims)))
     closing = narrative.closing(recording.last_scene, recording.at(-1), recording.result)
     if recording.ended:
-        said = sanitize(recording.ended).replace("_", " ")
+        ended = sanitize(recording.ended).replace("_", " ")
         drove = f"It drove {float(recording.result.distance):.1f} m."
-        closing = [f"{said[:1].upper()}{said[1:]}.", drove]
+        closing = [f"{ended[:1].upper()}{ended[1:]}.", drove]
     if is_under_way:
         closing = []
     return {
@@ -158,28 +158,28 @@ def _by_step(recording: Recording, claims: list[str], *, is_under_way: bool) -> 
         "closing": closing,
         "objects": objects,
         "detections": detections,
-        "claim_shares": shares,
-        "news": [bool(one) for one in frames.is_news],
-        "is_done": [bool(one) for one in frames.is_done],
+        "claim_shares": claim_probs,
+        "news": frames.is_news.astype(bool).tolist(),
+        "is_done": frames.is_done.astype(bool).tolist(),
     }
 
 
-def _arrays(recording: Recording) -> dict[str, Any]:
-    """Pack the large arrays, and the sizes and scales needed to read them."""
+def _array_data(recording: Recording) -> dict[str, Any]:
+    """Encode the large arrays with the sizes and scales needed to decode them."""
     frames = recording.frames
-    used = np.flatnonzero(frames.is_hypothesised.any(axis=(0, 2)))
-    is_in = frames.is_hypothesised[:, used]
-    x, y = frames.hypothesis_x[:, used], frames.hypothesis_y[:, used]
-    kinds = np.where(is_in, np.minimum(frames.mention_type[:, used], _UNNAMED), _NO_TYPE)
+    mentions = np.flatnonzero(frames.is_hypothesised.any(axis=(0, 2)))
+    is_in = frames.is_hypothesised[:, mentions]
+    x, y = frames.hypothesis_x[:, mentions], frames.hypothesis_y[:, mentions]
+    types = np.where(is_in, np.minimum(frames.mention_type[:, mentions], _UNNAMED), _NO_TYPE)
     heaviest = frames.weight.max(axis=1)
-    grid_x, x_low, x_high = _on_grid(x, is_in)
-    grid_y, y_low, y_high = _on_grid(y, is_in)
+    grid_x, x_low, x_high = _quantize(x, is_in)
+    grid_y, y_low, y_high = _quantize(y, is_in)
     seen = frames.object_type[frames.object_type != NONE]
     relative = frames.weight / np.maximum(heaviest, 1e-12)[:, None]
     arrays = {
         "x": grid_x,
         "y": grid_y,
-        "type": kinds.astype("u1"),
+        "type": types.astype("u1"),
         "weight": np.round(65535 * np.clip(relative, 0.0, 1.0)).astype("<u2"),
         "heaviest": heaviest,
         "miss": np.round(255 * np.clip(frames.miss, 0.0, 1.0)).astype("u1"),
@@ -188,7 +188,7 @@ def _arrays(recording: Recording) -> dict[str, Any]:
         "ess": frames.effective_sample_size,
         "seen": frames.goal_mass.sum(axis=1),
         "unseen": frames.hypothesis_goal_mass.sum(axis=1),
-        "explored": np.array([summary.explored_share(one.frame) for one in recording.moments]),
+        "explored": np.array([summary.explored_fraction(step.frame) for step in recording.moments]),
     }
     for name in (
         "position", "robot", "heading", "distance", "waypoint", "node_x", "node_y", "value",
@@ -196,40 +196,40 @@ def _arrays(recording: Recording) -> dict[str, Any]:
     ):  # fmt: skip
         arrays[name] = getattr(frames, name)
     return {
-        "num_mentions": len(used),
+        "num_mentions": len(mentions),
         "frame": [x_low, x_high, y_low, y_high],
-        "thought_types": [int(one) for one in np.unique(kinds[is_in])],
-        "seen_types": [int(one) for one in np.unique(seen)],
-        "node_kinds": [_NODES[kind] for kind in sorted(_NODES)],
-        "arrays": {name: _encode(array) for name, array in arrays.items()},
+        "thought_types": np.unique(types[is_in]).astype(int).tolist(),
+        "seen_types": np.unique(seen).astype(int).tolist(),
+        "node_kinds": [_NODE_NAMES[code] for code in sorted(_NODE_NAMES)],
+        "arrays": {name: _encode_array(array) for name, array in arrays.items()},
     }
 
 
-def _on_grid(values: np.ndarray, is_in: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Round coordinates to a 16-bit grid; what is not there gets ``_ABSENT``."""
+def _quantize(values: np.ndarray, is_in: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Quantize coordinates to a 16-bit grid; missing values become ``_ABSENT``."""
     low = float(values[is_in].min()) if is_in.any() else 0.0
     high = float(values[is_in].max()) if is_in.any() else 1.0
     high = max(high, low + 1e-3)
-    share = np.clip((values - low) / (high - low), 0.0, 1.0)
-    grid = np.where(is_in, np.round(share * (_ABSENT - 1)), _ABSENT).astype("<u2")
+    scaled = np.clip((values - low) / (high - low), 0.0, 1.0)
+    grid = np.where(is_in, np.round(scaled * (_ABSENT - 1)), _ABSENT).astype("<u2")
     return grid, low, high
 
 
-def _encode(array: np.ndarray) -> dict[str, str]:
-    """Encode an array as base64; anything but small integers as 32-bit floats."""
+def _encode_array(array: np.ndarray) -> dict[str, str]:
+    """Encode an array as base64: u1 and u2 as they are, all else as f4."""
     array = np.asarray(array)
-    kind = array.dtype.str[1:] if array.dtype.str[1:] in ("u1", "u2") else "f4"
-    data = np.ascontiguousarray(array, dtype=f"<{kind}").tobytes()
-    return {"kind": kind, "data": base64.b64encode(data).decode("ascii")}
+    dtype = array.dtype.str[1:] if array.dtype.str[1:] in ("u1", "u2") else "f4"
+    data = np.ascontiguousarray(array, dtype=f"<{dtype}").tobytes()
+    return {"kind": dtype, "data": base64.b64encode(data).decode("ascii")}
 
 
-def _short(*values: float) -> list[float]:
-    """Round to a millimetre or a tenth of a per cent: nobody reads more."""
+def _rounded(*values: float) -> list[float]:
+    """Round values to three decimals: a millimetre, a tenth of a per cent."""
     return [round(float(value), 3) for value in values]
 
 
 def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
-    """Write belief and value function over time, the interactive recording, and the story.
+    """Write figures of belief and value function, the interactive page and the narrative.
 
     belief.png, belief.svg, values.png, values.svg, episode.html and story.txt; the folder is made.
     ``MissingExtraError`` without matplotlib, before anything is written.
@@ -247,5 +247,5 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
 def write_graph(
     parse: Parse, model: GroundingModel, folder: Path | str, *, name: str = "graph"
 ) -> list[Path]:
-    """Write the factor graph of a sentence, such as ``Understanding.parse``, as PNG and SVG."""
+    """Write the factor graph of a parsed sentence as PNG and SVG."""
     return [*style.save(graph_figure(parse, model), Path(folder) / name)]

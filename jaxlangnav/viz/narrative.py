@@ -1,7 +1,7 @@
-"""The story of an episode in plain words (what section 4 shows by way of Figures 1 and 4).
+"""Generate a natural-language narrative of a recorded episode.
 
-What the sentence was taken to mean, what is seen, what is believed now, why this waypoint, why
-it stopped. Every number comes from the recording; nothing is made up for the occasion.
+It tells the sentence's interpretation, the detections, the belief, the reason for each waypoint
+and how the episode ended; every number comes from the recording.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,7 +18,7 @@ from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.terrain.view import Stretch
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.sentences import percent
-from jaxlangnav.viz.summary import explored_share, pick_moments as pick_moments
+from jaxlangnav.viz.summary import explored_fraction, select_steps as select_steps
 from jaxlangnav.world.motion import BODY_RADIUS
 
 _ENDED = {
@@ -28,38 +28,38 @@ _ENDED = {
     int(Status.HALTED): "stands, told to halt",
     int(Status.IDLE): "has no task",
 }
-_SHIFT = 0.1  # a change of an object's probability of being the goal that is worth a line
+_MIN_SHIFT = 0.1  # smallest change of an object's goal probability that is reported
 
 
 def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[str, Any]]:
-    """Say in numbers what the panels of a figure show.
+    """Compute the quantities that a figure's panels show, one dict for each step.
 
     For each step: ``step``, ``distance`` walked (m), ``event``, ``goal_seen`` (probability that the
     goal is an observed object), ``unseen_left`` and ``unseen_right`` (that it is unseen, on either
     side of the line along which the robot began), ``spread`` of the unseen goal (m, root mean
-    square from its mean; None where it has been seen), ``explored`` (share of the area).
+    square from its mean; None where it has been seen), ``explored`` (fraction of the area).
     """
-    x, y, heading = (float(one) for one in recording.scene.scenario.start)
-    found = []
+    x, y, heading = (float(value) for value in recording.scene.scenario.start)
+    rows = []
     for step in steps:
         frame = recording.moments[step].frame
         mass = np.asarray(frame.hypothesis_goal_mass, float)
-        gone_x, gone_y = frame.hypothesis_goal_x - x, frame.hypothesis_goal_y - y
-        is_left = np.cos(heading) * gone_y - np.sin(heading) * gone_x > 0.0
+        dx, dy = frame.hypothesis_goal_x - x, frame.hypothesis_goal_y - y
+        is_left = np.cos(heading) * dy - np.sin(heading) * dx > 0.0
         total = mass.sum()
-        square = sum((one - (one @ mass) / max(total, 1e-9)) ** 2 for one in (gone_x, gone_y))
-        told = {
+        squared = sum((value - (value @ mass) / max(total, 1e-9)) ** 2 for value in (dx, dy))
+        row = {
             "step": step,
             "distance": float(frame.distance),
             "event": headline(recording.moments[step]),
             "goal_seen": float(frame.goal_mass.sum()),
             "unseen_left": float(mass[is_left].sum()),
             "unseen_right": float(mass[~is_left].sum()),
-            "spread": None if total < 0.05 else float(np.sqrt((square @ mass) / total)),
-            "explored": explored_share(frame),
+            "spread": None if total < 0.05 else float(np.sqrt((squared @ mass) / total)),
+            "explored": explored_fraction(frame),
         }
-        found.append(told)
-    return found
+        rows.append(row)
+    return rows
 
 
 _MOMENTS: TableColumns = (
@@ -74,25 +74,25 @@ _MOMENTS: TableColumns = (
 )
 
 
-def moments_table(moments: Sequence[dict[str, Any]]) -> Table:
-    """Lay out the moments of a figure, of ``describe_moments``, a line each."""
-    return Table.of(moments, _MOMENTS)
+def moments_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Build a table from the rows of ``describe_moments``."""
+    return Table.of(rows, _MOMENTS)
 
 
 def opening(scene: StaticScene) -> list[str]:
-    """Tell what was said and how it was understood."""
+    """Describe the command, its interpretation and the prior knowledge of the map."""
     x_min, x_max, y_min, y_max = scene.area
     claims = sentences.describe_readings(scene)
     lines = [f"You said: “{scene.text}”."] if scene.text else []
     if claims:
-        first, *others = [f"{claim} ({percent(share)})" for claim, share in claims]
+        first, *others = [f"{claim} ({percent(prob)})" for claim, prob in claims]
         lines.append(f"It takes this to say that there is {first}.")
-        if commands := sentences.describe_asked(scene):
+        if commands := sentences.describe_commands(scene):
             lines.append(f"It is to {'; then to '.join(commands)}.")
         if others:
             lines.append(f"It may also mean {', or '.join(others)}.")
-    number = len(scene.walls)
-    walls = f"{sentences.counted(['wall'] * number)} " if number else ""
+    num_walls = len(scene.walls)
+    walls = f"{sentences.noun_list(['wall'] * num_walls)} " if num_walls else ""
     lines.append(
         f"It knows the edges of its area, {x_max - x_min:.1f} m by {y_max - y_min:.1f} m, "
         f"{walls}and nothing that stands there; it sees "
@@ -101,33 +101,33 @@ def opening(scene: StaticScene) -> list[str]:
     return lines
 
 
-def tell_step(moment: Moment) -> list[str]:
-    """Tell a step, a sentence each: what is heard, seen and believed, what it does and why."""
+def narrate_step(moment: Moment) -> list[str]:
+    """Describe a step in sentences: utterances, detections, belief and decision."""
     scene, frame = moment.scene, moment.frame
-    heard = [sentences.heard(frame, one) for one in moment.said]
+    utterances = [sentences.describe_utterance(frame, remark) for remark in moment.said]
     if int(frame.status) in (Status.HALTED, Status.IDLE):
-        return [*heard, sentences.rests(frame)]
+        return [*utterances, sentences.describe_waiting(frame)]
     if int(frame.fault):
-        why = [words for bit, words in sentences.FAULT_WORDS.items() if int(frame.fault) & bit]
-        return [*heard, f"Stands still: {sentences.listed(why)}."]
-    is_same = not moment.said  # what was understood before is nothing to compare with
-    turns = moment.before is not None and int(frame.clause) != int(moment.before.clause)
-    turned = f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
-    told = [
-        *heard,
-        turned if is_same and turns else "",
-        bumped(moment),
-        sentences.seen(moment),
-        sentences.refuted(moment),
-        sentences.reread(moment) if is_same else "",
-        sentences.believed(scene, frame),
-        sentences.decided(scene, frame),
+        reasons = [words for bit, words in sentences.FAULT_WORDS.items() if int(frame.fault) & bit]
+        return [*utterances, f"Stands still: {sentences.join_words(reasons)}."]
+    is_silent = not moment.said  # what was understood before is nothing to compare with
+    is_new_clause = moment.before is not None and int(frame.clause) != int(moment.before.clause)
+    switch = f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
+    parts = [
+        *utterances,
+        switch if is_silent and is_new_clause else "",
+        describe_collision(moment),
+        sentences.describe_detections(moment),
+        sentences.describe_refutation(moment),
+        sentences.describe_new_reading(moment) if is_silent else "",
+        sentences.describe_goal(scene, frame),
+        sentences.describe_decision(scene, frame),
     ]
-    return [sentence for sentence in told if sentence]
+    return [sentence for sentence in parts if sentence]
 
 
 def headline(moment: Moment) -> str:
-    """Say a step in a few words, for the head of a panel, such as "discovers a cone"."""
+    """Summarize a step in a few words, such as "discovers a cone"."""
     scene, frame, before = moment.scene, moment.frame, moment.before
     if moment.said:
         return f"hears “{moment.said[-1].text}”"
@@ -142,21 +142,21 @@ def headline(moment: Moment) -> str:
     if before is not None and int(frame.clause) != int(before.clause):
         return "turns to the next command"
     if new := sentences.new_objects(moment):
-        return f"discovers {sentences.counted([scene.type_name(one.object_type) for one in new])}"
+        return f"discovers {sentences.noun_list([scene.type_name(obj.object_type) for obj in new])}"
     if before is None:
         return "hears the sentence, sees nothing"
-    share = float(frame.num_regrounded) / frame.weight.shape[0]
-    if share >= 0.1 and sentences.is_open(before):
-        return f"not there: {percent(share)} refuted"
+    frac = float(frame.num_regrounded) / frame.weight.shape[0]
+    if frac >= 0.1 and sentences.is_open(before):
+        return f"not there: {percent(frac)} refuted"
     return "keeps on" if frame.is_kept else "new waypoint"
 
 
-def say_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tuple[str, str]:
-    """Say how an episode ended, in a few words and in a sentence; ``lack`` is of ``unseen``."""
+def describe_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tuple[str, str]:
+    """Describe the ending in a few words and as a sentence; ``lack``: names of missing types."""
     ending, radius = int(result.ending), f"{scene.stop_radius:g} m"
-    off = f"{float(result.goal_distance):.1f} m"
-    judged = "success" if bool(result.is_success) else "failure"
-    judged = judged if scene.is_judged else "cannot be judged"
+    goal_distance = f"{float(result.goal_distance):.1f} m"
+    outcome = "success" if bool(result.is_success) else "failure"
+    outcome = outcome if scene.is_judged else "cannot be judged"
     verdicts = (
         (ending == Status.HALTED, "halted",
          "Halted: it stands still as it was told, and keeps its task."),
@@ -165,25 +165,25 @@ def say_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tup
          f"Failure: it ran out of time after {int(result.steps)} steps and never said stop."),
         (ending == Status.NOT_FOUND, "not found",
          f"Not found: it says that there is {lack or 'nothing that fits the command'}."),
-        (ending == Status.WHICH_ONE, judged,
+        (ending == Status.WHICH_ONE, outcome,
          "Asked: it stands still until it is told which one is meant."),
-        (not scene.is_judged, judged, f"Cannot be judged: {scene.unjudged}."),
-        (ending == Status.BLOCKED, judged,
+        (not scene.is_judged, outcome, f"Cannot be judged: {scene.unjudged}."),
+        (ending == Status.BLOCKED, outcome,
          "Blocked: it made no way, and tried other waypoints before it said so."),
-        (bool(result.is_success), judged,
-         f"Success: it stands {off} from the goal that was meant."),
-        (True, judged,
-         f"Failure: the goal that was meant is {off} away (within {radius} counts)."),
+        (bool(result.is_success), outcome,
+         f"Success: it stands {goal_distance} from the goal that was meant."),
+        (True, outcome,
+         f"Failure: the goal that was meant is {goal_distance} away (within {radius} counts)."),
     )  # fmt: skip
-    return next((brief, told) for holds, brief, told in verdicts if holds)
+    return next((brief, sentence) for applies, brief, sentence in verdicts if applies)
 
 
 def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str]:
-    """Tell how it ended, by the last step and the result; the truth is revealed only here."""
-    lack = sentences.unseen(scene, frame)
-    way = f"It walked {float(result.distance):.1f} m."
+    """Describe how the episode ended and compare with the ground truth."""
+    missing = sentences.describe_missing(scene, frame)
+    path = f"It walked {float(result.distance):.1f} m."
     if scene.is_judged:
-        way += (
+        path += (
             f" With the map known, straight on until it may stop ({scene.stop_radius:g} m from "
             f"the goal) would have been {scene.straight_distance:.1f} m."
         )
@@ -194,23 +194,23 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
         (int(result.faults),
          "In {} steps it stood still, for what cannot be was reported to it."),
     )  # fmt: skip
-    lines = [say_ending(scene, result, lack)[1], way]
-    if lack and int(result.ending) == Status.ARRIVED:
-        lines.append(f"It has seen {lack}, and took what fits best.")
-    return lines + [text.format(number) for number, text in counts if number]
+    lines = [describe_ending(scene, result, missing)[1], path]
+    if missing and int(result.ending) == Status.ARRIVED:
+        lines.append(f"It has seen {missing}, and took what fits best.")
+    return lines + [text.format(count) for count, text in counts if count]
 
 
 def narrate(recording: Recording) -> list[str]:
-    """Tell a whole episode, line by line; steps without event are drawn together."""
+    """Narrate a whole episode line by line; consecutive uneventful steps are merged."""
     lines, quiet = opening(recording.scene), list[Moment]()
     for moment in recording.moments:
-        if not moment.said and _is_quiet(moment):
+        if not moment.said and _is_uneventful(moment):
             quiet.append(moment)
         else:
-            lines += _drawn_together(quiet, recording)
+            lines += _merge_steps(quiet, recording)
             quiet = []
-            lines.append(f"{_head(moment)} {' '.join(tell_step(moment))}")
-    lines += _drawn_together(quiet, recording)
+            lines.append(f"{_prefix(moment)} {' '.join(narrate_step(moment))}")
+    lines += _merge_steps(quiet, recording)
     return lines + closing(recording.last_scene, recording.at(-1), recording.result)
 
 
@@ -220,27 +220,27 @@ def tell_on(
     said: Sequence[Remark],
     tell: Callable[[list[str]], object],
 ) -> Iterator[tuple[Frame, EpisodeResult]]:
-    """Tell an episode while it runs, and pass its steps on; ``said`` grows meanwhile."""
+    """Narrate an episode while it runs, passing its steps on; ``said`` may grow meanwhile."""
     for moment in moments(scene, steps, said):
-        if moment.said or not _is_quiet(moment):
-            tell([f"{_head(moment)} {' '.join(tell_step(moment))}"])
+        if moment.said or not _is_uneventful(moment):
+            tell([f"{_prefix(moment)} {' '.join(narrate_step(moment))}"])
         yield moment.frame, moment.result
 
 
-def bumped(moment: Moment) -> str:
-    """Tell that a wall has halted the robot on its way to where it went last."""
+def describe_collision(moment: Moment) -> str:
+    """Report whether a wall has stopped the robot on the way to its last waypoint."""
     frame, before = moment.frame, moment.before
     if before is None or not len(moment.scene.walls):
         return ""
     here = np.asarray(frame.position)
     ends = jnp.asarray([*here, *(here + before.waypoint - before.position)])
-    way = Stretch(*ends)
-    share = moment.scene.scenario.terrain.view.clear_share(way, BODY_RADIUS + 0.01)
-    return "A wall has halted it." if share is not None and float(share) == 0.0 else ""
+    segment = Stretch(*ends)
+    clear = moment.scene.scenario.terrain.view.clear_share(segment, BODY_RADIUS + 0.01)
+    return "A wall has halted it." if clear is not None and float(clear) == 0.0 else ""
 
 
-def _is_quiet(moment: Moment) -> bool:
-    """Tell whether nothing worth a line of its own happened in a step."""
+def _is_uneventful(moment: Moment) -> bool:
+    """Test whether a step needs no line of its own."""
     frame, before = moment.frame, moment.before
     if before is None:
         return False
@@ -248,43 +248,43 @@ def _is_quiet(moment: Moment) -> bool:
         return int(frame.status) == int(before.status)
     if bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
         return False
-    if bumped(moment):
+    if describe_collision(moment):
         return False
     if bool(frame.is_done):
         return bool(before.is_done) and int(frame.status) == int(before.status)
-    if any(getattr(frame, one) != getattr(before, one) for one in ("clause", "waypoint_kind")):
+    if any(getattr(frame, key) != getattr(before, key) for key in ("clause", "waypoint_kind")):
         return False
-    return float(abs(frame.goal_mass - before.goal_mass).max()) < _SHIFT
+    return float(abs(frame.goal_mass - before.goal_mass).max()) < _MIN_SHIFT
 
 
-def _head(moment: Moment, steps: str = "") -> str:
-    """Head a line of the story, of one step or of several that end with it."""
+def _prefix(moment: Moment, steps: str = "") -> str:
+    """Format the step number or range and the distance at the start of a line."""
     return f"[{steps or moment.step:>5} · {float(moment.frame.distance):4.1f} m]"
 
 
-def _drawn_together(quiet: list[Moment], recording: Recording) -> list[str]:
-    """Say several steps without event in one line; of a search at most ten."""
+def _merge_steps(quiet: list[Moment], recording: Recording) -> list[str]:
+    """Merge uneventful steps into one line; at most ten steps of a search."""
     if not quiet:
         return []
     first, moment = quiet[0].step, quiet[-1]
     scene, last = moment.scene, moment.frame
-    head = _head(moment, f"{first}-{moment.step}" if len(quiet) > 1 else "")
+    head = _prefix(moment, f"{first}-{moment.step}" if len(quiet) > 1 else "")
     if bool(last.is_done) or int(last.status) in (Status.HALTED, Status.IDLE):
-        return [f"{head} {sentences.rests(last)}"]
+        return [f"{head} {sentences.describe_waiting(last)}"]
     if int(last.waypoint_kind) == OBJECT_NODE:
-        gone = float(last.distance) - float(recording.frames.distance[max(first - 1, 0)])
-        if len(quiet) > 2 and gone < 0.5:
-            return [f"{head} Stands still. {sentences.believed(scene, last)}"]
-        return [f"{head} Goes on to {sentences.target(scene, last)}."]
+        progress = float(last.distance) - float(recording.frames.distance[max(first - 1, 0)])
+        if len(quiet) > 2 and progress < 0.5:
+            return [f"{head} Stands still. {sentences.describe_goal(scene, last)}"]
+        return [f"{head} Goes on to {sentences.describe_waypoint(scene, last)}."]
     if len(quiet) > 10:
-        return [*_drawn_together(quiet[:10], recording), *_drawn_together(quiet[10:], recording)]
-    refuted = sum(int(one.frame.num_regrounded) for one in quiet)
-    lost = f"{refuted} hypothes{'i' if refuted == 1 else 'e'}s refuted"
-    # What is drawn anew may be refuted again.
-    lost = lost if refuted <= last.weight.shape[0] else f"hypotheses refuted {refuted} times"
-    share = percent(summary.explored_share(last))
-    seen = "Looks on" if last.is_detection.any() else "Searches, finds nothing"
+        return [*_merge_steps(quiet[:10], recording), *_merge_steps(quiet[10:], recording)]
+    count = sum(int(step.frame.num_regrounded) for step in quiet)
+    lost = f"{count} hypothes{'i' if count == 1 else 'e'}s refuted"
+    # A regrounded particle may be refuted again.
+    lost = lost if count <= last.weight.shape[0] else f"hypotheses refuted {count} times"
+    explored = percent(summary.explored_fraction(last))
+    verb = "Looks on" if last.is_detection.any() else "Searches, finds nothing"
     return [
-        f"{head} {seen}: {lost} by what was not there, {share} of the area looked at. "
-        f"{sentences.believed(scene, last)}"
+        f"{head} {verb}: {lost} by what was not there, {explored} of the area looked at. "
+        f"{sentences.describe_goal(scene, last)}"
     ]

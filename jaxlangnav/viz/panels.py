@@ -1,4 +1,4 @@
-"""How a row of map panels is laid out: sizes from the area's shape, headline, legend, letters."""
+"""Figures of belief and value function over time, as rows of map panels."""
 
 import math
 from collections.abc import Sequence
@@ -9,9 +9,9 @@ import numpy as np
 from jaxlangnav.episode.recording import Frame, Moment, Recording
 from jaxlangnav.messages import Status
 from jaxlangnav.viz import mapping, style
-from jaxlangnav.viz.narrative import headline, pick_moments, say_ending
+from jaxlangnav.viz.narrative import describe_ending, headline, select_steps
 from jaxlangnav.viz.sentences import percent
-from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
+from jaxlangnav.viz.summary import SAME_NODE_RADIUS, distinct_nodes, goal_field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,41 +23,41 @@ _WIDTH = 10.5  # width of a figure, inches: two columns of a journal, or a scree
 NUM_BARS = 5  # waypoints in the chart beneath a map
 
 
-def _lay_out(
-    recording: Recording, number: int, *, text: str, has_charts: bool = False
+def _layout(
+    recording: Recording, num_panels: int, *, text: str, has_charts: bool = False
 ) -> "tuple[Figure, list[Axes], list[Axes]]":
-    """Set up maps in rows, all of the area's shape, and a chart beneath each if wanted."""
+    """Create a grid of map axes with the area's aspect ratio and optional charts below them."""
     x_min, x_max, y_min, y_max = recording.scene.area
-    shape = (x_max - x_min) / (y_max - y_min)
-    columns = number if number <= 4 or shape < 0.5 else math.ceil(number / 2)
-    rows = math.ceil(number / columns)
-    height = min(3.6, _WIDTH / columns / shape, 4.4)
+    aspect = (x_max - x_min) / (y_max - y_min)
+    columns = num_panels if num_panels <= 4 or aspect < 0.5 else math.ceil(num_panels / 2)
+    rows = math.ceil(num_panels / columns)
+    height = min(3.6, _WIDTH / columns / aspect, 4.4)
     heights = [height + 0.82, 1.25] if has_charts else [height + 0.82]
-    # The headline and the legend need room of their own, however few the maps.
-    size = max(columns * (height * shape + 0.16) + 0.74, 8.4), rows * sum(heights) + 1.28
+    # Headline and legend need a minimum width.
+    size = max(columns * (height * aspect + 0.16) + 0.74, 8.4), rows * sum(heights) + 1.28
     how = {"height_ratios": rows * heights, "hspace": 0.34 if has_charts else 0.25, "wspace": 0.08}
     figure, grid = style.panels(size, rows * len(heights), columns, (0.62, 0.12, 1.08, 1.02), **how)
     maps = list(grid[:: len(heights)].flat)
     for index, axes in enumerate(maps):
-        axes.set_xlabel("x (m)" if index + columns >= number else "")
+        axes.set_xlabel("x (m)" if index + columns >= num_panels else "")
         axes.set_ylabel("y (m)" if index % columns == 0 else "")
         axes.tick_params(labelleft=index % columns == 0)
     charts = list(grid[1::2].flat) if has_charts else []
-    for axes in (*maps[number:], *charts[number:]):
+    for axes in (*maps[num_panels:], *charts[num_panels:]):
         axes.remove()
     style.title(
         figure,
         f"“{recording.scene.text}”" if recording.scene.text else "Episode",
         f"{verdict(recording)}.\n{text}",
     )
-    return figure, maps[:number], charts[:number]
+    return figure, maps[:num_panels], charts[:num_panels]
 
 
-def _head_panel(axes: "Axes", moment: Moment, index: int) -> None:
-    """Head a panel: its letter, the step and the way so far; beneath, what happens."""
+def _title_panel(axes: "Axes", moment: Moment, index: int) -> None:
+    """Title a panel with its letter, step, distance so far and headline."""
     letter = chr(ord("a") + index % 26)
-    head = f"({letter}) step {moment.step} · {float(moment.frame.distance):.1f} m"
-    axes.set_title(head, pad=16)
+    title = f"({letter}) step {moment.step} · {float(moment.frame.distance):.1f} m"
+    axes.set_title(title, pad=16)
     axes.annotate(
         headline(moment), (0, 1), xytext=(0, 5), xycoords="axes fraction",
         textcoords="offset points", fontsize=8, color=style.MUTED,
@@ -65,40 +65,40 @@ def _head_panel(axes: "Axes", moment: Moment, index: int) -> None:
 
 
 def outcome(recording: Recording) -> str:
-    """Say in two or three words how the episode ended."""
+    """Summarize how the episode ended in two or three words."""
     if recording.ended:
         return recording.ended.partition(":")[0].replace("_", " ")
-    return say_ending(recording.scene, recording.result)[0]
+    return describe_ending(recording.scene, recording.result)[0]
 
 
 def verdict(recording: Recording) -> str:
-    """Say in half a line how the episode ended."""
-    result, ended = recording.result, outcome(recording)
+    """Summarize in half a line how the episode ended and how far the robot walked."""
+    result, ending = recording.result, outcome(recording)
     if not recording.scene.is_judged:
-        return f"{recording.scene.policy} policy: {ended}, for {recording.scene.unjudged}"
-    away, walked = float(result.goal_distance), float(result.distance)
+        return f"{recording.scene.policy} policy: {ending}, for {recording.scene.unjudged}"
+    error, distance = float(result.goal_distance), float(result.distance)
     return (
-        f"{recording.scene.policy} policy: {ended}, {away:.1f} m from the meant goal after "
-        f"{walked:.1f} m (known map, to where it may stop: "
+        f"{recording.scene.policy} policy: {ending}, {error:.1f} m from the meant goal after "
+        f"{distance:.1f} m (known map, to where it may stop: "
         f"{recording.scene.straight_distance:.1f} m)"
     )
 
 
 def _choose_steps(recording: Recording, steps: Sequence[int] | None, number: int) -> list[int]:
-    """Check the moments that are asked for; without any choose those that tell the most."""
+    """Validate the requested steps, or by default select the most informative ones."""
     if steps is None:
-        return pick_moments(recording, number)
+        return select_steps(recording, number)
     if not steps:
         raise ValueError("steps is empty, but a figure needs at least one moment")
-    most = recording.num_steps
+    num_steps = recording.num_steps
     for step in steps:
-        if not -most <= step < most:
-            raise ValueError(f"step is {step}, but the recording has steps 0 to {most - 1}")
-    return [step % most for step in steps]
+        if not -num_steps <= step < num_steps:
+            raise ValueError(f"step is {step}, but the recording has steps 0 to {num_steps - 1}")
+    return [step % num_steps for step in steps]
 
 
 def _add_legend(figure: "Figure", handles: Sequence[Any]) -> None:
-    """Put a legend along the bottom of a figure, in as many columns as fit."""
+    """Add a legend along the bottom of a figure, in as many columns as fit."""
     columns = min(len(handles), max(3, int(figure.get_figwidth() / 1.55)))
     rows = math.ceil(len(handles) / columns)
     figure.legend(
@@ -108,7 +108,7 @@ def _add_legend(figure: "Figure", handles: Sequence[Any]) -> None:
 
 
 def draw_belief(axes: "Axes", recording: Recording, step: int) -> None:
-    """Draw the belief at a step, and what is true, into a map."""
+    """Draw the belief at a step and the ground truth into map axes."""
     scene, frame = recording.scene, recording.at(step)
     mapping.draw_ground(axes, scene, frame)
     mapping.draw_truth(axes, scene)
@@ -132,16 +132,16 @@ def belief_figure(
     chosen = _choose_steps(recording, steps, num_panels)
     text = "Dots: hypotheses, one map per particle, stronger where heavier. Grey: not looked at."
     with style.house_style():
-        figure, maps, _ = _lay_out(recording, len(chosen), text=text)
+        figure, maps, _ = _layout(recording, len(chosen), text=text)
         for index, (axes, step) in enumerate(zip(maps, chosen, strict=True)):
             draw_belief(axes, recording, step)
-            _head_panel(axes, recording.moments[step], index)
+            _title_panel(axes, recording.moments[step], index)
         _add_legend(figure, mapping.legend_handles(recording))
     return figure
 
 
 def best_nodes(frame: Frame, number: int = NUM_BARS) -> np.ndarray:
-    """Rank the places open to a step, the best first: i64[≤ number] nodes, one for each place."""
+    """Rank the open nodes of a step by value: i64[≤ number], nearby nodes merged."""
     return distinct_nodes(frame)[:number]
 
 
@@ -157,21 +157,21 @@ def values_figure(
         text = "Discs: waypoints it may choose, darker where more valuable at that step."
         if recording.scene.portrayal.is_field:
             text += " Lines: equal value."
-        figure, maps, charts = _lay_out(recording, len(chosen), text=text, has_charts=True)
+        figure, maps, charts = _layout(recording, len(chosen), text=text, has_charts=True)
         for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
             _draw_values(axes, recording, step)
             _draw_parts(chart, recording.at(step), with_label=axes.get_ylabel() != "")
-            _head_panel(axes, recording.moments[step], index)
+            _title_panel(axes, recording.moments[step], index)
         marks = [
             handle
             for handle in mapping.legend_handles(recording, filled=False)
             if not str(handle.get_label()).endswith(("true place", "view", "1.5 m"))
         ]
-        ramp = style.value_colormap()
+        cmap = style.value_colormap()
         discs = [
             Line2D(
                 [], [], linestyle="none", marker="o", markersize=7, markeredgecolor=style.INK,
-                markeredgewidth=0.7, markerfacecolor=ramp(level), label=label,
+                markeredgewidth=0.7, markerfacecolor=cmap(level), label=label,
             )
             for level, label in ((0.1, "low value"), (0.95, "high value"))
         ]  # fmt: skip
@@ -184,19 +184,19 @@ def values_figure(
 def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollection":
     scene, frame = recording.scene, recording.at(step)
     mapping.draw_ground(axes, scene, frame)
-    norm, ramp = _norm(frame.value), style.value_colormap()
+    norm, cmap = _norm(frame.value), style.value_colormap()
     if scene.portrayal.is_field:
         x_min, x_max, y_min, y_max = scene.area
         x, y = np.meshgrid(np.linspace(x_min, x_max, 60), np.linspace(y_min, y_max, 80))
         field = goal_field(scene, frame, x, y)
         norm = _norm(np.concatenate([field.ravel(), frame.value]))
-        axes.contourf(x, y, field, levels=12, cmap=ramp, norm=norm, alpha=0.4, zorder=1)
+        axes.contourf(x, y, field, levels=12, cmap=cmap, norm=norm, alpha=0.4, zorder=1)
         axes.contour(x, y, field, levels=12, colors=style.MUTED, linewidths=0.35, zorder=1)
     mapping.draw_hypotheses(axes, frame, filled=False)
     is_open = np.flatnonzero(np.isfinite(frame.value))
     order = is_open[np.argsort(frame.value[is_open])]
     nodes = axes.scatter(
-        frame.node_x[order], frame.node_y[order], c=frame.value[order], cmap=ramp, norm=norm, s=62,
+        frame.node_x[order], frame.node_y[order], c=frame.value[order], cmap=cmap, norm=norm, s=62,
         edgecolors=style.INK, linewidths=0.7, zorder=5,
     )  # fmt: skip
     mapping.draw_path(axes, recording, step)
@@ -209,7 +209,7 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
 
 
 def _number_nodes(axes: "Axes", frame: Frame) -> None:
-    """Number the best waypoints, each to its upper right."""
+    """Annotate the best waypoints with their ranks."""
     for rank, node in enumerate(best_nodes(frame), start=1):
         axes.annotate(
             str(rank), (frame.node_x[node], frame.node_y[node]), xytext=(5, 5),
@@ -219,8 +219,8 @@ def _number_nodes(axes: "Axes", frame: Frame) -> None:
 
 
 def _draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
-    """Draw the parts of the value of the best waypoints as stacked bars."""
-    # Where the robot has stopped there is nothing to choose: its reason stands there instead.
+    """Draw the value terms of the best waypoints as stacked bars: goal, information, cost."""
+    # Once the task has ended, show the reason instead.
     if bool(frame.is_done):
         where = "in view" if float(frame.action[1]) > 0.5 else "within reach"
         text = f"It stops: the goal is {where}\nwith probability {percent(float(frame.stop_mass))}."
@@ -230,25 +230,25 @@ def _draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
         axes.axis("off")
         return
     nodes = best_nodes(frame)
-    places = np.arange(len(nodes))
+    rows = np.arange(len(nodes))
     goal = np.asarray(frame.goal_value)[nodes]
     information = np.asarray(frame.information_value)[nodes]
-    axes.barh(places, goal, height=0.66, color=style.SPLIT["goal"])
-    axes.barh(places, information, left=goal, height=0.66, color=style.SPLIT["information"])
-    axes.barh(places, -np.asarray(frame.cost)[nodes], height=0.66, color=style.SPLIT["cost"])
-    off = np.hypot(frame.node_x[nodes] - frame.waypoint[0], frame.node_y[nodes] - frame.waypoint[1])
-    chosen = int(np.argmin(off)) if off.size and off.min() < SAME_PLACE else None
-    most = max(float((goal + information).max(initial=0.0)), 1e-3)
-    for place, node in zip(places, nodes, strict=True):
+    axes.barh(rows, goal, height=0.66, color=style.SPLIT["goal"])
+    axes.barh(rows, information, left=goal, height=0.66, color=style.SPLIT["information"])
+    axes.barh(rows, -np.asarray(frame.cost)[nodes], height=0.66, color=style.SPLIT["cost"])
+    gap = np.hypot(frame.node_x[nodes] - frame.waypoint[0], frame.node_y[nodes] - frame.waypoint[1])
+    chosen = int(np.argmin(gap)) if gap.size and gap.min() < SAME_NODE_RADIUS else None
+    max_value = max(float((goal + information).max(initial=0.0)), 1e-3)
+    for row, node in zip(rows, nodes, strict=True):
         value = float(frame.value[node])
-        mark, color = (" ✓", style.WAYPOINT) if place == chosen else ("", style.MUTED)
+        mark, color = (" ✓", style.WAYPOINT) if row == chosen else ("", style.MUTED)
         axes.annotate(
-            f"{value:.3g}{mark}", (max(value, 0.0), place), xytext=(3, 0),
+            f"{value:.3g}{mark}", (max(value, 0.0), row), xytext=(3, 0),
             textcoords="offset points", va="center", fontsize=7, color=color,
         )  # fmt: skip
-    axes.set_yticks(places, [str(place + 1) for place in places])
+    axes.set_yticks(rows, [str(row + 1) for row in rows])
     axes.set_ylim(NUM_BARS - 0.5, -0.5)
-    axes.set_xlim(min(0.0, -float(frame.cost[nodes].max(initial=0.0))), 1.36 * most)
+    axes.set_xlim(min(0.0, -float(frame.cost[nodes].max(initial=0.0))), 1.36 * max_value)
     axes.locator_params(axis="x", nbins=3, prune="upper")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     axes.tick_params(length=2, pad=2)
@@ -258,7 +258,7 @@ def _draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
 
 
 def _norm(values: np.ndarray) -> "Normalize":
-    """Scale the values of one step to colours; the charts beneath give the numbers."""
+    """Build the colour normalization of the values of a step."""
     from matplotlib.colors import PowerNorm
 
     finite = values[np.isfinite(values)]

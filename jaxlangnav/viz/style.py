@@ -1,8 +1,8 @@
-"""The house style of all pictures: light, colour-blind safe, readable in print.
+"""Plot style of all figures: light, colour-blind safe, readable in print.
 
-Colours are Okabe and Ito's; every colour that carries a meaning comes with a shape of its own, so
-that nothing is lost in grey. matplotlib belongs to the extra ``viz``. It is imported where it is
-used and never through pyplot: no window, no global figure, no style left behind in a notebook.
+Colours are Okabe and Ito's; every colour that carries a meaning has a distinct marker too, so
+that figures work in greyscale. matplotlib belongs to the extra ``viz``. It is imported where it is
+used and never through pyplot: no window, no global figure, no change of a notebook's style.
 """
 
 import importlib
@@ -28,7 +28,7 @@ INK = "#1f2328"
 MUTED = "#6b7280"
 LINE = "#d5d8dd"
 PAPER = "#ffffff"
-UNSEEN = "#dfe3e8"  # ground that nobody has looked at
+UNSEEN = "#dfe3e8"  # unobserved ground
 PATH = "#1f2328"
 WALL = "#4b3621"
 VIEW = "#7aa6c2"  # the field of view
@@ -36,7 +36,7 @@ GOOD = "#009e73"
 BAD = "#b3261e"
 WAYPOINT = "#7b3294"
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7a6a00", "#56b4e9")
-"""Lines of a chart, in this order."""
+"""Colour cycle of the series of a chart."""
 TYPE_COLORS = (
     "#d55e00",  # hydrant
     "#0072b2",  # cone
@@ -48,12 +48,12 @@ TYPE_COLORS = (
     "#b8860b",  # box
 )
 TYPE_MARKERS = ("o", "s", "D", "p", "^", "P", "h", "X")
-"""Marker of each object type, in matplotlib's letters."""
-SPLIT = {"goal": "#d55e00", "information": "#0072b2", "cost": "#6b7280"}  # parts of a value
+"""Marker of each object type, as matplotlib codes."""
+SPLIT = {"goal": "#d55e00", "information": "#0072b2", "cost": "#6b7280"}  # terms of the value
 VALUE_STOPS = ("#f2ead3", "#e3c878", "#7fb08a", "#2f7f8f", "#173f5f")
-"""Sequential ramp of the value function, light to dark: monotone in lightness."""
-Mark = tuple[str, str, str]
-POLICY_LOOKS = {
+"""Sequential colormap of the value function, monotone in lightness, light to dark."""
+SeriesStyle = tuple[str, str, str]
+POLICY_STYLES = {
     "informed": (SERIES[0], "o", "informed (ours)"),
     "faithful": (SERIES[1], "s", "faithful (the paper's method)"),
     "frontier": (SERIES[2], "^", "nearest frontier, no language"),
@@ -63,15 +63,15 @@ POLICY_LOOKS = {
 }
 """Colour, marker and name of each policy."""
 _BOLD_WIDTH, _PLAIN_WIDTH = 0.69, 0.6
-"""Mean width of a character over the size of its type, on the safe side."""
+"""Upper estimates of a character's mean width over the font size."""
 
 
 class MissingExtraError(ValueError):
-    """A picture was asked for, but what draws it is not installed; the message is one line."""
+    """An optional dependency of a requested figure is not installed; the message is one line."""
 
 
 def require(module: str, *, extra: str = "viz") -> Any:
-    """Load a module, or raise ``MissingExtraError``, which says what to install."""
+    """Import an optional module, or raise ``MissingExtraError``, which says what to install."""
     if importlib.util.find_spec(module) is None:
         raise MissingExtraError(
             f"{module} is not installed: pip install 'jaxlangnav[{extra}]' brings it"
@@ -80,32 +80,32 @@ def require(module: str, *, extra: str = "viz") -> Any:
 
 
 def type_color(object_type: int) -> str:
-    """Give an object type its colour; types beyond the eight share them in turn."""
+    """Return the colour of an object type, cycling after eight types."""
     is_typed = object_type >= 0 and not is_anything(object_type)
     return TYPE_COLORS[object_type % len(TYPE_COLORS)] if is_typed else MUTED
 
 
 def type_marker(object_type: int) -> str:
-    """Give an object type its marker; of the first sixty-four no two share it and the colour."""
+    """Return the marker of an object type; the first 64 types differ in marker or colour."""
     if is_anything(object_type):
         return "*"
-    turn = object_type // len(TYPE_COLORS)
-    return TYPE_MARKERS[(object_type + turn) % len(TYPE_MARKERS)] if object_type >= 0 else "x"
+    cycle = object_type // len(TYPE_COLORS)
+    return TYPE_MARKERS[(object_type + cycle) % len(TYPE_MARKERS)] if object_type >= 0 else "x"
 
 
-def looks_of(arms: Sequence[str]) -> dict[str, Mark]:
-    """Give each arm its colour, marker and name; what is no policy takes the next colour."""
-    looks = zip(itertools.cycle(SERIES), itertools.cycle("os^vDPXh"), arms, strict=False)
-    return {arm: POLICY_LOOKS.get(arm, (color, marker, arm)) for color, marker, arm in looks}
+def policy_styles(names: Sequence[str]) -> dict[str, SeriesStyle]:
+    """Map each series to colour, marker and label; unknown policies take the next of the cycle."""
+    defaults = zip(itertools.cycle(SERIES), itertools.cycle("os^vDPXh"), names, strict=False)
+    return {key: POLICY_STYLES.get(key, (color, marker, key)) for color, marker, key in defaults}
 
 
 def add_legend(figure: "Figure", panels: "Iterable[Axes]", *, columns: int = 3) -> None:
-    """Put the legend over several panels along the bottom of a figure, each label once."""
-    found: dict[str, Any] = {}
+    """Add one legend of several panels along the bottom of a figure, each label once."""
+    handles: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    figure.legend(list(found.values()), list(found), loc="lower center", ncols=columns)
+            handles.setdefault(label, handle)
+    figure.legend(list(handles.values()), list(handles), loc="lower center", ncols=columns)
 
 
 def panels(
@@ -113,33 +113,33 @@ def panels(
     rows: int,
     columns: int,
     margins: tuple[float, float, float, float],
-    **how: Any,
+    **options: Any,
 ) -> "tuple[Figure, np.ndarray]":
-    """Set up a figure, inches, with axes [rows, columns]; ``how``: of ``Figure.subplots``.
+    """Create a figure, inches, with axes [rows, columns]; ``options``: of ``Figure.subplots``.
 
     ``margins``: at the left, at the right, above and below, inches; ``wspace`` and ``hspace`` may
-    be among ``how``.
+    be among ``options``.
     """
     from matplotlib.figure import Figure
 
-    (wide, tall), (left, right, head, foot) = size, margins
-    places = {"left": left / wide, "right": 1 - right / wide, "top": 1 - head / tall}
-    spaces = {name: how.pop(name) for name in ("wspace", "hspace") if name in how}
+    (width, height), (left, right, head, foot) = size, margins
+    sides = {"left": left / width, "right": 1 - right / width, "top": 1 - head / height}
+    spaces = {name: options.pop(name) for name in ("wspace", "hspace") if name in options}
     figure = Figure(figsize=size)
-    grid = figure.subplots(rows, columns, squeeze=False, **how)
-    figure.subplots_adjust(**places, bottom=foot / tall, **spaces)
+    grid = figure.subplots(rows, columns, squeeze=False, **options)
+    figure.subplots_adjust(**sides, bottom=foot / height, **spaces)
     return figure, grid
 
 
 def value_colormap() -> "LinearSegmentedColormap":
-    """Build the colour map of the value function."""
+    """Build the colormap of the value function."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("jaxlangnav-value", VALUE_STOPS)
 
 
 def rc() -> dict[str, Any]:
-    """Build matplotlib's settings of the house style."""
+    """Build the matplotlib rcParams of the plot style."""
     return {
         "figure.facecolor": PAPER,
         "figure.dpi": 110,
@@ -157,7 +157,7 @@ def rc() -> dict[str, Any]:
         "axes.spines.right": False,
         "axes.axisbelow": True,
         "text.color": INK,
-        # A dollar sign in somebody's sentence or file name is no formula.
+        # A dollar sign in a sentence or file name is not TeX.
         "text.parse_math": False,
         "xtick.color": MUTED,
         "ytick.color": MUTED,
@@ -175,45 +175,45 @@ def rc() -> dict[str, Any]:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw in the house style inside the block; settings outside stay as they were."""
+    """Apply the plot style within the block; outside, rcParams are unchanged."""
     with require("matplotlib").rc_context(rc()):
         yield
 
 
 def title(figure: "Figure", text: str, subtitle: str = "") -> None:
-    """Head a figure at its upper left: what it shows in bold, how to read it beneath.
+    """Set a figure's title in bold at the upper left, and a subtitle below.
 
-    Long headlines are set smaller, and cut where even that does not fit. The figure's layout must
+    Long titles are set smaller, and truncated where that does not suffice. The figure's layout must
     leave half an inch at the top.
     """
     text = sanitize(text)
     width, height = figure.get_figwidth(), figure.get_figheight()
     left = 0.12 / width
-    text, size = _fitted(text, width - 0.3, 12.0, 8.0, _BOLD_WIDTH)
+    text, size = _fit_text(text, width - 0.3, 12.0, 8.0, _BOLD_WIDTH)
     figure.text(left, 1 - 0.10 / height, text, va="top", fontsize=size, fontweight="bold")
     if subtitle:
         longest = max(subtitle.split("\n"), key=len)
-        _, size = _fitted(longest, width - 0.3, 8.5, 6.5, _PLAIN_WIDTH)
+        _, size = _fit_text(longest, width - 0.3, 8.5, 6.5, _PLAIN_WIDTH)
         figure.text(left, 1 - 0.36 / height, subtitle, va="top", fontsize=size, color=MUTED)
 
 
-def _fitted(text: str, width: float, most: float, least: float, share: float) -> tuple[str, float]:
-    """Find the size in points at which a line fits into inches; cut it if there is none."""
-    size = min(most, width * 72 / (share * max(1, len(text))))
-    if size >= least:
+def _fit_text(text: str, width: float, high: float, low: float, em: float) -> tuple[str, float]:
+    """Fit a line into a width, inches, by font size in points; truncate it at the smallest size."""
+    size = min(high, width * 72 / (em * max(1, len(text))))
+    if size >= low:
         return text, size
-    keep = int(width * 72 / (share * least)) - 1
-    return text[:keep].rstrip() + "…", least
+    num_kept = int(width * 72 / (em * low)) - 1
+    return text[:num_kept].rstrip() + "…", low
 
 
 def save(figure: "Figure", stem: Path | str) -> tuple[Path, Path]:
-    """Write a figure as PNG and SVG, all or nothing; folders are made, ``stem`` has no ending."""
+    """Write a figure as PNG and SVG atomically; folders are made, ``stem`` has no extension."""
     stem = Path(stem)
     paths = (stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg"))
     with house_style():
         for path in paths:
-            kind = path.suffix[1:]
-            metadata = {"Date": None} if kind == "svg" else {}
+            extension = path.suffix[1:]
+            metadata = {"Date": None} if extension == "svg" else {}
             with replacing(path) as temporary:
-                figure.savefig(temporary, format=kind, metadata=metadata)
+                figure.savefig(temporary, format=extension, metadata=metadata)
     return paths

@@ -1,6 +1,6 @@
-"""Numbers that several pictures and the story share: what a frame says in few figures.
+"""Summary statistics of frames, shared by figures and narrative.
 
-The objects of all particles are summed up slot by slot; hypotheses stay as they are, one per
+Observed objects are averaged over particles slot by slot; hypotheses stay as they are, one per
 particle and mention. ``scene`` is of the episode, ``frame`` one of its steps.
 """
 
@@ -12,64 +12,64 @@ from jaxlangnav.episode.recording import Frame, Recording, StaticScene
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
 
-_LEAST_SHARE = 0.02  # objects that fewer particles believe in than this are left out of pictures
+_MIN_PROBABILITY = 0.02  # existence probability below which figures leave out an object
 _PEAK_RADIUS = 1.5  # metres
-SAME_PLACE = 0.25  # metres within which two nodes are one place to a person
+SAME_NODE_RADIUS = 0.25  # metres within which two nodes count as one
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SeenObject:
-    """An object that has been observed, summed up over particles."""
+    """An observed object, averaged over particles."""
 
     slot: int
     object_type: int
     x: float  # metres, map frame, weighted mean
     y: float
     spread: float  # metres, standard deviation on each axis, within particles and among them
-    probability: float  # share of the weight of particles that have it
+    probability: float  # weight of the particles that contain it
     goal_mass: float  # probability that it is the goal
 
 
 def seen_objects(frame: Frame) -> list[SeenObject]:
-    """Sum up the observed objects of a frame, by slot."""
+    """Compute existence, type and mean position of each observed object over the particles."""
     weight = np.asarray(frame.weight, float)
-    found = []
+    objects = []
     for slot in range(frame.object_type.shape[0]):
         types = np.asarray(frame.object_type[slot])
-        share = np.where(types != NONE, weight, 0.0)
-        total = float(share.sum())
-        if total < _LEAST_SHARE:
+        weights = np.where(types != NONE, weight, 0.0)
+        total = float(weights.sum())
+        if total < _MIN_PROBABILITY:
             continue
-        kind = int(np.argmax(np.bincount(types[types != NONE], weights=share[types != NONE])))
-        share = np.where(types == kind, share, 0.0)
-        places = np.stack([frame.object_x[slot], frame.object_y[slot]]).astype(float)
-        mean = np.average(places, axis=1, weights=share)
-        apart = ((places - mean[:, None]) ** 2).sum(axis=0)
-        within = np.square(frame.object_sd[slot], dtype=float)
-        found.append(
+        best = int(np.argmax(np.bincount(types[types != NONE], weights=weights[types != NONE])))
+        weights = np.where(types == best, weights, 0.0)
+        positions = np.stack([frame.object_x[slot], frame.object_y[slot]]).astype(float)
+        mean = np.average(positions, axis=1, weights=weights)
+        squared = ((positions - mean[:, None]) ** 2).sum(axis=0)
+        variance = np.square(frame.object_sd[slot], dtype=float)
+        objects.append(
             SeenObject(
                 slot=slot,
-                object_type=kind,
+                object_type=best,
                 x=float(mean[0]),
                 y=float(mean[1]),
-                spread=float(np.sqrt(np.average(within + 0.5 * apart, weights=share))),
+                spread=float(np.sqrt(np.average(variance + 0.5 * squared, weights=weights))),
                 probability=min(total, 1.0),
                 goal_mass=float(frame.goal_mass[slot]),
             )
         )
-    return found
+    return objects
 
 
 def expected_goal(frames: Frame) -> np.ndarray:
-    """Compute the mean place of the goal, f64[..., 2] metres; NaN where none is believed."""
+    """Compute the mean goal position, f64[..., 2] metres; NaN where no goal has probability."""
     x, y, mass = _goals(frames)
     total = mass.sum(axis=-1, dtype=float)
     safe = np.where(total > 1e-6, total, np.nan)
-    return np.stack([(mass * one).sum(axis=-1, dtype=float) / safe for one in (x, y)], axis=-1)
+    return np.stack([(mass * coord).sum(axis=-1, dtype=float) / safe for coord in (x, y)], axis=-1)
 
 
 def _goals(frames: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gather x, y and probability of all places of the goal, seen and unseen, f32[..., n]."""
+    """Concatenate x, y and probability of observed and hypothesised goals, f32[..., n]."""
     pairs = (
         (frames.goal_x, frames.hypothesis_goal_x),
         (frames.goal_y, frames.hypothesis_goal_y),
@@ -80,35 +80,35 @@ def _goals(frames: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def peaks(frame: Frame) -> list[tuple[float, float, float]]:
-    """Find where the unseen goal is likeliest to be: at most two places, the best first.
+    """Find at most two modes of the unseen goal's distribution, the heaviest first.
 
-    Each is x, y in metres, map frame, and the share of the unseen goal's mass within 1.5 metres;
+    Each is x, y in metres, map frame, and the fraction of the unseen goal's mass within 1.5 metres;
     peaks that hold less than 15 % of it are left out.
     """
     mass = np.asarray(frame.hypothesis_goal_mass, float)
-    held = np.flatnonzero(mass > 0.0)
+    nonzero = np.flatnonzero(mass > 0.0)
     total = mass.sum()
     if total < 1e-6:
         return []
-    x = np.asarray(frame.hypothesis_goal_x, float)[held]
-    y = np.asarray(frame.hypothesis_goal_y, float)[held]
-    left = mass[held] / total
+    x = np.asarray(frame.hypothesis_goal_x, float)[nonzero]
+    y = np.asarray(frame.hypothesis_goal_y, float)[nonzero]
+    remaining = mass[nonzero] / total
     squared = (x[:, None] - x[None, :]) ** 2 + (y[:, None] - y[None, :]) ** 2
-    near = squared <= _PEAK_RADIUS**2
-    found = []
+    is_near = squared <= _PEAK_RADIUS**2
+    modes = []
     for _ in range(2):
-        around = near @ left
-        best = int(np.argmax(around))
-        if around[best] < 0.15:
+        nearby_mass = is_near @ remaining
+        best = int(np.argmax(nearby_mass))
+        if nearby_mass[best] < 0.15:
             break
-        share = np.where(near[best], left, 0.0) / around[best]
-        found.append((float(share @ x), float(share @ y), float(around[best])))
-        left = np.where(squared[best] <= 4 * _PEAK_RADIUS**2, 0.0, left)
-    return found
+        local = np.where(is_near[best], remaining, 0.0) / nearby_mass[best]
+        modes.append((float(local @ x), float(local @ y), float(nearby_mass[best])))
+        remaining = np.where(squared[best] <= 4 * _PEAK_RADIUS**2, 0.0, remaining)
+    return modes
 
 
 def chosen_node(frame: Frame) -> int | None:
-    """Find the index of the node the waypoint stands on; None where a former waypoint is kept."""
+    """Find the index of the graph node of the waypoint; None where an earlier waypoint is kept."""
     squared = (frame.node_x - frame.waypoint[0]) ** 2 + (frame.node_y - frame.waypoint[1]) ** 2
     squared = np.where(frame.is_node & (frame.node_kind == frame.waypoint_kind), squared, np.inf)
     best = int(np.argmin(squared))
@@ -116,20 +116,20 @@ def chosen_node(frame: Frame) -> int | None:
 
 
 def distinct_nodes(frame: Frame) -> np.ndarray:
-    """Rank the open nodes by value, i64[≤ A]; of nodes that stand together the best counts."""
+    """Rank the open nodes by value, i64[≤ A], with non-maximum suppression of close nodes."""
     order = np.argsort(-np.asarray(frame.value), kind="stable")
     kept: list[int] = []
     for node in order[np.isfinite(frame.value[order])]:
-        apart = np.hypot(
+        distance = np.hypot(
             frame.node_x[kept] - frame.node_x[node], frame.node_y[kept] - frame.node_y[node]
         )
-        if not (apart < SAME_PLACE).any():
+        if not (distance < SAME_NODE_RADIUS).any():
             kept.append(int(node))
     return np.array(kept, int)
 
 
-def tested_share(scene: StaticScene, frame: Frame) -> float:
-    """Compute the weight of particles with a hypothesis within range of the way to the waypoint."""
+def tested_mass(scene: StaticScene, frame: Frame) -> float:
+    """Compute the weight of particles with a hypothesis in range of the path to the waypoint."""
     start, end = np.asarray(frame.robot, float), np.asarray(frame.waypoint, float)
     span = end - start
     dx, dy = frame.hypothesis_x - start[0], frame.hypothesis_y - start[1]
@@ -146,27 +146,27 @@ def goal_field(scene: StaticScene, frame: Frame, x: np.ndarray, y: np.ndarray) -
     return (float(scene.planner.discount) ** distance) @ mass
 
 
-def explored_share(frame: Frame) -> float:
-    """Compute which share of the area has been looked at (misses below one half)."""
+def explored_fraction(frame: Frame) -> float:
+    """Compute the fraction of the area observed: cells with a miss probability below one half."""
     return float(np.mean(np.asarray(frame.miss) < 0.5))
 
 
-def pick_moments(recording: Recording, number: int = 6) -> list[int]:
-    """Choose min(number, T) steps to show, in order: the last, of several the first; number ≥ 1."""
+def select_steps(recording: Recording, number: int = 6) -> list[int]:
+    """Select min(number, T) informative steps, in order: the last, and the first if number > 1."""
     refuse_below(1, **{"number of panels": number})
     last, frames = recording.num_steps - 1, recording.frames
     chosen = {0, last} if number > 1 else {last}
-    # How much each step changed what is believed and planned.
-    shift, moved = np.zeros((2, recording.num_steps))
-    shift[1:] = np.hypot(*np.diff(expected_goal(frames), axis=0).T)
-    moved[1:] = np.any(np.diff(frames.waypoint, axis=0) != 0, axis=1)
+    # Changes of belief and plan in each step.
+    goal_shift, has_new_waypoint = np.zeros((2, recording.num_steps))
+    goal_shift[1:] = np.hypot(*np.diff(expected_goal(frames), axis=0).T)
+    has_new_waypoint[1:] = np.any(np.diff(frames.waypoint, axis=0) != 0, axis=1)
     score = 2.0 * frames.is_news + frames.num_regrounded / recording.num_particles
-    score += 0.25 * np.nan_to_num(shift) + 0.2 * moved
-    # Everything else being equal the panels spread over the episode.
+    score += 0.25 * np.nan_to_num(goal_shift) + 0.2 * has_new_waypoint
+    # Among equal scores, spread the steps over the episode.
     for _ in range(min(number, recording.num_steps) - len(chosen)):
         steps = np.arange(recording.num_steps)
         gap = np.min(np.abs(steps[:, None] - np.array(sorted(chosen))[None, :]), axis=1)
         spread = gap / max(1, last)
-        merit = np.where(gap == 0, -np.inf, score * np.minimum(gap / 2.0, 1.0) + 2.0 * spread)
-        chosen.add(int(np.argmax(merit)))
+        utility = np.where(gap == 0, -np.inf, score * np.minimum(gap / 2.0, 1.0) + 2.0 * spread)
+        chosen.add(int(np.argmax(utility)))
     return sorted(chosen)

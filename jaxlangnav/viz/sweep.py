@@ -1,4 +1,4 @@
-"""Success and distance as curves and as points with bars: Figure 5, the unknowns, robustness.
+"""Figures of success and distance: the range sweep (Figure 5), robustness, unknown parameters.
 
 All raise ``MissingExtraError`` without matplotlib, and ``ValueError`` for a document without rows.
 """
@@ -16,7 +16,7 @@ from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
 from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.unknowns import UNKNOWNS, row_name
 from jaxlangnav.viz import style
-from jaxlangnav.viz.style import POLICY_LOOKS, Mark, looks_of
+from jaxlangnav.viz.style import POLICY_STYLES, SeriesStyle, policy_styles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 PAPER_NAME = "paper, as printed"
 PAPER_BARS = f"paper: ± 1 σ of the distance, 95 % of a rate of {PAPER_RUNS} runs"
-_PAPER_LOOK: dict[str, Any] = {
+_PAPER_STYLE: dict[str, Any] = {
     "color": style.INK, "marker": "D", "markersize": 6, "markerfacecolor": "none",
     "linestyle": "none", "capsize": 3, "linewidth": 1.0, "zorder": 5, "label": PAPER_NAME,
 }  # fmt: skip
-"""Of a printed point: an empty diamond."""
+"""Style of the paper's printed points: a hollow diamond."""
 _Z95 = 1.96
-_APART = 1.025  # factor on the range between the points of two policies
+_JITTER = 1.025  # range factor that separates the error bars of two policies
 _WIDE, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
-"""Inches: the figure, a scenario, what is above and below them."""
-_WITH_BELIEF = 0.4  # largest ECE that the panel shows; beyond it a point stands at its border
-_LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155  # inches: labels, a row of Table 2, a variation
+"""Inches: figure width, height of a scenario, top and bottom margins."""
+_MAX_ECE = 0.4  # axis limit of the ECE panel; larger values are clipped to it
+_LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155  # inches: label margin, panel, variation
 
 
 def range_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw distance (above) and success against the sensing range, as Figure 5 of the paper.
+    """Plot distance (top) and success against the sensing range, as Figure 5 of the paper.
 
     ``document``: of ``paper.figure_5``: ``rows`` by world, relation, policy and range, and
     ``paper``, the printed rows that match. Our error bars are 95 % intervals of the mean; the paper
@@ -50,54 +50,54 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
         raise ValueError("the document has no rows, so there is nothing to draw")
     with style.house_style():
         size, margins = (max(0.9 + 3.7 * len(columns), 6.2), 6.4), (0.62, 0.16, 0.99, 1.18)
-        how: dict[str, Any] = {"sharex": "col", "sharey": "row", "hspace": 0.12, "wspace": 0.08}
-        figure, grid = style.panels(size, 2, len(columns), margins, **how)
+        kwargs: dict[str, Any] = {"sharex": "col", "sharey": "row", "hspace": 0.12, "wspace": 0.08}
+        figure, grid = style.panels(size, 2, len(columns), margins, **kwargs)
         for (world, relation), above, below in zip(columns, grid[0], grid[1], strict=True):
-            mine, paper = (
-                [row for row in of if (row["world"], row["relation"]) == (world, relation)]
-                for of in (rows, document.get("paper", ()))
+            ours, paper = (
+                [row for row in group if (row["world"], row["relation"]) == (world, relation)]
+                for group in (rows, document.get("paper", ()))
             )
-            _draw_column(above, below, mine, paper)
-            said = document.get("sentences", {}).get(relation or "null")
-            above.set_title(f"{world}, “{said or relation or 'no relation'}”")
+            _draw_column(above, below, ours, paper)
+            sentence = document.get("sentences", {}).get(relation or "null")
+            above.set_title(f"{world}, “{sentence or relation or 'no relation'}”")
             below.set_xlabel("sensing range (m, logarithmic)")
         grid[0][0].set_ylabel("distance travelled (m)")
         grid[0][0].set_ylim(bottom=0)
         grid[1][0].set(ylabel="success (%)", ylim=(0, 104))
-        number = document.get("episodes", "?")
+        episodes = document.get("episodes", "?")
         style.title(
             figure,
             "Distance and success against the sensing range",
-            f"{number} episodes a point; bars: 95 % interval of the mean; {PAPER_BARS}.",
+            f"{episodes} episodes a point; bars: 95 % interval of the mean; {PAPER_BARS}.",
         )
         style.add_legend(figure, grid.flat)
     return figure
 
 
 def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]) -> None:
-    """Draw all policies of one world and relation, and the paper's points."""
+    """Plot all policies of one world and relation, and the paper's points."""
     policies = list(dict.fromkeys(row["policy"] for row in rows))
     for index, policy in enumerate(policies):
-        mine = [row for row in rows if row["policy"] == policy]
-        mine.sort(key=lambda row: row["range"])
-        way, rate = ([row[key] for row in mine] for key in ("distance_mean", "success_rate"))
-        # A little apart, so that error bars can be told from each other.
-        apart = _APART ** (index - (len(policies) - 1) / 2)
-        color, marker, name = POLICY_LOOKS.get(policy, (style.INK, "D", policy))
-        reach = [row["range"] * (1.0 if policy == "known" else apart) for row in mine]
-        look: dict[str, Any] = {"color": color, "label": name}
+        points = [row for row in rows if row["policy"] == policy]
+        points.sort(key=lambda row: row["range"])
+        distance, rate = ([row[key] for row in points] for key in ("distance_mean", "success_rate"))
+        # A small offset separates the error bars.
+        offset = _JITTER ** (index - (len(policies) - 1) / 2)
+        color, marker, name = POLICY_STYLES.get(policy, (style.INK, "D", policy))
+        ranges = [row["range"] * (1.0 if policy == "known" else offset) for row in points]
+        kwargs: dict[str, Any] = {"color": color, "label": name}
         if policy == "known":
-            look |= {"linestyle": "--", "linewidth": 1.2}
-            above.plot(reach, way, **look)
-            below.plot(reach, rate, **look)
+            kwargs |= {"linestyle": "--", "linewidth": 1.2}
+            above.plot(ranges, distance, **kwargs)
+            below.plot(ranges, rate, **kwargs)
             continue
-        look |= {"marker": marker, "markersize": 5, "capsize": 2}
-        above.errorbar(reach, way, yerr=[half_interval(row) for row in mine], **look)
-        below.errorbar(reach, rate, yerr=np.hstack([_success_bars(row) for row in mine]), **look)
+        kwargs |= {"marker": marker, "markersize": 5, "capsize": 2}
+        above.errorbar(ranges, distance, yerr=[half_interval(row) for row in points], **kwargs)
+        below.errorbar(ranges, rate, yerr=np.hstack([*map(_success_bars, points)]), **kwargs)
     for row in paper:
-        at, bars = [row["range"]], _success_bars(row)
-        above.errorbar(at, [row["distance_mean"]], yerr=[half_interval(row)], **_PAPER_LOOK)
-        below.errorbar(at, [row["success_rate"]], yerr=bars, **_PAPER_LOOK)
+        x, error = [row["range"]], _success_bars(row)
+        above.errorbar(x, [row["distance_mean"]], yerr=[half_interval(row)], **_PAPER_STYLE)
+        below.errorbar(x, [row["success_rate"]], yerr=error, **_PAPER_STYLE)
     for axes in (above, below):
         axes.grid()
         axes.set_xscale("log")
@@ -107,14 +107,14 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
 
 
 def half_interval(row: Row) -> float:
-    """Compute half of the 95 % interval of a row's mean distance, metres; of the paper's its σ."""
+    """Compute the 95 % half-width of a row's mean distance, metres; σ for a row of the paper."""
     if row["policy"] == "paper":
         return row["distance_sd"]
     return _Z95 * float(row["distance_sd"]) / math.sqrt(max(1, int(row["episodes"])))
 
 
 def _success_bars(row: Row) -> np.ndarray:
-    """Compute error bars of a success rate, f64[2, 1], percent: of a printed one by its runs."""
+    """Compute the 95 % error bars of a success rate, f64[2, 1], percent (Wilson)."""
     rate = float(row["success_rate"])
     if row["policy"] == "paper":
         ends = np.multiply(100, wilson_interval(round(rate * PAPER_RUNS / 100), PAPER_RUNS))
@@ -123,7 +123,7 @@ def _success_bars(row: Row) -> np.ndarray:
     return np.maximum([[rate - ends[0]], [ends[1] - rate]], 0.0)
 
 
-def line_panels(
+def row_panels(
     names: Sequence[str],
     labels: Sequence[str],
     *,
@@ -131,17 +131,17 @@ def line_panels(
     margins: tuple[float, float, float],
     widths: Sequence[float],
 ) -> "tuple[Figure, list[Axes]]":
-    """Set up panels side by side that share their lines, every second one shaded.
+    """Create side-by-side panels that share the rows of the y axis, with zebra striping.
 
     ``margins``: at the left, above and below, inches. The first panel shows success in percent.
     """
     left, head, foot = margins
-    how: dict[str, Any] = {"sharey": True, "width_ratios": widths, "wspace": 0.055}
-    figure, grid = style.panels(size, 1, len(labels), (left, 0.017 * size[0], head, foot), **how)
+    kwargs: dict[str, Any] = {"sharey": True, "width_ratios": widths, "wspace": 0.055}
+    figure, grid = style.panels(size, 1, len(labels), (left, 0.017 * size[0], head, foot), **kwargs)
     panels = list(grid[0])
     for axes, label in zip(panels, labels, strict=True):
-        for place in range(0, len(names), 2):
-            axes.axhspan(place - 0.5, place + 0.5, color="#f4f5f7", zorder=0)
+        for row in range(0, len(names), 2):
+            axes.axhspan(row - 0.5, row + 0.5, color="#f4f5f7", zorder=0)
         axes.set_xlabel(label)
         axes.grid(axis="x")
         axes.tick_params(axis="y", length=0)
@@ -151,20 +151,20 @@ def line_panels(
     return figure, panels
 
 
-def draw_line(
-    panels: "Sequence[Axes]", row: Row, looks: Mark, at: float, **look: Any
+def draw_row(
+    panels: "Sequence[Axes]", row: Row, series: SeriesStyle, y: float, **kwargs: Any
 ) -> dict[str, Any]:
-    """Draw success and distance of a row with their 95 % intervals at a height; its look."""
-    color, marker, name = looks
-    look |= {"color": color, "marker": marker or "|", "linestyle": "none", "label": name}
-    look = _PAPER_LOOK if row["policy"] == "paper" else look
-    panels[0].errorbar([row["success_rate"]], [at], xerr=_success_bars(row), **look)
-    panels[1].errorbar([row["distance_mean"]], [at], xerr=[half_interval(row)], **look)
-    return look
+    """Plot success and distance of a row with 95 % intervals at height y; returns the style."""
+    color, marker, name = series
+    kwargs |= {"color": color, "marker": marker or "|", "linestyle": "none", "label": name}
+    kwargs = _PAPER_STYLE if row["policy"] == "paper" else kwargs
+    panels[0].errorbar([row["success_rate"]], [y], xerr=_success_bars(row), **kwargs)
+    panels[1].errorbar([row["distance_mean"]], [y], xerr=[half_interval(row)], **kwargs)
+    return kwargs
 
 
 def robustness_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw success, distance and calibration of every scenario of a document of ``robustness``.
+    """Plot success, distance and calibration of the scenarios of a ``robustness`` document.
 
     A scenario's name is green where ``informed`` meets all of its targets, red where it misses one,
     and black where it has none.
@@ -173,10 +173,10 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
     if not rows:
         raise ValueError("the document has no rows, so there is nothing to draw")
     names = list(dict.fromkeys(row["scenario"] for row in rows))
-    arms = list(dict.fromkeys(row["policy"] for row in rows))
-    looks = looks_of(arms)
+    policies = list(dict.fromkeys(row["policy"] for row in rows))
+    styles = policy_styles(policies)
     with style.house_style():
-        figure, panels = line_panels(
+        figure, panels = row_panels(
             names,
             ("success (%)", "distance travelled (m)", "ECE"),
             size=(_WIDE, _HEAD + _FOOT + _LINE * len(names)),
@@ -185,24 +185,24 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
         )
         mark: dict[str, Any] = {"color": style.INK, "linewidth": 1.4, "zorder": 4}
         for row in rows:
-            place = names.index(row["scenario"])
-            at = place + 0.66 * ((arms.index(row["policy"]) + 0.5) / len(arms) - 0.5)
-            look = draw_line(panels, row, looks[row["policy"]], at, markersize=4.5, linewidth=1.0)
+            row_index = names.index(row["scenario"])
+            y = row_index + 0.66 * ((policies.index(row["policy"]) + 0.5) / len(policies) - 0.5)
+            kwargs = draw_row(panels, row, styles[row["policy"]], y, markersize=4.5, linewidth=1.0)
             if row["ece"] is not None:
-                look |= {} if row["is_told"] else {"markerfacecolor": style.PAPER}
-                panels[2].plot([min(row["ece"], _WITH_BELIEF)], [at], **look)
+                kwargs |= {} if row["is_told"] else {"markerfacecolor": style.PAPER}
+                panels[2].plot([min(row["ece"], _MAX_ECE)], [y], **kwargs)
             for axes, target in zip(panels, (row["target"], row.get("longest")), strict=False):
                 if target is not None:
-                    axes.plot([target] * 2, [place - 0.42, place + 0.42], **mark)
+                    axes.plot([target] * 2, [row_index - 0.42, row_index + 0.42], **mark)
         for name, text in zip(names, panels[0].get_yticklabels(), strict=True):
-            mine = [row for row in rows if row["scenario"] == name]
-            judged = [row.get(key) for row in mine for key in ("is_met", "is_calibrated")]
-            set_ones = [one for one in judged if one is not None]
-            met = style.GOOD if all(set_ones) else style.BAD
-            text.set_color(met if set_ones else style.INK)
+            scenario_rows = [row for row in rows if row["scenario"] == name]
+            checks = [row.get(key) for row in scenario_rows for key in ("is_met", "is_calibrated")]
+            targets = [check for check in checks if check is not None]
+            color = style.GOOD if all(targets) else style.BAD
+            text.set_color(color if targets else style.INK)
         panels[0].set_xlim(left=0)
         panels[1].set_xlim(left=0)
-        panels[2].set_xlim(0, 1.02 * _WITH_BELIEF)
+        panels[2].set_xlim(0, 1.02 * _MAX_ECE)
         panels[2].axvline(ECE_TARGET, color=style.INK, linewidth=1.0, linestyle=":", zorder=1)
         style.title(
             figure,
@@ -216,7 +216,7 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
 
 
 def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw every variation of a document of ``unknowns`` beside the printed figures.
+    """Plot every variation of an ``unknowns`` document beside the printed results.
 
     A column for each row of Table 2, success above, distance below; a line for each variation. A
     band spans two standard errors of the printed figure, a bar two of ours; filled points agree
@@ -226,25 +226,25 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     if not document["rows"]:
         raise ValueError("the document has no rows, so there is nothing to draw")
     with style.house_style():
-        tall = _STRIP * len(fits)
-        size = _LEFT + _COLUMN * len(paper) + 0.1, 2 * tall + 1.95
-        how: dict[str, Any] = {"sharey": True, "wspace": 0.1, "hspace": 0.62 / tall}
-        figure, grid = style.panels(size, 2, len(paper), (_LEFT, 0.1, 0.85, 0.42), **how)
+        height = _STRIP * len(fits)
+        size = _LEFT + _COLUMN * len(paper) + 0.1, 2 * height + 1.95
+        kwargs: dict[str, Any] = {"sharey": True, "wspace": 0.1, "hspace": 0.62 / height}
+        figure, grid = style.panels(size, 2, len(paper), (_LEFT, 0.1, 0.85, 0.42), **kwargs)
         for index, printed in enumerate(paper):
-            mine = document["rows"][index :: len(paper)]
+            rows = document["rows"][index :: len(paper)]
             above, below = grid[:, index]
-            _draw_panel(above, mine, printed, "success_rate")
-            _draw_panel(below, mine, printed, "distance_mean")
+            _draw_panel(above, rows, printed, "success_rate")
+            _draw_panel(below, rows, printed, "distance_mean")
             above.set(title=row_name(printed), xlabel="success (%)")
             below.set_xlabel("distance (m)")
         grid[0][0].set_yticks(
-            range(len(fits)), [f"{one['unknown']}  {one['value']}".strip() for one in fits]
+            range(len(fits)), [f"{fit['unknown']}  {fit['value']}".strip() for fit in fits]
         )
         grid[0][0].set_ylim(len(fits) - 0.4, -0.6)
-        for place, (before, after) in enumerate(itertools.pairwise(fits)):
+        for i, (before, after) in enumerate(itertools.pairwise(fits)):
             if before["unknown"] != after["unknown"]:
                 for axes in grid.flat:
-                    axes.axhline(place + 0.5, color=style.LINE, linewidth=0.6, zorder=0)
+                    axes.axhline(i + 0.5, color=style.LINE, linewidth=0.6, zorder=0)
         style.title(
             figure,
             UNKNOWNS.title,
@@ -256,22 +256,22 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
 
 
 def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str) -> None:
-    """Draw one figure of one row of Table 2 for all variations."""
+    """Plot one metric of one row of Table 2 for all variations."""
     name = key.partition("_")[0]
     value, error = printed[key], printed["distance_sd"] / math.sqrt(PAPER_RUNS)
     if name == "success":
         error = rate_error(value, PAPER_RUNS)
     axes.axvspan(value - AGREEMENT * error, value + AGREEMENT * error, color="#e6ecf1", zorder=0)
     axes.axvline(value, color=style.INK, linewidth=0.9, linestyle=":", zorder=1)
-    for place, row in enumerate(rows):
-        is_near = row[f"is_{name}_near"]
-        half = AGREEMENT * row[f"{name}_se"]
+    for y, row in enumerate(rows):
+        agrees = row[f"is_{name}_near"]
+        bar = AGREEMENT * row[f"{name}_se"]
         # No rate is above 100 %.
-        upper = min(half, 100.0 - row[key]) if name == "success" else half
+        upper = min(bar, 100.0 - row[key]) if name == "success" else bar
         axes.errorbar(
-            [row[key]], [place], xerr=[[half], [upper]],
-            color=style.GOOD if is_near else style.MUTED, marker="o", markersize=4,
-            markerfacecolor=style.GOOD if is_near else style.PAPER, linewidth=1.0, capsize=0,
+            [row[key]], [y], xerr=[[bar], [upper]],
+            color=style.GOOD if agrees else style.MUTED, marker="o", markersize=4,
+            markerfacecolor=style.GOOD if agrees else style.PAPER, linewidth=1.0, capsize=0,
         )  # fmt: skip
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
