@@ -164,7 +164,7 @@ def new_objects(moment: Moment) -> list[summary.SeenObject]:
     return [obj for obj in summary.seen_objects(moment.frame) if obj.slot not in old]
 
 
-def _from_robot(frame: Frame, x: float, y: float) -> str:
+def _offset(frame: Frame, x: float, y: float) -> str:
     """Describe a position relative to the robot's believed pose."""
     return describe_offset(x, y, float(frame.robot[0]), float(frame.robot[1]), float(frame.heading))
 
@@ -176,9 +176,8 @@ def describe_utterance(frame: Frame, remark: Remark) -> str:
         return f"{who} “{remark.text}”, and keeps to its task: {remark.refusal}."
     sentences = [f"{who} “{remark.text}”, {with_article(remark.kind)}."]
     if remark.ruled_out:
-        rejected = remark.ruled_out
-        objects = [f"the {obj.type_name} {_from_robot(frame, obj.x, obj.y)}" for obj in rejected]
-        sentences.append(f"Rules out {join_words(objects)}.")
+        names = [f"the {obj.type_name} {_offset(frame, obj.x, obj.y)}" for obj in remark.ruled_out]
+        sentences.append(f"Rules out {join_words(names)}.")
     return " ".join([*sentences, *(f"{note[:1].upper()}{note[1:]}." for note in remark.notes)])
 
 
@@ -193,7 +192,7 @@ def describe_detections(moment: Moment) -> str:
     scene, frame, new = moment.scene, moment.frame, new_objects(moment)
     if new:
         parts = [
-            f"{with_article(scene.type_name(obj.object_type))} {_from_robot(frame, obj.x, obj.y)}"
+            f"{with_article(scene.type_name(obj.object_type))} {_offset(frame, obj.x, obj.y)}"
             for obj in new
         ]
         return f"Discovers {join_words(parts)}."
@@ -260,7 +259,7 @@ def describe_goal(scene: StaticScene, frame: Frame) -> str:
     slots = [int(slot) for slot in order if frame.goal_mass[slot] >= 0.05]
     seen = [
         f"{_goal_name(scene, frame, slot)} "
-        f"{_from_robot(frame, float(frame.goal_x[slot]), float(frame.goal_y[slot]))} "
+        f"{_offset(frame, float(frame.goal_x[slot]), float(frame.goal_y[slot]))} "
         f"({percent(float(frame.goal_mass[slot]))})"
         for slot in slots
     ]
@@ -269,7 +268,7 @@ def describe_goal(scene: StaticScene, frame: Frame) -> str:
     unseen = float(frame.hypothesis_goal_mass.sum())
     if unseen >= 0.05:
         modes = [
-            f"{_from_robot(frame, x, y)} ({percent(frac * unseen)})"
+            f"{_offset(frame, x, y)} ({percent(frac * unseen)})"
             for x, y, frac in summary.peaks(frame)
             if frac * unseen >= 0.1
         ]
@@ -327,7 +326,7 @@ def describe_decision(scene: StaticScene, frame: Frame) -> str:
 
 def describe_waypoint(scene: StaticScene, frame: Frame) -> str:
     """Name the waypoint and describe its position."""
-    where = _from_robot(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
+    where = _offset(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     if int(frame.waypoint_kind) == VISITED:
         return f"a place it has been {where}"
     if int(frame.waypoint_kind) != OBJECT_NODE:
