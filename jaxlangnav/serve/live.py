@@ -99,12 +99,12 @@ class LiveEpisode:
         with _ENGINE:
             opened = open_episode(
                 request.text,
-                world=self._world,
-                sensing_range=request.range,
-                policy=request.policy,
-                seed=request.seed,
-                particles=request.particles,
-                model=model,
+                self._world,
+                request.range,
+                request.policy,
+                request.seed,
+                request.particles,
+                model,
             )
         task = opened.prepared.task
         self._max_steps = request.max_steps or usual_steps(task.scenario, task.sensor)

@@ -10,7 +10,6 @@ import functools
 import itertools
 import threading
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -85,24 +84,23 @@ def follow(
     Raises:
         ValueError: the sentence, the world or an option is refused; one line.
     """
-    robot: dict[str, Any] = {"policy": policy, "particles": particles, "params": params}
-    place: dict[str, Any] = {"world": world, "sensing_range": sensing_range, "seed": seed}
-    return record_episode(open_episode(text, **place, **robot, model=model), max_steps)
+    model = load_shipped() if model is None else model
+    opened = open_episode(text, world, sensing_range, policy, seed, particles, model, params)
+    return record_episode(opened, max_steps)
 
 
 def open_episode(
     text: str,
-    *,
-    world: str | Path = "1H1C",
-    sensing_range: float | None = None,
-    policy: AnyPolicy = "informed",
-    seed: int = 0,
-    particles: int = MapConfig().num_particles,
+    world: str | Path,
+    sensing_range: float | None,
+    policy: AnyPolicy,
+    seed: int,
+    particles: int,
+    model: GroundingModel,
     params: NavigatorParams | None = None,
-    model: GroundingModel | None = None,
 ) -> OpenedEpisode:
     """Understand a sentence and open a world for it; arguments and errors as of ``follow``."""
-    world, model = str(world), load_shipped() if model is None else model
+    world = str(world)
     understood = understand(text, model, detector_of(world, model.type_names))
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
