@@ -11,13 +11,12 @@ import readings as by_hand
 import jaxlangnav
 from jaxlangnav import navigator
 from jaxlangnav.grounding import Context
-from jaxlangnav.grounding.behavior import MAX_SLOTS
+from jaxlangnav.grounding.behavior import MAX_SLOTS, likeliest_slots
 from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, ROBOT, BehaviorWorld
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import unreferenced_objects as objects
-from jaxlangnav.semantic_map.behaviors import likeliest_slots
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.semantic_map.summary import behavior_world, distinct_topologies
 

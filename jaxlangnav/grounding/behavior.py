@@ -42,6 +42,7 @@ from jaxlangnav.grounding.program import (
     BehaviorProgram,
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
+from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
 from jaxlangnav.numerics.batching import materialize, select_row
 from jaxlangnav.pytree import replace
@@ -295,16 +296,22 @@ def infer_behaviors(
 
     Args:
         program: one clause.
-        worlds: the particles' objects, leaves [..., P]; at most ``MAX_SLOTS`` with the robot's.
+        worlds: the particles' objects, leaves [..., P]; of more than ``MAX_SLOTS`` those that
+            matter most are inferred (``likeliest_slots``), and the others are 0.
         num_phrases: number of phrases to infer, at least the program's. It is a trip count, so
             padding costs nothing; a batch of episodes takes the maximum.
-
-    Raises:
-        ValueError: there are more object slots than the bit masks hold.
     """
     size = worlds.object_type.shape[0]
     if size > MAX_SLOTS:
-        raise ValueError(f"{size} object slots, but bit masks hold at most {MAX_SLOTS}")
+        choose = jax.vmap(likeliest_slots, in_axes=(-1, None), out_axes=-1)
+        worlds, slots = choose(worlds, label_of(program.own.reshape(-1)))
+        behavior = infer_behaviors(program, worlds, num_phrases=num_phrases)
+        lanes = jnp.arange(slots.shape[-1])[None]
+        goal, constraint = (
+            jnp.zeros((NUM_REGIONS, size, lanes.size)).at[:, slots, lanes].set(values)
+            for values in (behavior.goal, behavior.constraint)
+        )
+        return replace(behavior, goal=goal, constraint=constraint)
     edges = worlds.is_related, worlds.is_superlative, worlds.is_later
     chex.assert_shape([worlds.object_type, worlds.is_object, worlds.is_previous], (size, None))
     chex.assert_shape(edges, (NUM_RELATIONS, size, size, None))
@@ -313,6 +320,25 @@ def infer_behaviors(
     chex.assert_shape(program.regions, (NUM_PHRASES, None, NUM_REGION_SLOTS))
     chex.assert_type([program.objects, program.regions], jnp.float32)
     return _infer(program, worlds, jnp.asarray(num_phrases, jnp.int32))
+
+
+def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, Array]:
+    """Select the most relevant slots, as many as the bit masks of the behavior model can hold.
+
+    Referents and the last goal come first, then objects of named types, i32[n] labels, then the
+    rest; the robot stays the last. i32[MAX_SLOTS] are the selected slots.
+    """
+    object_type = world.object_type
+    is_referred = jnp.any(world.is_related, axis=(0, 1)) | jnp.any(world.is_related, axis=(0, 2))
+    is_named = (object_type >= 0) & jnp.any(label_of(object_type)[:, None] == named[None], axis=1)
+    rank = jnp.where(world.is_object, 1, 0) + 2 * is_named + 4 * (is_referred | world.is_previous)
+    order = jnp.argsort(-rank[:-1], stable=True)[: MAX_SLOTS - 1]
+    slots = jnp.append(jnp.sort(order), object_type.shape[0] - 1)
+
+    def select(leaf: Array) -> Array:  # of objects [N + 1], or of edges [6, N + 1, N + 1]
+        return leaf[slots] if leaf.ndim == 1 else leaf[:, slots][:, :, slots]
+
+    return jax.tree.map(select, world), slots
 
 
 def infer_behavior(

@@ -10,16 +10,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.grounding import behavior as grounding
+from jaxlangnav.grounding.behavior import infer_behaviors
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.object_types import is_anything, label_of
+from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.messages import (
     ACTIONS,
     MODES,
     NONE,
     REGIONS,
     Behavior,
-    BehaviorWorld,
     Readings,
     UtteranceContext,
 )
@@ -56,8 +55,6 @@ def infer_clause_behaviors(
     representative = jnp.append(representative, padding)
 
     num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
-    is_crowded = num_slots > grounding.MAX_SLOTS
-    named_types = label_of(program.own.reshape(-1))
 
     def infer(index: Array, table: Array) -> Array:
         # Beyond the last topology the index is P, clipped to the last particle.
@@ -67,14 +64,7 @@ def infer_clause_behaviors(
             instruction.readings,
             previous_goal,
         )
-        slots = None
-        if is_crowded:
-            choose = jax.vmap(likeliest_slots, in_axes=(-1, None), out_axes=-1)
-            worlds, slots = choose(worlds, named_types)
-        behaviors = grounding.infer_behaviors(program, worlds, num_phrases=program.num_phrases)
-        if slots is not None:
-            behaviors = _scatter(behaviors, slots, num_slots)
-        inferred = pack(behaviors)
+        inferred = pack(infer_behaviors(program, worlds, num_phrases=program.num_phrases))
         column = topology - index * block
         # Selects vectorise over particles, where a gather would go element by element.
         for offset in range(block):
@@ -89,37 +79,6 @@ def infer_clause_behaviors(
     )
     table = jax.lax.fori_loop(0, (count + block - 1) // block, infer, pack(zeros))
     return unpack(table, zeros)
-
-
-def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, Array]:
-    """Select the most relevant slots, as many as the bit masks of the behavior model can hold.
-
-    Referents and the last goal come first, then objects of named types, i32[n] labels, then the
-    rest; the robot stays the last. i32[MAX_SLOTS] are the selected slots.
-    """
-    object_type = world.object_type
-    is_referred = jnp.any(world.is_related, axis=(0, 1)) | jnp.any(world.is_related, axis=(0, 2))
-    is_named = (object_type >= 0) & jnp.any(label_of(object_type)[:, None] == named[None], axis=1)
-    rank = jnp.where(world.is_object, 1, 0) + 2 * is_named + 4 * (is_referred | world.is_previous)
-    order = jnp.argsort(-rank[:-1], stable=True)[: grounding.MAX_SLOTS - 1]
-    slots = jnp.append(jnp.sort(order), object_type.shape[0] - 1)
-
-    def select(leaf: Array) -> Array:  # of objects [N + 1], or of edges [6, N + 1, N + 1]
-        return leaf[slots] if leaf.ndim == 1 else leaf[:, slots][:, :, slots]
-
-    return jax.tree.map(select, world), slots
-
-
-def _scatter(behavior: Behavior, slots: Array, num_slots: int) -> Behavior:
-    """Scatter behaviors over selected slots, [MAX_SLOTS, block], to all slots; 0 elsewhere."""
-
-    def put(values: Array, chosen: Array) -> Array:
-        return jnp.zeros((values.shape[0], num_slots)).at[:, chosen].set(values)
-
-    spread = jax.vmap(put, in_axes=(-1, -1), out_axes=-1)
-    return replace(
-        behavior, goal=spread(behavior.goal, slots), constraint=spread(behavior.constraint, slots)
-    )
 
 
 def filter_untyped_goals(
