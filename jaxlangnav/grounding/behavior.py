@@ -331,7 +331,7 @@ def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, 
     object_type = world.object_type
     is_referred = jnp.any(world.is_related, axis=(0, 1)) | jnp.any(world.is_related, axis=(0, 2))
     is_named = (object_type >= 0) & jnp.any(label_of(object_type)[:, None] == named[None], axis=1)
-    rank = jnp.where(world.is_object, 1, 0) + 2 * is_named + 4 * (is_referred | world.is_previous)
+    rank = jnp.where(world.is_object, 1 + 2 * is_named + 4 * (is_referred | world.is_previous), 0)
     order = jnp.argsort(-rank[:-1], stable=True)[: MAX_SLOTS - 1]
     slots = jnp.append(jnp.sort(order), object_type.shape[0] - 1)
 

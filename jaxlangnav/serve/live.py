@@ -104,7 +104,7 @@ class LiveEpisode:
                 request.policy,
                 request.seed,
                 request.particles,
-                model,
+                model=model,
             )
         task = opened.prepared.task
         self._max_steps = request.max_steps or usual_steps(task.scenario, task.sensor)

@@ -85,7 +85,9 @@ def follow(
         ValueError: the sentence, the world or an option is refused; one line.
     """
     model = load_shipped() if model is None else model
-    opened = open_episode(text, world, sensing_range, policy, seed, particles, model, params)
+    opened = open_episode(
+        text, world, sensing_range, policy, seed, particles, model=model, params=params
+    )
     return record_episode(opened, max_steps)
 
 
@@ -96,6 +98,7 @@ def open_episode(
     policy: AnyPolicy,
     seed: int,
     particles: int,
+    *,
     model: GroundingModel,
     params: NavigatorParams | None = None,
 ) -> OpenedEpisode:
