@@ -15,6 +15,7 @@ from grounding_fixture import TYPES, random_topology
 from oracles.dcg import BehaviorOracle
 
 from jaxlangnav.grounding import infer_behavior, infer_behaviors, understand
+from jaxlangnav.grounding.behavior import MAX_SLOTS
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.program import BehaviorProgram, softmax
 from jaxlangnav.grounding.properties import Behaviors
