@@ -1,8 +1,6 @@
 """Places with things to avoid, in plain NumPy, that drive ``Navigator`` through its public doors.
 
-The robot starts at the origin of 14 × 18 m and is to go to a hydrant; a cone, or a cone and a
-barrel, are to be avoided. No code is shared with ``jaxlangnav.world``. As a program it prints one
-line for each number of things avoided and each range of sight:
+From the origin of 14 × 18 m to a hydrant, and round a cone, or a cone and a barrel:
 
     python tests/avoiding.py --places 500
 """
@@ -75,10 +73,7 @@ def drive(
 
 
 def draw_places(number: int, num_avoided: int, seed: int = 0) -> list[np.ndarray]:
-    """Draw hydrants and what is to be avoided, [1 + num_avoided, 2] metres each.
-
-    The start allows to keep the berth; half of the things are in the way.
-    """
+    """Draw hydrants and what is to be avoided, [1 + num_avoided, 2] metres, half in the way."""
     random, places = np.random.default_rng([seed, num_avoided]), []
     while len(places) < number:
         goal = random.uniform([3.0, -8.0], [13.0, 8.0])

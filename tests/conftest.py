@@ -27,9 +27,9 @@ TOGETHER = {
         "test_robots_", "test_measured", "test_follow_talk", "test_halting",
     ),
     "follow": (
-        "test_cli_experiments", "test_cli_follow", "test_follow_constructs", "test_task.py",
+        "test_cli_experiments", "test_cli_follow", "test_follow_constructs", "test_recording",
+        "test_task.py",
     ),
-    "batches": ("test_episode_batch", "test_recording"),
     "corpora": ("test_language_corpus", "test_training_labelled"),
 }  # fmt: skip
 """Files that run the same programs, by the beginnings of their names: the worker that has compiled
@@ -69,10 +69,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Send files that share programs to one worker, where ``--dist loadfile`` sends each alone.
-
-    With the slow tests such a group would be the whole work of a worker, and compiles little of it.
-    """
+    """Send files that share programs to one worker; with the slow tests each file goes alone."""
     from xdist.scheduler import LoadFileScheduling
 
     class Groups(LoadFileScheduling):
@@ -116,10 +113,7 @@ def model() -> Any:
 
 @pytest.fixture(autouse=True, scope="module")
 def _compile_briefly(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Compile without LLVM's optimisation, in half the time: the quick tier runs hardly anything.
-
-    With the slow tests everything is compiled as users compile it.
-    """
+    """Compile without LLVM's optimisation, in half the time; with the slow tests as users do."""
     is_brief = _is_quick(request.config) and not request.path.name.startswith(RUN_LONG)
     if is_brief != jax.config.read("jax_disable_most_optimizations"):
         # A worker would go on with the other kind of program, which rounds otherwise.

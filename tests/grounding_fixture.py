@@ -13,42 +13,6 @@ from jaxlangnav.training.examples import labelled_instruction
 
 TYPES = load_lexicon().type_names
 
-SENTENCES = (
-    "walk to the barrel",
-    "move to the box behind the tree",
-    "find the car",
-    "quickly drive to the bench near the building",
-    "go to the tree in front of the car",
-    "please head to the cone to the left of the bench",
-    "park behind the barrel",
-    "locate the building on your left",
-    "proceed to the car nearest to the tree",
-    "approach the box",
-    "carefully walk to the bench right of the barrel",
-    "look for the hydrant far from the building",
-    "go to the nearest tree",
-    "move to the box farthest from the car",
-    "stop in front of the hydrant",
-    "drive to the cone that is behind the box",
-    "go to the other car",
-    "go to the bench behind the car near the tree",
-    "navigate to the tree in front of you",
-    "go to the box but stay away from the cone",
-    "travel to the area behind the building",
-    "the barrel is behind the bench",
-    "there is a cone near the car",
-    "drive slowly to the hydrant next to the bench",
-    "find the barrel closest to the building",
-    "go to the tree then go to the bench",
-    "park near the box",
-    "go to the farthest cone",
-    "walk to the hydrant behind the box",
-    "move to the cone left of the tree",
-    "go toward the building",
-    "run to the car",
-    "head to the barrel near you",
-)
-
 
 def random_placed(rng, num_objects=8):
     """Objects of random types at random places near the robot."""
@@ -99,10 +63,10 @@ def example(text, rng, num_worlds=3, split="train"):
     )
 
 
-def corpus(num_worlds=3, seed=0, sentences=SENTENCES):
+def corpus(sentences, num_worlds=3, seed=0):
     """Label all sentences."""
     rng = np.random.default_rng(seed)
     return [labelled_instruction(example(text, rng, num_worlds), TYPES) for text in sentences]
 
 
-__all__ = ["SENTENCES", "TYPES", "corpus", "example", "random_placed", "random_topology"]
+__all__ = ["TYPES", "corpus", "example", "random_placed", "random_topology"]

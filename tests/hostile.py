@@ -99,11 +99,7 @@ MUTATIONS: dict[str, tuple[Mutation, Fault]] = {
 
 
 def looks(good: Observation, number: int, seed: int = 0) -> list[tuple[Observation, Fault]]:
-    """Draw hostile observations, each with a flag that has to be among those raised.
-
-    Each field by itself in turn, and two to four at once between, of a sound observation with a
-    free slot or two.
-    """
+    """Draw looks, each with a flag to be raised: each field by itself, and two to four at once."""
     draw, names, found = np.random.default_rng(seed), list(MUTATIONS), []
     for index in range(number):
         chosen = [names[index // 2 % len(names)]]

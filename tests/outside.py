@@ -1,10 +1,7 @@
 """A world of its own, in plain NumPy, that drives ``Navigator`` through public functions only.
 
-No code is shared with ``jaxlangnav.world`` or with the paper's scenarios: what is placed where,
-what a detector reports and how a robot moves are written down here once more. So an error that
-world and belief have in common shows. Places are 14 × 18 m, with goals anywhere ahead of the robot.
-
-Run as a program it prints one line a scenario:
+No code is shared with ``jaxlangnav.world``: an error that world and belief have in common shows.
+Places are 14 × 18 m, with goals anywhere ahead of the robot. One line a scenario:
 
     python tests/outside.py --episodes 100 pairs_3 ghosts_10
 """
@@ -280,11 +277,8 @@ def ride(
         is_new &= ~is_idle
 
 
-def main(
-    scenarios: Mapping[str, Scenario] = SCENARIOS,
-    note: Callable[[Any, Outcome, int], str] = lambda *_: "",
-) -> None:
-    """Print one line a scenario, and a note on it."""
+def main(scenarios: Mapping[str, Scenario] = SCENARIOS) -> None:
+    """Print one line a scenario."""
     parser = argparse.ArgumentParser()
     parser.add_argument("names", nargs="*", default=list(scenarios))
     parser.add_argument("--episodes", type=int, default=100)
@@ -298,8 +292,7 @@ def main(
         told = (0.0, 0.0) if given.as_by_compass else (scenario.steady_drift, scenario.drift)
         robot = robot_of(*told, **{name: float(value) for name, value in numbers})
         outcome = drive(robot, scenario, given.episodes, seed=given.seed)
-        told = note(scenario, outcome, given.seed)
-        print(outcome.line(name) + told, f" {time.perf_counter() - begun:.0f} s", flush=True)
+        print(outcome.line(name), f" {time.perf_counter() - begun:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

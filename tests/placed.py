@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.world import state
+from jaxlangnav.world.files import to_toml
 from jaxlangnav.world.state import Scenario, WorldState
 
 SIDE = (-20.0, 20.0, -20.0, 20.0)
@@ -19,6 +20,13 @@ def placed(
     if goal != NONE:
         more |= {"goal": np.float32(things[goal][1:]), "goal_index": np.int32(goal)}
     return state.placed(things, slots=slots, area=area, is_valid=np.bool_(True), **more)
+
+
+def world_file(area: Sequence[float], *things: tuple[str, float, float], **more) -> str:
+    """Write a world file: things by type, x and y, and whatever else it says."""
+    sides = dict(zip(("x_min", "x_max", "y_min", "y_max"), area, strict=True))
+    objects = [dict(zip(("type", "x", "y"), one, strict=True)) for one in things]
+    return to_toml({**more, "area": sides, "objects": objects})
 
 
 def standing(

@@ -1,7 +1,4 @@
-"""Readings, observations and beliefs by hand, and the few compiled programs the tests share.
-
-All tests of the filter share one set of sizes: S seeds or worlds at once, T steps.
-"""
+"""Readings, observations and beliefs by hand, and compiled programs of one set of sizes."""
 
 import functools
 

@@ -56,10 +56,7 @@ def together(robot: jaxlangnav.Navigator) -> Robots:
 
 
 def one_by_one(robot: jaxlangnav.Navigator) -> Robots:
-    """Step one robot after the other through ``Navigator.step``, whose program others share.
-
-    In a look there must not be more than FEW detections.
-    """
+    """Step one robot after the other through ``Navigator.step``: at most FEW detections a look."""
 
     def renew(states: list[Any], first: Any, is_new: Any) -> list[Any]:
         return [first if new else state for state, new in zip(states, is_new, strict=True)]

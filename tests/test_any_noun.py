@@ -70,9 +70,6 @@ def arrays(text, model, labels):
     return names, jax.tree.leaves(blank)
 
 
-# ---------------------------------------------------------------- what is carried
-
-
 @pytest.mark.parametrize("sentence", SENTENCES)
 def test_which_noun_it_is_makes_no_difference(sentence, model) -> None:
     """The trained graph goes by the class of a word: to the bit the same for any pair of nouns."""
@@ -110,9 +107,6 @@ def test_new_nouns_are_read_as_those_of_the_training(text, steps, model) -> None
     for step, first in itertools.product(steps, range(len(types))):
         pair = types[first], types[(first + step) % len(types)]
         assert list(likeliest(text, *pair, types, model)[:2]) == new, pair
-
-
-# ---------------------------------------------------------------- what it is bound to
 
 
 @pytest.mark.parametrize(
@@ -214,9 +208,6 @@ def test_labels_that_detectors_have_are_taken() -> None:
     assert Detector(labels).labels == labels
 
 
-# ---------------------------------------------------------------- attributes
-
-
 def test_a_kind_is_a_label_and_attributes() -> None:
     red, tall = attribute_code("red"), attribute_code("tall")
     both = attribute_code("tall", "red")
@@ -277,9 +268,6 @@ def test_it_is_what_it_was_attributes_and_all(model) -> None:
     kind = type_code(LABELS.index("box"), attribute_code("red"))
     readings = told.instruction.readings
     assert set(np.asarray(readings.mention_type[0]).tolist()) == {kind, NONE}
-
-
-# ---------------------------------------------------------------- driven
 
 
 def test_own_nouns_drive_an_episode_and_compile_nothing(robot, caplog) -> None:

@@ -82,9 +82,6 @@ def test_dynamax_is_near_the_exact_filter() -> None:
     np.testing.assert_allclose(landmarks, exact[:-1], atol=0.05)
 
 
-# ---------------------------------------------------------------- the bench
-
-
 def test_entries_judge_themselves() -> None:
     keys = {"name", "value", "unit", "baseline", "ratio", "target", "holds"}
     plain = record.entry("rate", 170.0, "1/s")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from placed import world_file
 from recording_fixture import make_recording
 from test_cli_hostile import document, refused
 from test_docs import frozen
@@ -210,11 +211,9 @@ def test_the_known_way_goes_by_where_earlier_commands_end(tmp_path):
 
 def bare(path: Path, number: int) -> str:
     """Write a world without a goal: a car, statues behind it, one of them on the left."""
-    area = "[area]\nx_min = 0.0\nx_max = 20.0\ny_min = -10.0\ny_max = 10.0\n"
     things = [("car", 6.0, 0.0), ("statue", 9.0, 0.0), ("statue", 5.0, 8.0)]
     things += [("bench", 18.0, -9.0 + 1.5 * i) for i in range(number - len(things))]
-    objects = [f'[[objects]]\ntype = "{kind}"\nx = {x}\ny = {y}\n' for kind, x, y in things]
-    path.write_text("\n".join([area, *objects]))
+    path.write_text(world_file((0.0, 20.0, -10.0, 10.0), *things))
     return str(path)
 
 

@@ -163,19 +163,6 @@ def test_what_is_wrong_is_one_line_and_nothing_is_begun(words, why, tmp_path, mo
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path, capsys):
-    os.mkfifo(tmp_path / "pipe.toml")
-    (tmp_path / "zero.toml").symlink_to("/dev/zero")
-    for name in ("pipe.toml", "zero.toml"):
-        path = str(tmp_path / name)
-        said = "go to the cone"
-        assert "not a regular file" in refused(["ground", said, "--world", path, "--json"], capsys)
-        assert "not a regular file" in refused(
-            ["sweep", path, "--out", str(tmp_path / "o")], capsys
-        )
-    assert not (tmp_path / "o").exists()
-
-
 @pytest.mark.parametrize("text", [ANSI, "a\nb", "lone \ud800"])
 def test_every_way_out_makes_text_printable(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     from rich.table import Table

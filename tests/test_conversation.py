@@ -103,8 +103,11 @@ def test_a_statement_changes_no_task(robot) -> None:
     run = set_out(robot, "go to the car")
     state, heard = robot.take(run.state, "the hydrant is behind the car")
     assert heard.kind == Kind.STATEMENT
-    before = run.state.instruction.program, run.state.clause, run.state.status
-    after = state.instruction.program, state.clause, state.status
+    names = ("clause", "status", "is_halted", "previous_goal")
+    before, after = (
+        (one.instruction.program, *(getattr(one, name) for name in names))
+        for one in (run.state, state)
+    )
     jax.tree.map(np.testing.assert_array_equal, before, after)
     _, after = tell(robot, run, "the hydrant is behind the car")
     arrives(after, ONE_CAR)

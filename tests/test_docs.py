@@ -1,7 +1,4 @@
-"""The documentation is true: links, names and commands lead somewhere, and figures are today's.
-
-What is frozen in README, docs and notebooks is what the code as it is would print.
-"""
+"""The documentation is true: links, names and commands; what is frozen is what is printed."""
 
 import importlib
 import json

@@ -76,10 +76,7 @@ def batch(tasks: Task, instructions, lanes: int, policy: str = "informed", **kwa
 
 
 def assert_same(ours: EpisodeResult, theirs: EpisodeResult, share: float = 0.95) -> None:
-    """Different programs round differently, so a draw may fall to the other side now and then:
-
-    in none of these episodes as measured; one of 24 is allowed for other machines.
-    """
+    """Programs round differently: a draw in 24 may fall to the other side (as measured, none)."""
     same = np.isclose(ours.distance, theirs.distance, atol=1e-2) & (ours.steps == theirs.steps)
     same &= np.isclose(ours.final, theirs.final, atol=1e-2).all(-1)
     assert same.mean() >= share, same

@@ -217,9 +217,6 @@ def test_without_locks_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert list(tmp_path.iterdir()) == []
 
 
-# ---------------------------------------------------------------- manifests, hashes and compilation
-
-
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     given = {"a": [1]}, pa.table({"a": [1]}), "", jnp.ones(2)
     (path, *_) = archive.write_experiment(tmp_path, "x", *given)

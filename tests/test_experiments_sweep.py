@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from placed import world_file
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.episode import begin
@@ -95,6 +96,8 @@ def test_missing_keys_and_files(tmp_path: Path) -> None:
         config_from_dict({"worlds": ["1H1C"]})
     with pytest.raises(ValueError, match="no such file"):
         read_config(tmp_path / "none.toml")
+    with pytest.raises(ValueError, match="not a regular file"):
+        read_config(tmp_path)
     broken = tmp_path / "broken.toml"
     broken.write_text("worlds = [")
     with pytest.raises(ValueError, match=r"broken.toml: is no valid TOML"):
@@ -105,16 +108,19 @@ def test_missing_keys_and_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("goal", "number", "said"),
+    ("more", "number", "said"),
     [
-        ("", 3, r"world own.toml has no \[goal\], by which a sweep tells success: add it"),
-        ("[goal]\nx = 1.0\ny = 1.0\n", 9, "world own.toml has 9 objects, but .* at most 8: remove"),
+        ({}, 3, r"world own.toml has no \[goal\], by which a sweep tells success: add it"),
+        (
+            {"goal": {"x": 1.0, "y": 1.0}},
+            9,
+            "world own.toml has 9 objects, but .* at most 8: remove",
+        ),
     ],
 )
-def test_worlds_that_no_sweep_holds_are_refused(goal, number, said, tmp_path) -> None:
-    area = "[area]\nx_min = 0.0\nx_max = 9.0\ny_min = -9.0\ny_max = 9.0\n"
-    things = [f'[[objects]]\ntype = "box"\nx = {i / 2}\ny = 0.0\n' for i in range(number)]
-    (tmp_path / "own.toml").write_text(area + goal + "".join(things))
+def test_worlds_that_no_sweep_holds_are_refused(more, number, said, tmp_path) -> None:
+    things = [("box", i / 2, 0.0) for i in range(number)]
+    (tmp_path / "own.toml").write_text(world_file((0.0, 9.0, -9.0, 9.0), *things, **more))
     (tmp_path / "grid.toml").write_text('worlds = ["own.toml"]\ncommands = ["null"]\n')
     with pytest.raises(ValueError, match=said):
         read_config(tmp_path / "grid.toml")
@@ -192,8 +198,8 @@ def write(text: str, folder: Path) -> SweepConfig:
     return read_config(path)
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+def contents(folder: Path, of: str = "*") -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.glob(of))}
 
 
 def run_and_kill(text: str, folder: Path, out: Path, pytestconfig: pytest.Config) -> int:
@@ -419,12 +425,6 @@ def test_the_memory_is_that_of_the_container_where_it_is_less(tmp_path, monkeypa
 
 # ------------ many devices and processes give the bytes of one
 
-DIVIDED = """
-episodes = 300
-worlds = ["1H1C", "yard"]
-commands = ["null", "behind"]
-policies = ["known", "lawnmower"]
-"""
 NAVIGATOR = """
 episodes = 300
 worlds = ["1H1C"]
@@ -465,10 +465,6 @@ def start(
     )  # fmt: skip
 
 
-def episodes(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.glob("episodes-*"))}
-
-
 def test_mistakes_are_one_line() -> None:
     with pytest.raises(ValueError, match='coordinator is "here", but must be HOST:PORT'):
         monte_carlo.join_devices("here", 2, 0)
@@ -491,9 +487,8 @@ def slurm(place: int, job: int) -> dict[str, str]:
 
 # Quick are its parts: test_a_launcher_tells_where_to_meet, and test_shards_in_any_order.
 @pytest.mark.slow
-def test_two_processes_divide_a_sweep(tmp_path, pytestconfig):
-    config = write(DIVIDED, tmp_path)
-    sweep.run_sweep(config, tmp_path / "alone")
+def test_two_processes_divide_a_sweep(undisturbed, tmp_path, pytestconfig):
+    write(BASELINES, tmp_path)
     address, out = free_address(), tmp_path / "out"
     command = ["-m", "jaxlangnav", "sweep", str(tmp_path / "sweep.toml"), "--out", str(out)]
     command += ["--json", "--coordinator", address, "--processes", "2", "--process"]
@@ -502,8 +497,7 @@ def test_two_processes_divide_a_sweep(tmp_path, pytestconfig):
     assert [peer.returncode for peer in peers] == [0, 0], said
     for place, (text, _) in enumerate(said):
         assert f'"shard": "{place + 1}/2"' in text
-    assert len(episodes(out)) == 4
-    assert episodes(out) == episodes(tmp_path / "alone")
+    assert contents(out, "episodes-*") == contents(undisturbed[1], "episodes-*")
 
 
 def test_a_launcher_tells_where_to_meet(pytestconfig: pytest.Config) -> None:
@@ -545,4 +539,5 @@ def test_two_devices_give_the_bytes_of_one(tmp_path: Path, pytestconfig: pytest.
     _, errors = both.communicate(timeout=600)
     assert both.returncode == 0, (errors, time.monotonic() - begin)
     assert '"count": 2' in (tmp_path / "out" / "manifest.json").read_text()
-    assert episodes(tmp_path / "out") == episodes(tmp_path / "alone")
+    both, alone = (contents(tmp_path / name, "episodes-*") for name in ("out", "alone"))
+    assert both == alone

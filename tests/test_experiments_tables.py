@@ -267,9 +267,6 @@ def test_text_that_names_a_place_of_the_page_stays_text() -> None:
     assert "\u202e" not in text
 
 
-# ---------------------------------------------------------------- rows by hand
-
-
 def results(**changes: Any) -> EpisodeResult:
     number = 4
     leaves: dict[str, Any] = {
@@ -334,9 +331,6 @@ def test_compare_by_hand() -> None:
     empty = np.array([])
     with pytest.raises(ValueError, match="no episode"):
         compare(empty, empty, empty, empty)
-
-
-# ---------------------------------------------------------------- table 1's protocol
 
 
 def test_a_third_is_held_out_and_splits_differ():

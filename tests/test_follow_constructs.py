@@ -1,9 +1,4 @@
-"""Each construct of the language changes what the robot does: one world, one seed, one program.
-
-Every command below is followed in the same place, beside the plain command that it refines, by the
-program that ``follow`` runs. What must differ is where the robot ends, how long it takes, or what
-it keeps away from.
-"""
+"""Each construct of the language changes what the robot does: one world, one seed, one program."""
 
 import functools
 from typing import NamedTuple

@@ -184,9 +184,6 @@ def test_too_much_is_refused(model):
         to_readings(crowded)
 
 
-# ---------------------------------------------------------------- what is asked for
-
-
 @pytest.fixture(scope="module")
 def ask():
     model = load_shipped()

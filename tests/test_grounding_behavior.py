@@ -1,7 +1,7 @@
-"""The device kernel against enumeration, padding and batch laws.
+"""The device kernel against the host's search, padding and batch laws.
 
-What commands ask for is in test_grounding_form_program: there sentences are held against forms, in
-worlds full of what they speak of, and forms against enumeration.
+The search is held against enumeration in test_grounding_correspondence, and what commands ask for
+in test_grounding_form_program.
 """
 
 import dataclasses
@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grounding_fixture import TYPES, random_topology
-from oracles.dcg import BehaviorOracle
 
 from jaxlangnav.grounding import infer_behavior, infer_behaviors, understand
 from jaxlangnav.grounding.behavior import MAX_SLOTS
@@ -66,9 +65,6 @@ def test_a_model_that_knows_nothing_prefers_no_goal(model):
     assert goal[AT, 1] < 0.2
 
 
-# ---------------------------------------------------------------- oracles
-
-
 @pytest.mark.parametrize("text", SENTENCES)
 def test_kernel_agrees_with_the_host_search(model, text):
     rng = np.random.default_rng(7)
@@ -89,24 +85,6 @@ def test_kernel_agrees_with_the_host_search(model, text):
         # Sharing is by marginals on the device and by sets here; both beams cut a little.
         np.testing.assert_allclose(got.goal, goal, atol=0.03)
         np.testing.assert_allclose(got.constraint, constraint, atol=0.03)
-
-
-@pytest.mark.parametrize("text", ["find the cone", "move behind the cone", "go to the hydrant"])
-@pytest.mark.parametrize("seed", range(3))
-def test_kernel_agrees_with_enumeration(model, text, seed):
-    rng = np.random.default_rng(seed)
-    warm = dataclasses.replace(model.behavior, temperature=2.0)
-    program = program_of(text, dataclasses.replace(model, behavior=warm))
-    world = random_topology(rng, num_objects=1, p_relation=0.5)
-    world = dataclasses.replace(world, is_object=np.ones(2, bool))
-    goal, constraint = BehaviorOracle(program, world).behavior()
-    got = infer(program, to_device(world, SLOTS), num_phrases=program.num_phrases)
-    # At this temperature a beam of four keeps nearly all of the probability.
-    np.testing.assert_allclose(got.goal[:, [0, -1]], goal, atol=0.03)
-    np.testing.assert_allclose(got.constraint[:, [0, -1]], constraint, atol=0.03)
-
-
-# ---------------------------------------------------------------- padding and batches
 
 
 @pytest.mark.parametrize(
@@ -182,9 +160,6 @@ def test_worlds_of_other_shapes_and_types_are_refused(model):
     ):
         with pytest.raises(AssertionError, match=said):
             infer_behavior(program, wrong, num_phrases=3)
-
-
-# ---------------------------------------------------------------- placed worlds
 
 
 def test_geometry_gives_the_edges():

@@ -238,8 +238,6 @@ def test_the_engine_s_symbols_are_two_more_spaces():
                 np.testing.assert_array_equal(one, other)
 
 
-# ---------------------------------------------------------------- trees as text
-
 phrases = st.recursive(
     st.builds(
         Phrase,
@@ -372,8 +370,6 @@ def test_what_cannot_be_proven_is_not():
     for odds, wanted in ((1e-3, False), (9.0, True)):
         assert proven(leaf(), lambda *_, odds=odds: np.full(40, odds))[1] is wanted
 
-
-# ---------------------------------------------------------------- symbol spaces and factor graphs
 
 SENTENCE = "go to the hydrant behind the cone"
 

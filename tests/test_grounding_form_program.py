@@ -54,9 +54,9 @@ def ground(*readings: dict) -> Grounded:
     return AnnotationGrounder(TYPES).ground(json.dumps({"readings": readings}), START)
 
 
-def one(types: str, *relations: Relation, **command: object) -> dict:
+def one(types: str, *relations: Relation, probability: float = 1.0, **command: object) -> dict:
     """Build the reading of one command, to thing a."""
-    return reading(types, *relations, commands=[to("a", **command)])
+    return reading(types, *relations, commands=[to("a", **command)], probability=probability)
 
 
 # Sentence → the form that says the same.
@@ -220,9 +220,6 @@ def test_any_form_asks_for_all_that_fits_it_and_nothing_else() -> None:
     assert reached > 40 * WORLDS / 4
 
 
-# ---------------------------------------------------------------- several readings
-
-
 def world_of(kinds: str, *edges: tuple[str, int, int], previous: int | None = None) -> World:
     """Build a world of objects, and of relations between them by their numbers; −1 is the robot."""
     edges_at = [(RELATIONS.index(relation), *ends) for relation, *ends in edges]
@@ -244,10 +241,7 @@ def test_relations_tell_which_reading_a_particle_believes() -> None:
 
 
 def test_goals_that_nothing_tells_apart_share_by_their_probabilities() -> None:
-    grounded = ground(
-        reading("cone", commands=[to("a")], probability=0.7),
-        reading("tree", commands=[to("a")], probability=0.3),
-    )
+    grounded = ground(one("cone", probability=0.7), one("tree", probability=0.3))
     both = behaviors(grounded, [world_of("cone tree car")]).goal[AT, :, 0]
     # Apart, of four chances: the first alone, both, the second alone, none.
     np.testing.assert_allclose(both[:2], [0.49 + 0.21 / 2, 0.09 + 0.21 / 2], atol=1e-3)
@@ -267,10 +261,8 @@ def test_a_plain_relation_shows_in_a_reading_that_means_the_extreme_one() -> Non
 
 
 def test_readings_with_one_goal_leave_no_doubt_of_it() -> None:
-    readings = [
-        reading("cone tree", ("a", place, "b"), commands=[to("a", "behind")], probability=0.5)
-        for place in ("near", "far")
-    ]
+    places = ("a", "near", "b"), ("a", "far", "b")
+    readings = [one("cone tree", place, region="behind", probability=0.5) for place in places]
     for edge in ("near", "far"):
         goal = behaviors(ground(*readings), [world_of("cone tree", (edge, 0, 1))]).goal
         assert goal[REGIONS.index("behind"), 0, 0] > 0.99
@@ -278,8 +270,8 @@ def test_readings_with_one_goal_leave_no_doubt_of_it() -> None:
 
 def test_action_mode_and_region_are_mixed_by_the_readings() -> None:
     grounded = ground(
-        reading("cone", commands=[to("a", action="find")], probability=0.75),
-        reading("cone", commands=[to("a", "near", mode="quickly")], probability=0.25),
+        one("cone", action="find", probability=0.75),
+        one("cone", region="near", mode="quickly", probability=0.25),
     )
     behavior = behaviors(grounded, [world_of("cone")])
     np.testing.assert_allclose(behavior.action[:, 0], [0.25, 0.75], atol=1e-6)
@@ -291,14 +283,10 @@ def test_action_mode_and_region_are_mixed_by_the_readings() -> None:
 
 def test_what_one_reading_avoids_is_avoided_as_far_as_it_is_believed() -> None:
     grounded = ground(
-        reading("cone car", commands=[to("a", avoid=["b"])], probability=0.6),
-        reading("cone car", commands=[to("a")], probability=0.4),
+        one("cone car", avoid=["b"], probability=0.6), one("cone car", probability=0.4)
     )
     constraint = behaviors(grounded, [world_of("cone car")]).constraint[NEAR, :2, 0]
     np.testing.assert_allclose(constraint, [0.0, 0.6], atol=1e-3)
-
-
-# ---------------------------------------------------------------- commands one after the other
 
 
 def test_the_same_thing_again_is_where_the_last_command_ended() -> None:
@@ -329,34 +317,25 @@ def test_four_relations_of_one_thing_all_count() -> None:
     ("readings", "reason"),
     [
         (
-            [
-                reading("cone", commands=[to("a", region)], probability=1 / 3)
-                for region in ("at", "near", "behind")
-            ],
+            [one("cone", region=place, probability=1 / 3) for place in ("at", "near", "behind")],
             r"may end in 3 different regions \(behind, near, at\); at most 2",
         ),
         (
             [
-                reading(
-                    "cone", *(("a", place, "robot") for place in places), commands=[to("a")],
-                    probability=0.5,
-                )
+                one("cone", *(("a", place, "robot") for place in places), probability=0.5)
                 for places in (("near", "left", "right"), ("far", "front", "behind"))
             ],
             "needs 6 kinds of relations over all readings; at most 5 are held: leave",
         ),
         (
             [
-                reading(
-                    f"cone tree {kind}", ("a", "near", "b"), ("b", "near", "c"),
-                    commands=[to("a")], probability=0.25,
-                )
+                one(f"cone tree {kind}", ("a", "near", "b"), ("b", "near", "c"), probability=0.25)
                 for kind in ("car", "box", "bench", "barrel")
             ],
             "command 1 needs 26 phrases over all readings; at most 24",
         ),
     ],
-)  # fmt: skip
+)
 def test_what_a_program_cannot_hold_is_refused(readings: list[dict], reason: str) -> None:
     with pytest.raises(CapacityError, match=reason) as refused:
         ground(*readings)

@@ -64,9 +64,6 @@ def test_the_other_is_not_the_previous_goal():
         assert behavior(text, world)[-1] == {"action(navigate)", "mode(normal)", "goal(at,0)"}
 
 
-# ---------------------------------------------------------------- the files
-
-
 @pytest.mark.parametrize(
     ("name", "every"),
     [
@@ -159,8 +156,6 @@ def test_relations_matter_in_the_worlds():
     ]
     assert sum(rivals) / len(rivals) > 0.5
 
-
-# ---------------------------------------------------------------- the validator
 
 FILE = resources.files("jaxlangnav.language") / "data/corpus39.jsonl"
 LINES = (json.loads(line) for line in FILE.read_text("utf-8").splitlines() if line[0] == "{")

@@ -72,8 +72,6 @@ def test_document_is_json_with_the_promised_keys():
     assert [child["label"] for child in two["tree"]["children"]] == ["VP", "VP"]
 
 
-# ---------------------------------------------------------------- for any input
-
 MOST_CALLS = 3_000_000
 """Calls of functions in one parse: a second's worth, and twice what any text here has taken."""
 

@@ -99,9 +99,6 @@ def test_a_rank_counts_among_those_meant():
     assert goal("go to the nearest cone") == {"goal(at,0)"}
 
 
-# ---------------------------------------------------------------- what only says what to avoid
-
-
 def test_a_constraint_after_a_command_is_part_of_it() -> None:
     (clause,) = parse("go to the car. then avoid the cone").clauses
     assert str(clause) == "VP[go]{PP[to]{NP[the car]}, VP[then avoid]{NP[the cone]}}"
@@ -131,9 +128,6 @@ def test_what_asks_for_nothing_is_no_task(text: str, why: str) -> None:
 )
 def test_a_constraint_with_a_command_is_a_task(text: str) -> None:
     understand(text, load_shipped()).check_task()
-
-
-# --------------------------------------- wordings read as other wordings
 
 
 def tree(text: str) -> list[str]:

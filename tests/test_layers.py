@@ -110,9 +110,6 @@ def test_an_uphill_import_is_found(layer: str, source: str, number: int) -> None
     assert len(violations(layer, source)) == number
 
 
-# ---------------------------------------------------------------- how much there is
-
-
 def test_the_budget_holds() -> None:
     """If this fails: take something out; pyproject.toml's table only falls."""
     assert not {name: of for name, of in house.budget().items() if of[0] > of[1]}
@@ -125,8 +122,6 @@ def test_files_have_350_lines_and_functions_60_at_most(path: Path) -> None:
     assert max(map(len, sizes), default=0) <= 60
     assert path.read_text().count("\n") <= 350
 
-
-# ---------------------------------------------------------------- names
 
 MOST_SHARED = 11
 """Names that several modules may define: those of doors that stand on several floors (``step``)."""
@@ -141,8 +136,6 @@ def test_what_counts_as_a_name() -> None:
     source = "A = 1\nB, _b = 2, 2\nC: int = 3\ndef d(): ...\nclass E: ...\nfrom x import f\n"
     assert house.defined(source) == {"A", "B", "C", "d", "E"}
 
-
-# ---------------------------------------------------------------- signatures
 
 BY_NAME = ("params", "config")
 AS_GYMNAX = "jaxlangnav.environments.functional"

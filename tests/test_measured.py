@@ -79,8 +79,6 @@ def test_places_follow_one_another() -> None:
     assert half.end == pytest.approx((math.sqrt(2.0), -math.sqrt(2.0)), abs=1e-6)
 
 
-# ---------------------------------------------------------------- driven
-
 START = (4.0, 0.0)
 """Where the robot is as it hears; it looks along x."""
 THINGS = [(CONE, 7.0, 0.0)]

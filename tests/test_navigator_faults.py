@@ -123,18 +123,14 @@ def test_dead_weights_are_said_and_healed(robot) -> None:
         assert_arrives(robot, state, start=place)
 
 
-def test_a_statement_is_no_beginning_and_ends_nothing(robot) -> None:
-    said = "the hydrant is behind the car"
+def test_who_was_never_asked_for_anything_stands_still(robot) -> None:
+    """A statement is no beginning, and without a command there is a fault."""
     with pytest.raises(ValueError, match="asks for nothing"):
-        robot.start(said, area=AREA)
-    run = go(robot, robot.start(TEXT, area=AREA), max_steps=2)
-    told = robot.hear(run.state, said)
-    for name in ("clause", "status", "is_halted", "previous_goal"):
-        np.testing.assert_array_equal(getattr(told, name), getattr(run.state, name))
-    # A robot that has never been asked for anything stands still.
-    none = jnp.zeros_like(run.state.instruction.num_clauses)
-    idle = replace(run.state, instruction=replace(run.state.instruction, num_clauses=none))
-    _, action, info = advance(robot, idle, see(tuple(run.end), 0.0))
+        robot.start("the hydrant is behind the car", area=AREA)
+    state = begin(robot)
+    none = jnp.zeros_like(state.instruction.num_clauses)
+    idle = replace(state, instruction=replace(state.instruction, num_clauses=none))
+    _, action, info = advance(robot, idle, GOOD)
     assert int(info.fault) == Fault.COMMAND
     assert_stands(action, info)
 
@@ -148,8 +144,6 @@ def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) 
     np.testing.assert_array_equal(told.talk.viewer[0], state.belief.last_pose)
     assert bool(told.belief.must_ground)
 
-
-# ---------------------------------------------------------------- a state belongs to its navigator
 
 LABELS = ("hydrant", "cone")
 SAID = "go to the hydrant"

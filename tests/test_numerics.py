@@ -184,8 +184,6 @@ def test_gradients_pass_through_taken_particles() -> None:
     assert np.array_equal(slope(jnp.array([1.0, 2.0, 3.0])), [4.0, 0.0, 6.0])
 
 
-# ---------------------------------------------------------------- batching
-
 KEYS = jax.random.split(jax.random.key(5), 3)
 
 

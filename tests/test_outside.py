@@ -81,8 +81,6 @@ def test_doubt_that_it_is_there_lengthens_the_way_by_little(name: str) -> None:
     assert doubting.metres.mean() <= 1.03 * sure.metres.mean(), (sure, doubting)
 
 
-# ---------------------------------------------------------------- what is to be avoided
-
 ROUND, AFTER = avoiding.SENTENCES[1], "stay away from the cone and go to the hydrant"
 
 

@@ -95,10 +95,7 @@ def decide(states: list[tuple[Goals, float, float, float]]) -> AskDecision:
 
 
 def compare(shares: tuple[float, ...], most: float) -> tuple[np.ndarray, np.ndarray]:
-    """Hold the rule against the exact value in all states with at most so many others expected.
-
-    Whether both ask or neither does; and what is lost by the rule, in probability of success.
-    """
+    """Hold the rule against the exact value: whether both or neither ask, and what it loses."""
     states, exact = [], []
     numbers = itertools.product(shares, STEPS, LOOK_COSTS, QUESTION_COSTS)
     for (share, step, look, question), seen in itertools.product(numbers, SEEN):

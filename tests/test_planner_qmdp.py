@@ -252,8 +252,6 @@ def test_visited_places_are_kept_apart_and_the_oldest_goes() -> None:
     np.testing.assert_allclose(visited.x, [9.0, 1.2, 2.4])
 
 
-# ---------------------------------------------------------------- what bears on the goal
-
 HYDRANT, CONE, CAR, BENCH, TREE = range(5)
 
 

@@ -322,9 +322,6 @@ def test_free_hypotheses_are_spread_over_what_is_unexplored_by_the_prior(share: 
     assert float(jnp.sum(search.anchored)) == 0.0
 
 
-# ---------------------------------------------------------------- looking at all of an area
-
-
 def test_ways_patch_travel_by_hand() -> None:
     """Blocks of two cells a side are 1.67 m wide; what lies no farther apart than 2.5 m is one."""
 

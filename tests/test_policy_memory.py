@@ -95,9 +95,6 @@ def test_lanes_of_a_batch_decide_as_they_would_alone() -> None:
         chex.assert_trees_all_close(one, own, rtol=1e-5, atol=1e-5)
 
 
-# What is refused, in one line.
-
-
 class Half:
     def step(self, key, memory, situation):
         return memory, None
@@ -200,9 +197,6 @@ def test_an_active_waypoint_is_gone_on_to_whatever_else_is_worth() -> None:
         assert bool(decision.is_kept) is is_active
         assert (float(decision.waypoint_x) == 3.0) is is_active
         assert bool(decision.is_approach) is not is_active
-
-
-# ---------------------------------------------------------------- a function alone
 
 
 def nearest(situation: Situation) -> Valuation:

@@ -176,8 +176,6 @@ def test_gradient_by_parameters_equals_finite_differences(value, step: float, fi
         assert abs(difference - gradient[relation]) < error
 
 
-# ---------------------------------------------------------------- how strongly it holds
-
 DEGREE = jax.jit(degree)
 NTH = jax.jit(value_of_rank, static_argnames="tie")
 
@@ -210,8 +208,6 @@ def test_who_is_nth_on_the_host_is_nth_on_the_device(relation: int) -> None:
         assert float(NTH(jnp.int32(rank), merit, tie=1e-6)) == float(merit[nth])
     assert float(NTH(jnp.int32(5), merit, tie=1e-6)) == np.inf
 
-
-# ---------------------------------------------------------------- what lies between two landmarks
 
 NEARER, OTHER = (5.0, 1.0), (1.0, -2.0)
 """Five metres apart: along is (0.8, 0.6)."""

@@ -390,17 +390,6 @@ def test_a_sentence_is_carried_out_by_what_apriltag_ros_publishes(navigator) -> 
     assert bus.inbox.counts.used >= len(ended.steps) - 3
 
 
-def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:
-    simulated = put()
-    bus = Loop(simulated)
-    simulated.at(4.0, lambda one: bus.restart())
-    talk, _ = session(navigator, bus)
-    talk.say(TEXT, now=0.0)
-    driven(talk, simulated)
-    # Goals are sent in the frame that the robot has by then.
-    assert np.hypot(*bus.origin[:2]) > 0.5
-
-
 def test_a_robot_that_is_away_for_a_while_is_waited_for_and_told_of_once(navigator) -> None:
     simulated, silences = put(), []
     bus = Loop(simulated)
@@ -411,6 +400,8 @@ def test_a_robot_that_is_away_for_a_while_is_waited_for_and_told_of_once(navigat
     talk.say(TEXT, now=0.0)
     driven(talk, simulated)
     assert bus.inbox.counts.restarts == 1
+    # Goals are sent in the frame that the robot has by then.
+    assert np.hypot(*bus.origin[:2]) > 0.5
     assert len(silences) == 1
     # One that does not come back leaves it blind after its patience.
     bus.vanish(500.0)

@@ -1,9 +1,4 @@
-"""Simulation-based calibration: worlds from the filter's own prior, ranks of the truth uniform.
-
-Worlds are drawn by NumPy from the model that the filter assumes, a robot drives through them, and
-the truth is ranked among draws of the posterior. If the filter is right the ranks are uniform, and
-what is believed with probability p happens in a share p of the worlds.
-"""
+"""Simulation-based calibration: worlds from the filter's own prior, ranks of the truth uniform."""
 
 import dataclasses
 from typing import Any

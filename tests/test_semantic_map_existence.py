@@ -155,8 +155,6 @@ def test_what_hardly_exists_is_forgotten_and_its_words_are_lost() -> None:
     assert float(jnp.abs(after.covariance[0]).max()) == 0.0
 
 
-# ---------------------------------------------------------------- how surprising a look is
-
 CAR = by_hand.CAR
 P, D = by_hand.CONFIG.num_particles, by_hand.D
 SENSOR = by_hand.sensor(noise=0.1)

@@ -186,10 +186,7 @@ def evidence_and_slope(start, tangent, key, belief, sentence):
 
 @pytest.mark.parametrize("name", ["behind", "nearest"])
 def test_gradient_of_the_evidence_equals_finite_differences(name: str) -> None:
-    """Forward mode through the loop over relations, common random numbers, in a wide area.
-
-    A draw that crosses the edge of a cell or of the area has no derivative: in few of the keys.
-    """
+    """Common random numbers; in few keys a draw crosses an edge, where there is no derivative."""
     wide = by_hand.begin(VIEWER, area=(-20.0, 30.0, -25.0, 25.0))
     belief = by_hand.with_objects(wide, OBJECTS)
     sentence = by_hand.readings([CASES[name][0]], [CASES[name][1]])

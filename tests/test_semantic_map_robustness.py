@@ -168,8 +168,6 @@ def test_no_words() -> None:
     assert (np.asarray(beliefs.particles.object_type)[:, 0] == CONE).all()
 
 
-# ---------------------------------------------------------------- looks that cannot be
-
 GOOD = by_hand.observation(POSE, [(CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2)])
 SOUND = jax.jit(lambda belief, look, far: gating.gate(belief, gating.GatedStep(look, far)))
 FAR = jnp.float32(1.5)

@@ -75,8 +75,6 @@ def test_world_of_a_particle_by_hand() -> None:
     assert not np.asarray(world.is_related)[NEAR].any()
 
 
-# ---------------------------------------------------------------- what nobody has spoken of
-
 REMEMBER, PROMOTE = jax.jit(objects.add_bystanders), jax.jit(objects.exchange)
 HERE = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1e-4))
 
@@ -137,8 +135,6 @@ def test_nothing_is_exchanged_until_something_is_said() -> None:
     after, listed = PROMOTE(belief.particles, known, spoken(CAR), belief.log_weight, False)
     jax.tree.map(np.testing.assert_array_equal, (after, listed), (belief.particles, known))
 
-
-# ---------------------------------------------------------------- more slots than a mask holds
 
 TREE = 2
 

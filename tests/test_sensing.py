@@ -189,8 +189,6 @@ def test_what_is_sound_at_the_door_is_sound_to_the_belief() -> None:
     assert np.asarray(_is_detectable(look, np.int32(8)))[:3].all()
 
 
-# ---------------------------------------------------------------- whatever is given
-
 ROW = ("cone", 1.0, 0.0)
 SWEEP = {"worlds": ["1H1C"], "commands": ["behind"]}
 

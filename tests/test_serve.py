@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("starlette")
 
 import uvicorn
+from placed import world_file
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
@@ -24,38 +25,10 @@ from jaxlangnav.serve.live import LiveEpisode, Request
 from jaxlangnav.world.files import load_world
 
 TOKEN = "a-token"
-TWO_HYDRANTS = """
-[area]
-x_min = -2.0
-x_max = 10.0
-y_min = -5.0
-y_max = 5.0
-
-[[objects]]
-type = "hydrant"
-x = 4.0
-y = 2.0
-
-[[objects]]
-type = "hydrant"
-x = 4.0
-y = -2.5
-
-[sensor]
-range = 8.0
-"""
-AWAY = """
-[area]
-x_min = -2.0
-x_max = 30.0
-y_min = -10.0
-y_max = 10.0
-
-[[objects]]
-type = "hydrant"
-x = 28.0
-y = 8.0
-"""
+TWO_HYDRANTS = world_file(
+    (-2.0, 10.0, -5.0, 5.0), ("hydrant", 4.0, 2.0), ("hydrant", 4.0, -2.5), sensor={"range": 8.0}
+)
+AWAY = world_file((-2.0, 30.0, -10.0, 10.0), ("hydrant", 28.0, 8.0))
 
 
 class Client:

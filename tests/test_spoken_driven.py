@@ -1,8 +1,4 @@
-"""Sentences of ``spoken.txt``, driven in random worlds to their ends.
-
-What is right is said by plain geometry (``hand_geometry``), from the meaning that was written down
-by hand for each sentence. All sentences and worlds are lanes of one compiled program.
-"""
+"""Sentences of ``spoken.txt``, driven in random worlds; ``hand_geometry`` says what is right."""
 
 import os
 import random

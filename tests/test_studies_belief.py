@@ -127,6 +127,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     check_readings(by_hand.NULL)
 
 
+@pytest.mark.slow
 def test_an_area_too_small_is_refused() -> None:
     sentences = ground_sentences(list(SENTENCES.values()))
     params = default_navigator_params()
@@ -160,8 +161,6 @@ def test_belief_is_calibrated_in_its_own_worlds() -> None:
         assert abs(ece - ece_map) <= 0.005, (name, found)
         assert 87.0 - 2 * error <= coverage <= 93.0 + 2 * error, (name, found)
 
-
-# ---------------------------------------------------------------- no silent death
 
 RUNS = 16
 

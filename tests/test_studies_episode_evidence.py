@@ -108,8 +108,6 @@ def test_map_evidence_has_its_maximum_at_the_true_sensor() -> None:
     assert (np.abs(slopes.mean(axis=0)) < 4 * error).all(), (slopes.mean(axis=0), error)
 
 
-# ---------------------------------------------------------------- a relation learned from episodes
-
 MEDIAN, SPREAD, AXIS, KAPPA = 3.6, 0.25, 0.4, 6.0
 TRUTH = np.array([np.log(MEDIAN), SPREAD, AXIS, KAPPA])
 CELLS, HALF = 16, 6.0

@@ -5,26 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from placed import world_file
 
 import jaxlangnav
 from jaxlangnav.inputs import program_cache
-
-WORLD = """
-[area]
-x_min = 0.0
-x_max = 6.0
-y_min = -3.0
-y_max = 3.0
-
-[goal]
-object = "it"
-
-[[objects]]
-type = "cone"
-name = "it"
-x = 4.0
-y = 0.0
-"""
 
 
 @pytest.mark.parametrize(
@@ -55,7 +39,8 @@ def as_commands_do(tmp_path: Path) -> Iterator[None]:
 @pytest.mark.usefixtures("as_commands_do")
 def test_a_world_file_is_followed_and_judged(tmp_path: Path) -> None:
     path = tmp_path / "world.toml"
-    path.write_text(WORLD, encoding="utf-8")
+    area, it = (0.0, 6.0, -3.0, 3.0), {"x": 4.0, "y": 0.0}
+    path.write_text(world_file(area, ("cone", 4.0, 0.0), goal=it), encoding="utf-8")
     recording = jaxlangnav.follow("go to the cone", world=path, seed=1)
     assert bool(recording.result.is_success)
     assert np.hypot(*(np.asarray(recording.result.final) - [4.0, 0.0])) <= 1.5

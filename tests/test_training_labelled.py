@@ -102,18 +102,6 @@ def scores_of(model, instructions):
     return annotation.by_width[4][0], behavior.by_width[4][0]
 
 
-def test_scores_of_the_shipped_models():
-    model = load_shipped()
-    instructions = corpus(num_worlds=1)
-    annotation, behavior = scores_of(model, instructions)
-    assert annotation.accuracy > 0.95
-    assert behavior.accuracy > 0.95
-    assert ((annotation.confidence > 0) & (annotation.confidence <= 1 + 1e-9)).all()
-    # Ranks are summed out and gold may be the answer given, so log_gold ≤ log confidence there.
-    right = annotation.is_right
-    np.testing.assert_allclose(annotation.log_gold[right], np.log(annotation.confidence[right]))
-
-
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)])
 def test_what_is_spoken_and_held_out_is_read_right(every):
     model = load_shipped()
@@ -121,6 +109,10 @@ def test_what_is_spoken_and_held_out_is_read_right(every):
     annotation, behavior = scores_of(model, instructions)
     assert annotation.accuracy > 0.995
     assert behavior.accuracy > 0.995
+    assert ((annotation.confidence > 0) & (annotation.confidence <= 1 + 1e-9)).all()
+    # Ranks are summed out and gold may be the answer given, so log_gold ≤ log confidence there.
+    right = annotation.is_right
+    np.testing.assert_allclose(annotation.log_gold[right], np.log(annotation.confidence[right]))
 
 
 def test_more_types_than_a_program_holds_are_refused():
@@ -130,8 +122,6 @@ def test_more_types_than_a_program_holds_are_refused():
     with pytest.raises(ValueError, match=f"give 1 to {MAX_LABELS - 1} names"):
         understand("go to the hydrant", crowded)
 
-
-# ---------------------------------------------------------------- many models at once, against one
 
 SENTENCES = (
     "go to the second box near the tree",

@@ -142,19 +142,6 @@ def test_the_unseen_goal_has_a_share_only_where_there_is_doubt(one):
     assert "has not been seen yet (90 %): " in sentences.describe_goal(one.scene, doubtful)
 
 
-def test_the_story_in_full():
-    told = narrative.narrate(make_recording(9, 20))
-    assert told[0] == "You said: “go to the hydrant behind the cone”."
-    assert "a hydrant behind a cone (80 %)" in told[1]
-    assert "a hydrant (20 %)" in told[2]
-    assert any("Discovers a cone" in line for line in told)
-    assert any("Discovers a hydrant" in line for line in told)
-    assert any("Says stop" in line and "70 %" in line for line in told)
-    assert told[-2].startswith("Success: it stands 0.5 m")
-    assert "8.6 m" in told[-1]
-    assert "7.6 m" in told[-1]
-
-
 def test_every_step_is_in_the_story_once():
     told = narrative.narrate(make_recording(12, 20))
     heads = [line[1:].split("·")[0].strip() for line in told if line.startswith("[")]

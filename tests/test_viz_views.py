@@ -18,10 +18,7 @@ from PIL import Image
 from recording_fixture import AREA, make_recording
 from rich.console import Console
 
-from jaxlangnav.grounding import understand_parse
-from jaxlangnav.grounding.symbols import AnnotationSpace, relation_symbol
 from jaxlangnav.language.parser import parse
-from jaxlangnav.messages import BEHIND
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import style, terminal
 from jaxlangnav.viz.film import write_film
@@ -145,26 +142,6 @@ def test_the_paper_s_sentence(model):
     assert [one.parent for one in beliefs[:3]] == [None, (0,), (0, 0)]
 
 
-def test_probabilities_agree_with_annotation_inference(model):
-    tree = parse(PAPER)
-    space = AnnotationSpace(len(model.type_names))
-    root = _phrase_beliefs(tree, model)[0].probability
-    said = understand_parse(tree, model).annotations[0]
-    index = space.index[relation_symbol(0, BEHIND, 1)]
-    assert said["relation"] == "behind"
-    # The figure conditions on the likeliest groundings of the children; inference sums over all.
-    assert root[index] >= said["probability"] - 1e-6
-    assert np.argmax(root) == index
-    assert ((root >= 0) & (root <= 1)).all()
-
-
-def test_an_untrained_model_knows_nothing_but_superlatives(model):
-    parsed = parse("go to the hydrant nearest to the cone")
-    for one in _phrase_beliefs(parsed, model.zeroed()):
-        assert one.probability == pytest.approx(np.full(494, 0.5))
-    assert max(one.rank for one in _phrase_beliefs(parsed, model)) == 1
-
-
 @pytest.mark.parametrize("number", [1, 3, 5])
 def test_every_phrase_shows_its_likeliest_symbols(model, number):
     figure = graph_figure(parse("go to the hydrant"), model, num_symbols=number)
@@ -179,8 +156,6 @@ def test_no_symbols_are_refused(model):
     with pytest.raises(ValueError, match="num_symbols is 0"):
         graph_figure(parse("go to the hydrant"), model, num_symbols=0)
 
-
-# ---------------------------------------------------------------- the page
 
 HOSTILE = "</script><script>alert(1)</script><!-- __DATA__ __TITLE__ \x1b[31m \u202e <b> & \"'"
 KINDS = {"f4": "<f4", "u2": "<u2", "u1": "u1"}

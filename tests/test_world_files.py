@@ -8,6 +8,7 @@ import chex
 import jax
 import numpy as np
 import pytest
+from placed import world_file
 
 from jaxlangnav.inputs.object_types import attribute_code
 from jaxlangnav.language.lexicon import load_lexicon
@@ -309,42 +310,17 @@ def test_templates_place_the_types_that_the_lexicon_calls_hydrant_and_cone() -> 
 
 
 def test_things_of_any_noun_with_their_looks_are_read_and_written_back(tmp_path: Path) -> None:
-    path = tmp_path / "park.toml"
-    path.write_text(PARK, encoding="utf-8")
-    world = load_world(path)
+    things = ("gazebo", 7.0, 0.6), ("Easel", 4.5, 0.5), ("gazebo", 3.0, -4.0)
+    table = tomllib.loads(world_file((0.0, 10.0, -5.0, 5.0), *things))
+    table["objects"][0] |= {"colour": "white", "height": "tall"}
+    table["objects"][2] |= {"colour": "red"}
+    world = world_from_dict(table, file="park.toml")
     assert world.type_names[-2:] == ("gazebo", "easel")
     assert world.attribute_groups == ("colour", "height")
     assert world.scenario.object_type[:3].tolist() == [8, 9, 8]
     codes = [attribute_code("white", "tall"), 0, attribute_code("red")]
     assert world.scenario.object_attribute[:3].tolist() == codes
-    save_world(world, path)
-    again = load_world(path)
+    save_world(world, tmp_path / "park.toml")
+    again = load_world(tmp_path / "park.toml")
     jax.tree.map(np.testing.assert_array_equal, again.scenario, world.scenario)
     assert again.type_names == world.type_names
-
-
-PARK = """
-[area]
-x_min = 0.0
-x_max = 10.0
-y_min = -5.0
-y_max = 5.0
-[goal]
-object = "here"
-[[objects]]
-type = "gazebo"
-name = "here"
-x = 7.0
-y = 0.6
-colour = "white"
-height = "tall"
-[[objects]]
-type = "Easel"
-x = 4.5
-y = 0.5
-[[objects]]
-type = "gazebo"
-x = 3.0
-y = -4.0
-colour = "red"
-"""

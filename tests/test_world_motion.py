@@ -140,8 +140,6 @@ def test_a_wall_halts_the_body_and_its_wheels() -> None:
         chex.assert_trees_all_equal(halted(on, back, place), back)
 
 
-# ---------------------------------------------------------------- bodies
-
 MOVE = jax.jit(lambda body, *rest: body.move(*rest))
 
 

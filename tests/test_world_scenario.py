@@ -195,9 +195,6 @@ def test_a_world_without_cones() -> None:
         sample_scenario(jax.random.key(0), template="2H0C", relation="behind")
 
 
-# ---------------------------------------------------------------- names and the printed table 2
-
-
 @pytest.mark.parametrize("name", ["2H1C", "2h1c", " 2H, 1C ", "02H1C"])
 def test_names_are_read(name: str) -> None:
     template = parse_template(name)

@@ -152,8 +152,6 @@ def test_whether_something_is_in_view_is_decided_by_truth() -> None:
     np.testing.assert_array_equal(is_visible, [True] + [False] * 7)
 
 
-# ---------------------------------------------------------------- false detections and wrong labels
-
 NUMBER = 4000
 THINGS = ((2, 1.5, 0.5), (3, -1.0, 2.0), (5, 6.0, 0.0))
 """Type, x, y; the robot stands at (1, 1): the last is out of range."""

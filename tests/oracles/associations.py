@@ -20,10 +20,7 @@ def posterior(
     detection_probability: float,
     variance: float,
 ) -> tuple[np.ndarray, float]:
-    """Compute P(n objects seen), f64[n] from n = 0, and the log-evidence of all histories.
-
-    ``looks`` are the places detected in each look, all of one type and always in view.
-    """
+    """Compute P(n objects seen), f64[n], and the log-evidence of looks: places always in view."""
     histories = [(0.0, ())]  # log-weight, tuple of (count, sum x, sum y)
     for index, detections in enumerate(looks):
         grown = []
