@@ -81,7 +81,7 @@ def test_a_statement_sets_the_scene_anew(robot) -> None:
 
 
 def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
-    typist = speech.Typist(Output(is_json=True), is_talking=False, lines=["the first\n"])
+    typist = speech.TerminalUser(Output(is_json=True), is_talking=False, lines=["the first\n"])
     ear, episode = ear_of(robot, voices={"you": typist.say}, is_awaited=typist.is_there)
     episode = at_a_hydrant(episode)
     state = episode.navigator
@@ -104,7 +104,7 @@ def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
 
 def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
     lines = ["stop\n", "go on\n"]
-    typist = speech.Typist(Output(is_json=True), is_talking=True, lines=lines)
+    typist = speech.TerminalUser(Output(is_json=True), is_talking=True, lines=lines)
     ear, episode = ear_of(robot, voices={"you": typist.say}, is_awaited=typist.is_there)
     after = ear.hear(0, episode)
     assert [one.kind for one in ear.said][:1] == ["halt"]
@@ -173,10 +173,10 @@ TYPIST = """
 import sys
 from types import SimpleNamespace as Made
 from jaxlangnav.cli.output import Output
-from jaxlangnav.cli.speech import Typist
+from jaxlangnav.cli.speech import TerminalUser
 is_talking = sys.argv[1] == "talk"
 things = [Made(type_name="hydrant", x=x, y=1.0, probability=0.5) for x in (3.0, 5.0)]
-typist = Typist(Output(is_json=False), is_talking=is_talking)
+typist = TerminalUser(Output(is_json=False), is_talking=is_talking)
 episode = Made(navigator=Made(is_resting=is_talking))
 try:
     for step in range(3):

@@ -80,7 +80,7 @@ def served() -> Iterator[tuple[Client, server.Server]]:
     listener.bind(("127.0.0.1", 0))
     port = listener.getsockname()[1]
     with server.serving(load_shipped(), token=TOKEN, port=port, pace=0.0) as (app, ours):
-        options: dict[str, Any] = {"log_level": "warning", "ws_max_size": server.LARGEST_MESSAGE}
+        options: dict[str, Any] = {"log_level": "warning", "ws_max_size": server.MAX_MESSAGE_SIZE}
         runner = uvicorn.Server(uvicorn.Config(app, timeout_graceful_shutdown=1, **options))
         thread = threading.Thread(target=runner.run, kwargs={"sockets": [listener]})
         thread.start()
@@ -150,7 +150,7 @@ def test_a_socket_of_another_page_is_refused(client: Client, token: str, origin:
         ({"text": "go to the car", "world": "1H1C"}, "world 1H1C has no car"),
         ("no JSON", "Expecting value"),
         ("[" * 100_000, "nested too deeply"),
-        ("x" * (server.LARGEST_BODY + 1), "the most there may be: send less"),
+        ("x" * (server.MAX_BODY_SIZE + 1), "the most there may be: send less"),
     ],
 )
 def test_bad_input_gets_one_line(client: Client, document: Any, why: str) -> None:
@@ -244,7 +244,7 @@ def test_stop_halts_and_what_is_not_understood_is_told(client: Client) -> None:
         ):
             line.send(message if isinstance(message, str) else json.dumps(message))
             assert why in until(line, lambda news: "refusal" in news)["refusal"]
-        line.send("x" * (server.LARGEST_MESSAGE + 1))
+        line.send("x" * (server.MAX_MESSAGE_SIZE + 1))
         with pytest.raises(ConnectionClosed):
             until(line, lambda news: False)
 
@@ -271,7 +271,7 @@ def test_two_episodes_go_on_at_once_and_do_not_hear_each_other(client: Client) -
 
 
 def test_the_oldest_episode_is_dropped_for_a_new_one(client: Client) -> None:
-    names = [client.open("go to the hydrant", max_steps=1) for _ in range(server.MOST_EPISODES + 1)]
+    names = [client.open("go to the hydrant", max_steps=1) for _ in range(server.MAX_EPISODES + 1)]
     assert client.ask(f"/episodes/{names[0]}/world.toml")[0] == 404
     assert client.ask(f"/episodes/{names[1]}/world.toml")[0] == 200
     with client.watch(names[0]) as line, pytest.raises(ConnectionClosed, match="not kept"):

@@ -1,4 +1,4 @@
-"""The commands behind ``jaxlangnav``; their modules are loaded when they are called.
+"""Subcommands of ``jaxlangnav``; their modules are imported when called.
 
 A command is a dataclass of its options; its docstring is its help text. ``run`` computes and
 returns the document that ``--json`` prints; what people read goes through an ``Output``.
@@ -16,6 +16,6 @@ SUMMARIES = {
     "summarize": "Print the tables of a sweep, with intervals and paired tests.",
     "bench": "Measure speed, as ratios against baselines in the same run.",
 }
-"""Every command and its line in ``jaxlangnav --help``."""
+"""One-line summary of each command in ``jaxlangnav --help``."""
 MODULES = {"parse": "ground", "evaluate": "train", "summarize": "sweep"}
-"""Where a command stands that has no module of its own name."""
+"""Module of each command that is not named after its module."""

@@ -1,4 +1,4 @@
-"""``jaxlangnav bench``: speed, as ratios against baselines in the same run."""
+"""``jaxlangnav bench``: run-time benchmarks, as ratios to baselines in the same process."""
 
 import dataclasses
 import importlib
@@ -11,7 +11,7 @@ from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
 
 FOLDER = Path(jaxlangnav.__file__).resolve().parents[1] / "benchmarks"
-"""What measures speed stands beside the package in a checkout, and is not installed with it."""
+"""Folder of the benchmarks; it exists in a checkout and is not installed."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -38,15 +38,15 @@ class Bench:
                 "clone the repository and install it with pip install --editable"
             )
         sys.path.insert(0, str(FOLDER))
-        speed: Any = importlib.import_module("bench")
+        benchmarks: Any = importlib.import_module("bench")
         keep_compiled_programs()
-        bench = speed.set_up(is_quick=self.quick)
-        with progress_bar("stages", len(speed.stages(bench))) as advance:
+        bench = benchmarks.set_up(is_quick=self.quick)
+        with progress_bar("stages", len(benchmarks.stages(bench))) as advance:
 
-            def tell(what: str, done: int) -> None:
-                output.note(f"measuring {what}")
-                advance(done)
+            def report(stage: str, num_done: int) -> None:
+                output.note(f"measuring {stage}")
+                advance(num_done)
 
-            document = speed.run_bench(bench, on_progress=tell)
-        output.say(speed.render(document))
+            document = benchmarks.run_bench(bench, on_progress=report)
+        output.say(benchmarks.render(document))
         return document

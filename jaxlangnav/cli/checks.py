@@ -1,4 +1,4 @@
-"""Limits of options that several commands have; each says the value, the limit and the remedy."""
+"""Validation of options shared by several commands; errors state value, limit and remedy."""
 
 import importlib.util
 import math
@@ -21,13 +21,13 @@ Ranges = Annotated[str | None, tyro.conf.arg(metavar="METRES", help_behavior_hin
 
 
 def check_seed(value: int) -> None:
-    """Refuse a seed that does not fit into the root of the keys."""
+    """Raise UsageError for a seed that is not an unsigned 32-bit integer."""
     if not 0 <= value < 2**32:
         raise UsageError(f"--seed is {value}, but must lie between 0 and 4294967295")
 
 
 def check_range(value: float | None) -> None:
-    """Refuse a sensing range that is no length, or one that single precision cannot hold."""
+    """Raise UsageError for a sensing range that is not a positive length or out of limits."""
     if value is None:
         return
     if not (math.isfinite(value) and value > 0):
@@ -38,20 +38,20 @@ def check_range(value: float | None) -> None:
 
 
 def check_folder(option: str, path: Path | None) -> None:
-    """Refuse, before anything runs, a folder that could not be written to afterwards."""
+    """Raise UsageError for an output folder that cannot be created or written."""
     if path is None:
         return
-    existing = path
-    while not existing.exists() and existing != existing.parent:
-        existing = existing.parent
-    if not existing.is_dir():
-        raise UsageError(f"{option} is {path}, but {existing} is a file: name a folder")
-    if not os.access(existing, os.W_OK):
-        raise UsageError(f"{option} is {path}, but {existing} cannot be written to")
+    ancestor = path
+    while not ancestor.exists() and ancestor != ancestor.parent:
+        ancestor = ancestor.parent
+    if not ancestor.is_dir():
+        raise UsageError(f"{option} is {path}, but {ancestor} is a file: name a folder")
+    if not os.access(ancestor, os.W_OK):
+        raise UsageError(f"{option} is {path}, but {ancestor} cannot be written to")
 
 
 def check_file(option: str, path: Path | None, suffix: str) -> None:
-    """Refuse, before anything runs, a file that could not be written afterwards."""
+    """Raise UsageError for an output file that cannot be written or has another extension."""
     if path is None:
         return
     if path.suffix != suffix:
@@ -62,6 +62,6 @@ def check_file(option: str, path: Path | None, suffix: str) -> None:
 
 
 def check_extra(what: str, module: str, extra: str) -> None:
-    """Refuse what needs a library of an extra that is not installed."""
+    """Raise UsageError if a library of an optional extra is not installed."""
     if importlib.util.find_spec(module) is None:
         raise UsageError(f'{what}: pip install "jaxlangnav[{extra}]"')

@@ -1,4 +1,4 @@
-"""``jaxlangnav parse`` and ``ground``: the phrases of a sentence, and what it is taken to mean.
+"""``jaxlangnav parse`` and ``ground``: parse tree and grounding distributions of a sentence.
 
 Sections 3.1 and 3.3 of the paper.
 """
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from jaxlangnav.grounding.instruction import GroundingModel, Understanding
     from jaxlangnav.language.phrase import Parse as ParsedSentence
 
-PAPER_NUM_OBJECTS = 7  # of the behavior graph that is counted where no world is given
+PAPER_NUM_OBJECTS = 7  # objects of the behavior graph if no world is given
 
 
 def parse_text(text: str, output: Output, labels: Collection[str] = ()) -> "ParsedSentence":
-    """Parse a sentence of a detector's ``labels``; notes what was mended or is not known."""
+    """Parse a sentence with a detector's ``labels``; notes repairs and unknown words."""
     if not text.strip():
         raise UsageError('the sentence is empty; say for example "go to the hydrant"')
     from jaxlangnav.language.parser import parse
 
     parsed = parse(text, labels)
-    for written, meant in parsed.repairs:
-        output.note(f'note: "{written}" is read as "{meant}"')
-    for said, meant in parsed.rewrites:
+    for original, meant in parsed.repairs:
+        output.note(f'note: "{original}" is read as "{meant}"')
+    for text_part, meant in parsed.rewrites:
         if meant:
-            output.note(f"note: '{said}' read as '{meant}'")
-    for left in parsed.unread:
-        output.note(f"note: '{left}' says nothing of the task; left out")
+            output.note(f"note: '{text_part}' read as '{meant}'")
+    for ignored in parsed.unread:
+        output.note(f"note: '{ignored}' says nothing of the task; left out")
     for word, position in parsed.unknown_words:
         output.note(f'note: "{word}" (word {position}) is not in the lexicon')
     return parsed
@@ -47,10 +47,10 @@ def parse_text(text: str, output: Output, labels: Collection[str] = ()) -> "Pars
 def understand_text(
     text: str, output: Output, *, world: str, weights: Path | None
 ) -> "tuple[Understanding, GroundingModel, Detector]":
-    """Understand a sentence as the detector of a world knows things; with which models and which.
+    """Ground a sentence with a world's detector; returns the models and the detector too.
 
-    The words of a template, 2H1C, are known, so that bad ones are refused at once; a world of
-    somebody's own brings its own.
+    Template worlds (2H1C) have a fixed vocabulary, so bad sentences are refused at once; other
+    worlds bring their own labels.
     """
     is_template = world.strip()[:1].isdigit() and "/" not in world and "." not in world
     parsed = parse_text(text, output) if is_template else None
@@ -69,7 +69,7 @@ def understand_text(
 
 
 def _draw_tree(phrase: Mapping[str, Any], branch: "Tree | None" = None) -> "Tree":
-    """Draw a phrase, its label and words, and all below it."""
+    """Build a rich tree of a phrase with its label, words and children."""
     from rich.text import Text
     from rich.tree import Tree
 
@@ -167,17 +167,17 @@ class Ground:
             "unknown_words": understood.unknown_words,
         }
         num_objects = PAPER_NUM_OBJECTS
-        # Refused before anything is told.
-        grounded = {} if self.world is None else self._ground_in(self.world, understood)
-        document |= grounded
+        # Errors come before any output.
+        behaviors_document = {} if self.world is None else self._ground_in(self.world, understood)
+        document |= behaviors_document
         document["commands"] = list_commands(understood.instruction, understood.type_names)
-        said, asked = document["annotations"], document["commands"]
+        annotations, commands = document["annotations"], document["commands"]
         title = "Annotations: what it says of the world"
-        output.say(Table.of(said, _ANNOTATIONS, title=title).text())
-        if asked:
-            numbered = [one | {"number": number} for number, one in enumerate(asked, 1)]
-            output.say(Table.of(numbered, _COMMANDS, title="Commands: what it asks for").text())
-        if grounded:
+        output.say(Table.of(annotations, _ANNOTATIONS, title=title).text())
+        if commands:
+            rows = [command | {"number": number} for number, command in enumerate(commands, 1)]
+            output.say(Table.of(rows, _COMMANDS, title="Commands: what it asks for").text())
+        if behaviors_document:
             if behaviors := document["behaviors"]:
                 title = f"Behaviors in world {document['world']}"
                 output.say(Table.of(behaviors, _BEHAVIORS, title=title).text())
@@ -185,10 +185,10 @@ class Ground:
                 output.note(f"note: {document['unjudged']} in world {document['world']}")
             num_objects = len(document["objects"])
         document["graph"] = understood.graph(num_objects)
-        for kind, size in document["graph"].items():
+        for graph_name, size in document["graph"].items():
             objects = f", {size['objects']} objects" if "objects" in size else ""
-            told = "{phrases} phrases, {factors} factors, {variables} variables".format_map(size)
-            output.say(Text(f"{kind} graph: {told}{objects}", style="dim"))
+            counts = "{phrases} phrases, {factors} factors, {variables} variables".format_map(size)
+            output.say(Text(f"{graph_name} graph: {counts}{objects}", style="dim"))
         if self.out is not None:
             from jaxlangnav.viz.html import write_graph
 
@@ -199,41 +199,41 @@ class Ground:
         return document
 
     def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:
-        """Infer the behavior in a world of which everything is known."""
+        """Infer the behavior distribution in a fully known world."""
         from jaxlangnav.task.labelled import list_behaviors, place_scenario
         from jaxlangnav.task.opening import open_task
 
         prepared = open_task(world_name, understood, sensing_range=None, seed=self.seed)
-        placed = place_scenario(prepared.task.scenario, understood.type_names)
+        labelled = place_scenario(prepared.task.scenario, understood.type_names)
         return {
             "world": prepared.world,
-            "objects": [{"type": kind, "position": [x, y]} for kind, x, y in placed.objects],
-            "behaviors": list_behaviors(understood.instruction, placed, understood.type_names),
+            "objects": [{"type": kind, "position": [x, y]} for kind, x, y in labelled.objects],
+            "behaviors": list_behaviors(understood.instruction, labelled, understood.type_names),
             "unjudged": prepared.unjudged,
         }
 
 
-def _relation(said: dict[str, Any]) -> str:
-    """Name a relation, or its superlative."""
-    relation = said["relation"] or "-"
-    extreme = {"near": "nearest", "far": "farthest"}.get(relation, f"most {relation}")
-    return extreme if said["superlative"] else relation
+def _relation(row: dict[str, Any]) -> str:
+    """Name the relation of an annotation row, or its superlative."""
+    relation = row["relation"] or "-"
+    superlative = {"near": "nearest", "far": "farthest"}.get(relation, f"most {relation}")
+    return superlative if row["superlative"] else relation
 
 
 _ANNOTATIONS: TableColumns = (
-    ("Figure", lambda said: said["figure"] or "(the robot itself)"),
+    ("Figure", lambda row: row["figure"] or "(the robot itself)"),
     ("Relation", _relation),
-    ("Landmark", lambda said: said["landmark"] or "-"),
+    ("Landmark", lambda row: row["landmark"] or "-"),
     ("Probability", "{probability:.3f}"),
 )
 _COMMANDS: TableColumns = (
     ("Command", "{number}"),
     ("Action", "{action}"),
     ("Mode", "{mode}"),
-    ("Goal", lambda one: "{region} the {object}".format_map(one["goal"])
-     if one["goal"] else "another one than before"),
+    ("Goal", lambda row: "{region} the {object}".format_map(row["goal"])
+     if row["goal"] else "another one than before"),
     ("Keep away from",
-     lambda one: ", ".join(f"the {kept['object']}" for kept in one["avoid"]) or "-"),
+     lambda row: ", ".join(f"the {item['object']}" for item in row["avoid"]) or "-"),
     ("Probability", "{probability:.3f}"),
 )  # fmt: skip
 _BEHAVIORS: TableColumns = (

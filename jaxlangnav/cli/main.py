@@ -1,4 +1,4 @@
-"""The command line: ``jaxlangnav COMMAND ...`` (design: what people touch).
+"""Entry point of the command line, ``jaxlangnav COMMAND ...``: dispatch and error reporting.
 
 tyro reads the options from the command's dataclass and writes the help. Its error messages are
 boxes of several lines; scripts and people get one line instead, with the nearest valid name.
@@ -28,11 +28,11 @@ from jaxlangnav.inputs.sanitize import sanitize
 PROGRAM = "jaxlangnav"
 DEBUG = "JAXLANGNAV_DEBUG"
 XLA_LOG_LEVEL = "TF_CPP_MIN_LOG_LEVEL"
-"""Read by XLA as it is loaded. A slow compilation is to it an error: 3 leaves only fatal ones."""
-_FRAME = " \t│╭╮╰╯"
-_COMFORTABLE = 88  # columns that a paragraph takes at most: longer lines are hard to read
-_RULE = re.compile(r"^[─-]{8,}")
-_STORY = """\
+"""Environment variable read by XLA: level 3 hides all but fatal messages."""
+_BOX_CHARS = " \t│╭╮╰╯"
+_MAX_WIDTH = 88  # columns of a help paragraph
+_BOX_RULE = re.compile(r"^[─-]{8,}")
+_USAGE = """\
 usage: {program} COMMAND ... [--json] [--help]
 
 You tell a robot "go to the hydrant behind the cone". It has never been here and sees neither.
@@ -56,16 +56,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command, that of the process by default; return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not os.environ.get(DEBUG):
-        # That a compilation is slow is said in our words; what fails in it is raised all the same.
+        # Hide XLA's warnings of slow compilation; failures are raised all the same.
         os.environ.setdefault(XLA_LOG_LEVEL, "3")
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # What the terminal's alphabet lacks is written as an escape, as on standard error.
+        # Characters that the terminal cannot encode are escaped, as on standard error.
         sys.stdout.reconfigure(errors="backslashreplace")
     if not words or words[0] in ("-h", "--help", "help"):
         width = max(map(len, SUMMARIES))
         commands = "\n".join(f"  {name:<{width}}  {text}" for name, text in SUMMARIES.items())
-        story = _STORY.format(program=PROGRAM, commands=commands)
-        print(story, file=sys.stdout if words else sys.stderr)
+        usage = _USAGE.format(program=PROGRAM, commands=commands)
+        print(usage, file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
     if words[0] in ("-V", "--version"):
         print(f"{PROGRAM} {__version__}")
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:
-        return _complain("interrupted", code=130)
+        return _print_error("interrupted", code=130)
     except BrokenPipeError:
         # The reader has gone (`| head`): say nothing, and keep Python from flushing into the void.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -84,15 +84,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get(DEBUG) and not isinstance(error, UsageError):
             raise
         if output.is_refusal(error):
-            return _complain(output.one_line(error), code=2)
+            return _print_error(output.one_line(error), code=2)
         if fault := output.platform_fault(error):
-            return _complain(fault, code=2)
+            return _print_error(fault, code=2)
         fault = f"internal error: {type(error).__name__}: {output.one_line(error)}"
-        return _complain(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
+        return _print_error(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
 
 
 def _run(command: Any) -> int:
-    """Run a command; under ``--json`` print its document, and only that, on standard output."""
+    """Run a command; with ``--json`` print only its document on standard output."""
     # Stray prints go to standard error where a script reads the document.
     with contextlib.redirect_stdout(sys.stderr if command.json else sys.stdout):
         document = command.run(output.Output(is_json=command.json))
@@ -102,13 +102,13 @@ def _run(command: Any) -> int:
     return 0
 
 
-def _complain(message: str, *, code: int) -> int:
+def _print_error(message: str, *, code: int) -> int:
     print(f"{PROGRAM}: {sanitize(message)}", file=sys.stderr)
     return code
 
 
 def parse_arguments(arguments: Sequence[str]) -> Any:
-    """Read a command and its options; ``UsageError`` for bad ones, ``SystemExit`` after help."""
+    """Parse a command and its options; ``UsageError`` for bad ones, ``SystemExit`` after help."""
     name, *options = arguments
     if name.startswith("-"):
         raise UsageError(f'expected a command before "{name}" (see {PROGRAM} --help)')
@@ -116,68 +116,68 @@ def parse_arguments(arguments: Sequence[str]) -> Any:
         hint = did_you_mean(name, SUMMARIES) or f"; choose from {', '.join(SUMMARIES)}"
         raise UsageError(f'unknown command "{name}"{hint}')
     module = importlib.import_module(f"jaxlangnav.cli.{MODULES.get(name, name)}")
-    kind, program = getattr(module, name.capitalize()), f"{PROGRAM} {name}"
+    command_class, program = getattr(module, name.capitalize()), f"{PROGRAM} {name}"
     import tyro
 
-    groups: tuple[str, ...] = getattr(kind, "SETTINGS", ())
+    groups: tuple[str, ...] = getattr(command_class, "SETTINGS", ())
     if groups and any(settings.is_setting(word) for word in options):
-        kind = settings.with_settings(kind)
+        command_class = settings.with_settings(command_class)
         options = ["--help" if word == settings.HELP_ALL else word for word in options]
-    complaint = io.StringIO()
+    stderr = io.StringIO()
     try:
-        with contextlib.redirect_stderr(complaint):
+        with contextlib.redirect_stderr(stderr):
             return tyro.cli(
-                kind,
+                command_class,
                 prog=program,
-                description=_lay_out_help(kind),
+                description=_format_help(command_class),
                 args=list(options),
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
             )
     except SystemExit as end:
         if not end.code:
             raise
-        message = _explain(complaint.getvalue(), kind, options)
+        message = _explain_error(stderr.getvalue(), command_class, options)
         raise UsageError(f"{message} (see {program} --help)") from None
 
 
-def _lay_out_help(kind: type[Any]) -> str:
-    """Lay out a command's docstring for its help, as wide as the terminal but for comfort."""
-    width = min(shutil.get_terminal_size().columns, _COMFORTABLE)
-    first, *others = inspect.cleandoc(kind.__doc__ or "").split("\n\n")
-    laid = [first]
-    for paragraph in others:
+def _format_help(command_class: type[Any]) -> str:
+    """Wrap a command's docstring to the terminal width for its help text."""
+    width = min(shutil.get_terminal_size().columns, _MAX_WIDTH)
+    first, *rest = inspect.cleandoc(command_class.__doc__ or "").split("\n\n")
+    paragraphs = [first]
+    for paragraph in rest:
         is_list = "\n  " in paragraph
         filled = textwrap.fill(" ".join(paragraph.split()), width, subsequent_indent="  ")
-        laid.append(paragraph if is_list else filled)
-    return "\n\n".join(laid)
+        paragraphs.append(paragraph if is_list else filled)
+    return "\n\n".join(paragraphs)
 
 
-def _explain(complaint: str, kind: type[Any], options: Sequence[str]) -> str:
-    """Say in one line why the options could not be read."""
+def _explain_error(stderr: str, command_class: type[Any], options: Sequence[str]) -> str:
+    """Explain in one line why tyro could not parse the options."""
     import tyro
 
-    unnamed = {tyro.conf.Positional, tyro.conf.Suppress}
+    markers = {tyro.conf.Positional, tyro.conf.Suppress}
     fields = {
         f"--{field.name.replace('_', '-')}": field
-        for field in dataclasses.fields(kind)
-        if unnamed.isdisjoint(one for one in getattr(field.type, "__metadata__", ()))
+        for field in dataclasses.fields(command_class)
+        if markers.isdisjoint(marker for marker in getattr(field.type, "__metadata__", ()))
     }
-    groups: tuple[str, ...] = getattr(kind, "SETTINGS", ())
+    groups: tuple[str, ...] = getattr(command_class, "SETTINGS", ())
     for option in options:
         flag, is_assigned, _ = option.partition("=")
         if groups and settings.is_setting(flag):
-            if flag not in (one.flag for one in settings.options(groups)):
+            if flag not in (setting.flag for setting in settings.options(groups)):
                 return f'unknown option "{flag}"{settings.suggestion(flag, groups, fields)}'
         elif flag.startswith("--") and flag not in fields:
-            known = ["--help", *fields, *([settings.HELP_ALL] if groups else [])]
-            return f'unknown option "{flag}"{did_you_mean(flag, known)}'
+            names = ["--help", *fields, *([settings.HELP_ALL] if groups else [])]
+            return f'unknown option "{flag}"{did_you_mean(flag, names)}'
         if is_assigned and flag in fields and fields[flag].type in (bool, "bool"):
             return f'{flag} takes no value, not "{option}"'
-    return _say(*_fold(complaint))
+    return _rephrase(*_parse_box(stderr))
 
 
-def _say(title: str, message: str) -> str:
-    """Say a complaint of tyro's in the words of the other refusals."""
+def _rephrase(title: str, message: str) -> str:
+    """Rephrase an error message of tyro in the style of the other errors."""
     if title.startswith("Unrecognized"):
         words = message.removeprefix("Unrecognized options:").strip()
         return f'unexpected "{words}"; a sentence of several words goes in quotes'
@@ -187,25 +187,25 @@ def _say(title: str, message: str) -> str:
         return "missing " + "; ".join(
             re.sub(r"^(--\S+ \S+|[A-Z]+) ", r"\1: ", part) for part in parts
         )
-    if found := re.match(r"Missing value for argument '(\S+)'", message):
-        return f"{found[1]} needs a value"
-    if found := re.match(r"[Ii]nvalid choice '(.*)' for argument '(\S+)'.*?\((.*)\)", message):
-        choices = re.findall(r"'([^']*)'", found[3])
-        hint = did_you_mean(found[1], choices)
-        return f'{found[2]} is "{found[1]}", but must be one of {", ".join(choices)}{hint}'
-    if found := re.match(r"Error parsing (\S+): .*(int\(\)|to float).*?: '(.*)'$", message):
-        kind = "a whole number" if found[2] == "int()" else "a number"
-        return f'{found[1]} is "{found[3]}", but must be {kind}'
+    if match := re.match(r"Missing value for argument '(\S+)'", message):
+        return f"{match[1]} needs a value"
+    if match := re.match(r"[Ii]nvalid choice '(.*)' for argument '(\S+)'.*?\((.*)\)", message):
+        choices = re.findall(r"'([^']*)'", match[3])
+        hint = did_you_mean(match[1], choices)
+        return f'{match[2]} is "{match[1]}", but must be one of {", ".join(choices)}{hint}'
+    if match := re.match(r"Error parsing (\S+): .*(int\(\)|to float).*?: '(.*)'$", message):
+        expected = "a whole number" if match[2] == "int()" else "a number"
+        return f'{match[1]} is "{match[3]}", but must be {expected}'
     return message[:1].lower() + message[1:].rstrip(".")
 
 
-def _fold(complaint: str) -> tuple[str, str]:
-    """Take title and first paragraph out of tyro's box, drawn or in plain text."""
-    lines = [line.strip(_FRAME) for line in complaint.splitlines()]
+def _parse_box(box: str) -> tuple[str, str]:
+    """Extract the title and the first paragraph from tyro's error box."""
+    lines = [line.strip(_BOX_CHARS) for line in box.splitlines()]
     title = next((line.strip("─- ") for line in lines if line.strip("─- ")), "bad arguments")
     paragraph: list[str] = []
     for line in lines[1:]:
-        if _RULE.match(line):
+        if _BOX_RULE.match(line):
             if paragraph:
                 break
         elif line:

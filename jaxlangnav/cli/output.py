@@ -1,6 +1,6 @@
-"""Where words go: people read standard output, scripts read one JSON document there instead.
+"""Output streams: text for people or one JSON document for scripts on standard output.
 
-What cannot be done is said in one line on standard error.
+Errors are one line on standard error.
 """
 
 import difflib
@@ -17,20 +17,20 @@ from typing import Any
 from jaxlangnav.experiments.table import Document as Document
 from jaxlangnav.inputs.sanitize import Plain, is_plain, sanitize, shorten
 
-_WIDEST = 240  # columns that a table may take
-_COMFORTABLE = 100
-"""Columns that lines of a story take at most on a terminal: longer ones are hard to read."""
-_PLATFORMS = "JAX_PLATFORMS"  # environment variable that tells JAX where to compute
+_MAX_TABLE_WIDTH = 240  # columns
+_MAX_LINE_WIDTH = 100
+"""Columns to which narrative lines are wrapped on a terminal."""
+_PLATFORMS = "JAX_PLATFORMS"  # environment variable of JAX that selects the backend
 _NO_BACKEND = "Unable to initialize backend"
-_LONGEST, _ENDING = 600, 200
-"""Characters of a complaint's one line, and those at its end that stay where it is longer."""
+_MAX_CHARS, _TAIL = 600, 200
+"""Characters of an error message; those kept at its end if it is truncated."""
 
 
 class Output:
-    """Tells people what happens; keeps silent on standard output where a script listens."""
+    """Writer for text output that leaves standard output to the document under ``--json``."""
 
     def __init__(self, *, is_json: bool) -> None:
-        """Bind to standard output, or to standard error where a script listens."""
+        """Create a writer; with ``is_json`` only notes are printed, on standard error."""
         self.is_json = is_json
 
     def say(self, *parts: Any) -> None:
@@ -43,23 +43,23 @@ class Output:
             from rich.console import Console
 
             plain: dict[str, Any] = dict.fromkeys(("highlight", "markup", "emoji"), False)
-            # A table that is too wide for the screen is better wrapped by it than cut by us.
-            console = Console(file=sys.stdout, width=_WIDEST, soft_wrap=True, **plain)
-            console.print(*(sanitize(one) if isinstance(one, str) else Plain(one) for one in parts))
+            # A table wider than the screen is wrapped by the terminal, not cropped.
+            console = Console(file=sys.stdout, width=_MAX_TABLE_WIDTH, soft_wrap=True, **plain)
+            console.print(*(sanitize(it) if isinstance(it, str) else Plain(it) for it in parts))
 
     def tell(self, lines: Sequence[str]) -> None:
-        """Print a story in plain text; on a terminal long lines hang under their "[ 3 · 2.0 m]"."""
+        """Print narrative lines; a terminal wraps them with a hanging indent."""
         if self.is_json:
             return
-        is_watched = sys.stdout.isatty()
-        width = min(shutil.get_terminal_size().columns, _COMFORTABLE)
+        is_terminal = sys.stdout.isatty()
+        width = min(shutil.get_terminal_size().columns, _MAX_LINE_WIDTH)
         for line in lines:
-            head = len(line.partition("] ")[0]) + 2 if line.startswith("[") else 0
-            # A number and its unit stay together.
+            indent = len(line.partition("] ")[0]) + 2 if line.startswith("[") else 0
+            # A no-break space keeps a number and its unit on one line.
             line = sanitize(line)
-            kept = re.sub(r"(\d) (?=%|m\b)", "\\1\N{NO-BREAK SPACE}", line)
-            hung = textwrap.fill(kept, width, subsequent_indent=" " * head)
-            print(hung.replace("\N{NO-BREAK SPACE}", " ") if is_watched else line)
+            joined = re.sub(r"(\d) (?=%|m\b)", "\\1\N{NO-BREAK SPACE}", line)
+            wrapped = textwrap.fill(joined, width, subsequent_indent=" " * indent)
+            print(wrapped.replace("\N{NO-BREAK SPACE}", " ") if is_terminal else line)
 
     def note(self, text: str) -> None:
         """Print a plain line on standard error: progress, warnings, repairs."""
@@ -67,25 +67,25 @@ class Output:
 
 
 def write_document(document: Document) -> None:
-    """Print a document as JSON on standard output; what JSON lacks (NaN, infinity) becomes null."""
+    """Print a document as JSON on standard output; NaN and infinity become null."""
     is_unicode = (sys.stdout.encoding or "").lower().startswith("utf")
     text = json.dumps(to_json(document), ensure_ascii=not is_unicode, indent=2)
-    # JSON lets a text hold what would steer a terminal; written as an escape it is the same text.
-    escaped = (one if is_plain(one) or one == "\n" else json.dumps(one)[1:-1] for one in text)
+    # JSON strings may contain terminal control characters: escape them.
+    escaped = (char if is_plain(char) or char == "\n" else json.dumps(char)[1:-1] for char in text)
     sys.stdout.write("".join(escaped) + "\n")
 
 
 def document_text(document: Document) -> str:
-    """Write a document for a file, in JSON's own types, indented."""
+    """Serialize a document as indented JSON."""
     return json.dumps(to_json(document), indent=2) + "\n"
 
 
 def to_json(value: Any) -> Any:
-    """Turn nested mappings, sequences, paths, scalars and arrays into JSON's own types."""
+    """Convert nested mappings, sequences, paths, scalars and arrays to JSON types."""
     if isinstance(value, Mapping):
-        return {str(key): to_json(one) for key, one in value.items()}
+        return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [to_json(one) for one in value]
+        return [to_json(item) for item in value]
     if hasattr(value, "tolist"):
         return to_json(value.tolist())
     if isinstance(value, float):
@@ -100,55 +100,53 @@ class UsageError(ValueError):
 
 
 def one_line(error: BaseException) -> str:
-    """Say an error in one printable line, cut in its middle; its type's name if it says nothing."""
+    """Format an error as one printable line, truncated in its middle; the type if it is empty."""
     message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
-        where = (
-            f"{shorten(str(error.filename), _LONGEST // 2)}: " if error.filename is not None else ""
-        )
-        message = f"{where}{error.strerror}"
+        name = f"{shorten(str(error.filename), 300)}: " if error.filename is not None else ""
+        message = f"{name}{error.strerror}"
     message = sanitize(message)
-    if len(message) <= _LONGEST:
+    if len(message) <= _MAX_CHARS:
         return message
-    # What was given stands first, why it is refused last: neither may push the other out.
-    return f"{message[: _LONGEST - _ENDING - 1]}…{message[-_ENDING:]}"
+    # Keep both ends: the bad value comes first, the reason last.
+    return f"{message[: _MAX_CHARS - _TAIL - 1]}…{message[-_TAIL:]}"
 
 
 def is_refusal(error: BaseException) -> bool:
-    """Tell bad input from a fault of ours.
+    """Test whether an error is due to bad input rather than an internal error.
 
-    The package refuses bad input by raising a ``ValueError`` itself; one that comes out of the
-    depth of a library is a fault. Files that cannot be read or written are the person's matter.
+    The package rejects bad input by raising ``ValueError`` itself; one raised inside a library
+    is an internal error. Files that cannot be read or written count as bad input.
     """
     if isinstance(error, OSError):
         return True
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
-    raised_in = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
-    is_ours = raised_in.split(".")[0] == "jaxlangnav"
+    module = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
+    is_ours = module.split(".")[0] == "jaxlangnav"
     return isinstance(error, UsageError) or (isinstance(error, ValueError) and is_ours)
 
 
 def platform_fault(failure: Exception) -> str | None:
-    """Find out after a failure whether JAX was told to compute on what is not here; else None."""
-    jax, named = sys.modules.get("jax"), os.environ.get(_PLATFORMS)
-    if jax is None or not named:
+    """Describe an unavailable backend in JAX_PLATFORMS as the cause of a failure, else None."""
+    jax, platforms = sys.modules.get("jax"), os.environ.get(_PLATFORMS)
+    if jax is None or not platforms:
         return None
     try:
-        is_here = _NO_BACKEND not in str(failure) and bool(jax.devices())
+        is_available = _NO_BACKEND not in str(failure) and bool(jax.devices())
     except (RuntimeError, AssertionError):
-        is_here = False
-    if is_here:
+        is_available = False
+    if is_available:
         return None
     return (
-        f'{_PLATFORMS} is "{shorten(named)}", but JAX can compute on no such device here: '
+        f'{_PLATFORMS} is "{shorten(platforms)}", but JAX can compute on no such device here: '
         "unset it, or set it to cpu"
     )
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suggest the nearest known name, '; did you mean "follow"?'; nothing where none is near."""
-    lower = {one.lower(): one for one in known}
-    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.6)
-    return f'; did you mean "{lower[near[0]]}"?' if near else ""
+    """Suggest the closest known name, '; did you mean "follow"?', or return ""."""
+    by_lower_case = {key.lower(): key for key in known}
+    matches = difflib.get_close_matches(name.lower(), by_lower_case, n=1, cutoff=0.6)
+    return f'; did you mean "{by_lower_case[matches[0]]}"?' if matches else ""

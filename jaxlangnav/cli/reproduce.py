@@ -1,4 +1,4 @@
-"""``jaxlangnav reproduce``: an experiment of the paper, beside its printed numbers (section 4)."""
+"""``jaxlangnav reproduce``: experiments of the paper beside its printed numbers (section 4)."""
 
 import dataclasses
 from typing import Any, ClassVar, Literal
@@ -11,14 +11,14 @@ from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import apply, read_settings
 from jaxlangnav.inputs.limits import refuse_below
 
-_EPISODES = {"robustness": 500}
-_TAKES = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
-_TAKES |= {"robustness": ("params",), "table3": ()}
-"""Groups of settings that mean something to an experiment; the others take all of them."""
-_ONLY_IN = {
+_DEFAULT_EPISODES = {"robustness": 500}
+_SETTING_GROUPS = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
+_SETTING_GROUPS |= {"robustness": ("params",), "table3": ()}
+"""Groups of settings that an experiment uses; the other experiments use all of them."""
+_EXPERIMENTS_OF_OPTION = {
     "trials": ("table3",), "extra": ("table2", "all"), "ranges": ("table2", "fig5", "all"),
 }  # fmt: skip
-_POLICIES_OF = {"conversation": ("informed",), "table3": ("informed", "faithful")}
+_ALLOWED_POLICIES = {"conversation": ("informed",), "table3": ("informed", "faithful")}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -94,19 +94,19 @@ class Reproduce:
         from jaxlangnav.planner.config import SHIPPED
         from jaxlangnav.task.follow import navigator_params
 
-        listed = [] if self.ranges is None else self.ranges.split(",")
-        ranges = tuple(LENGTH.read(one.strip(), "--ranges") for one in listed)
-        named = [one.strip() for one in self.policy.split(",") if one.strip()]
+        range_texts = [] if self.ranges is None else self.ranges.split(",")
+        ranges = tuple(LENGTH.read(one.strip(), "--ranges") for one in range_texts)
+        names = [one.strip() for one in self.policy.split(",") if one.strip()]
         values = read_settings(self.settings, self.SETTINGS)
-        least = min(SENSING_RANGES) if self.what in ("fig5", "all") else 3.0
-        check_sensor(apply(default_sensor(min(ranges, default=least)), values, "sensor"))
+        max_range = min(SENSING_RANGES) if self.what in ("fig5", "all") else 3.0
+        check_sensor(apply(default_sensor(min(ranges, default=max_range)), values, "sensor"))
         params = apply(navigator_params(), values, "params")
-        policies = check_policies(list(POLICY_NAMES) if named == ["all"] else named)
+        policies = check_policies(list(POLICY_NAMES) if names == ["all"] else names)
         for policy in sorted(SHIPPED.keys() & set(policies)):
             check(params, policy=SHIPPED[policy])
         settings = Settings(
             options=Options(
-                episodes=self.episodes or _EPISODES.get(self.what, 100),
+                episodes=self.episodes or _DEFAULT_EPISODES.get(self.what, 100),
                 policies=policies,
                 seed=self.seed or 0,
                 num_particles=self.particles or 64,
@@ -117,7 +117,7 @@ class Reproduce:
             params=params,
             ranges=ranges,
             values=values,
-            asked=self,
+            args=self,
         )
         is_all = self.what == "all"
         reproduction.check_sizes(reproduction.REPORTED if is_all else [self.what], settings)
@@ -126,48 +126,48 @@ class Reproduce:
         return reproduction.run_one(self.what, settings, output)[0]
 
     def _check(self) -> None:
-        least = {"trials": 1, "episodes": 1, "particles": 2}
-        for option, number in least.items():
+        minimum = {"trials": 1, "episodes": 1, "particles": 2}
+        for option, limit in minimum.items():
             if getattr(self, option) is not None:
-                refuse_below(number, **{f"--{option}": getattr(self, option)})
-        for option, studies in _ONLY_IN.items():
-            if getattr(self, option) and self.what not in studies:
-                where = " and ".join(studies)
-                raise UsageError(f"--{option} is for {where}, but {self.what} is run")
+                refuse_below(limit, **{f"--{option}": getattr(self, option)})
+        for option, experiments in _EXPERIMENTS_OF_OPTION.items():
+            if getattr(self, option) and self.what not in experiments:
+                names = " and ".join(experiments)
+                raise UsageError(f"--{option} is for {names}, but {self.what} is run")
         checks.check_seed(self.seed or 0)
         checks.check_folder("--out", self.out)
         if self.what in ("fig1", "fig3", "fig4", "all"):
             checks.check_extra(f"{self.what} draws pictures and needs", "matplotlib", "viz")
-        policies = _POLICIES_OF.get(self.what, (self.policy,))
+        policies = _ALLOWED_POLICIES.get(self.what, (self.policy,))
         if self.policy not in ("all", *policies):
             raise UsageError(
                 f'--policy is "{self.policy}", but {self.what} takes {" or ".join(policies)}'
             )
-        # What the experiment would never read.
+        # Options that the experiment would ignore.
         is_read = ("what", "trials", "policy", "seed", "out", "json", "settings")
         unread = [
             field.name
             for field in dataclasses.fields(self) if self.what == "table3"
             and field.name not in is_read and getattr(self, field.name) != field.default
         ]  # fmt: skip
-        taken = _TAKES.get(self.what, self.SETTINGS)
-        typed = read_settings(self.settings, self.SETTINGS)
-        unread += [".".join(place).replace("_", "-") for place in typed if place[0] not in taken]
+        taken = _SETTING_GROUPS.get(self.what, self.SETTINGS)
+        given = read_settings(self.settings, self.SETTINGS)
+        unread += [".".join(path).replace("_", "-") for path in given if path[0] not in taken]
         if unread:
             raise UsageError(f"--{unread[0]} changes nothing in {self.what}: leave it out")
 
     def command(self, what: str) -> str:
-        """Write the command that runs an experiment again."""
-        words = ["jaxlangnav reproduce", what]
+        """Build the command line that repeats an experiment."""
+        parts = ["jaxlangnav reproduce", what]
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             is_plain = field.name in ("episodes", "policy", "ranges", "seed", "particles")
             if field.name == "extra" and value:
-                words.append("--extra")
+                parts.append("--extra")
             elif is_plain and value != field.default:
-                words.append(f"--{field.name} {value}")
-        for place, value in read_settings(self.settings, self.SETTINGS).items():
-            flag = ".".join(place).replace("_", "-")
-            listed = value if isinstance(value, tuple) else (value,)
-            words.append(f"--{flag} {','.join(f'{one:g}' for one in listed)}")
-        return " ".join(words)
+                parts.append(f"--{field.name} {value}")
+        for path, value in read_settings(self.settings, self.SETTINGS).items():
+            flag = ".".join(path).replace("_", "-")
+            numbers = value if isinstance(value, tuple) else (value,)
+            parts.append(f"--{flag} {','.join(f'{number:g}' for number in numbers)}")
+        return " ".join(parts)

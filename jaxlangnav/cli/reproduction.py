@@ -1,4 +1,4 @@
-"""The experiments behind ``jaxlangnav reproduce``: run, printed, drawn and put into the report.
+"""Run the experiments of ``jaxlangnav reproduce``: print, draw and write the report.
 
 ``GRIDS`` and ``STUDIES`` are their registry, by the names on the command line.
 """
@@ -14,7 +14,7 @@ from jaxlangnav import __version__
 from jaxlangnav.cli.output import Document, Output, document_text
 from jaxlangnav.cli.runtime import progress_bar, waiting
 from jaxlangnav.cli.settings import apply
-from jaxlangnav.cli.study import FACTOR_GRAPH, FIGURE_1, FIGURE_4, Found, Settings, Study
+from jaxlangnav.cli.study import FACTOR_GRAPH, FIGURE_1, FIGURE_4, Settings, Study, StudyResult
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments import conversation as spoken, paper, robustness, unknowns
 from jaxlangnav.experiments.archive import manifest, write_manifest
@@ -27,7 +27,7 @@ from jaxlangnav.experiments.timing import cycle_parts
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.inputs.whole_files import write_text
 
-_SPLITS = 8  # random splits of Table 1, as in the paper; ``jaxlangnav evaluate`` takes any number
+_NUM_SPLITS = 8  # random splits of Table 1, as in the paper
 _TITLE3 = "Table 3 in simulation: ours beside the paper's"
 _CAPTION3 = (
     "Physics-in-the-loop simulation with rendered-camera perception; the paper drove real robots. "
@@ -38,8 +38,8 @@ _PAPER = (
     "F. Duvallet, M. R. Walter, T. Howard, S. Hemachandra, J. Oh, S. Teller, N. Roy, A. Stentz: "
     "Inferring Maps and Behaviors from Natural Language Instructions. ISER 2014."
 )
-_AMBIGUOUS = "“go to the hydrant” among several: nothing says which"
-_CURVES = {
+_AMBIGUOUS_CURVE = "“go to the hydrant” among several: nothing says which"
+_CURVE_NAMES = {
     "null": "“go to the hydrant”",
     "behind": "“… behind the cone”",
     "nearest": "“… nearest to the cone”",
@@ -48,7 +48,7 @@ _CURVES = {
 
 GRIDS: dict[str, Callable[[Settings], tuple[Experiment, Options]]] = {
     "table2": lambda settings: (
-        paper.table_2(extra=settings.asked.extra, ranges=settings.ranges),
+        paper.table_2(extra=settings.args.extra, ranges=settings.ranges),
         settings.options,
     ),
     "fig5": lambda settings: (paper.figure_5(ranges=settings.ranges), settings.options),
@@ -63,34 +63,34 @@ GRIDS: dict[str, Callable[[Settings], tuple[Experiment, Options]]] = {
         ),
     ),
 }
-"""The experiments made of episodes: from settings to rows, and to what is run of them."""
+"""Experiments over episodes: maps settings to the experiment and its options."""
 
 
-def _table1(settings: Settings, output: Output) -> Found:
-    """Run the paper's protocol for understanding; of the settings the seed is read."""
-    with progress_bar("splits", _SPLITS) as advance:
-        document = evaluate(splits=_SPLITS, seed=settings.options.seed, on_progress=advance)
-    laid = table_1(document)
-    output.say(laid.text())
-    text = f"# {laid.title}\n\n{laid.markdown()}"
+def _run_table1(settings: Settings, output: Output) -> StudyResult:
+    """Run the paper's evaluation of language understanding (Table 1)."""
+    with progress_bar("splits", _NUM_SPLITS) as advance:
+        document = evaluate(splits=_NUM_SPLITS, seed=settings.options.seed, on_progress=advance)
+    table = table_1(document)
+    output.say(table.text())
+    text = f"# {table.title}\n\n{table.markdown()}"
     return document, lambda out: [write_text(text, out / "table1.md")]
 
 
-def _episodes(name: str, settings: Settings) -> Study:
-    """Build the study of one of ``GRIDS``: every row and arm."""
+def _episode_study(name: str, settings: Settings) -> Study:
+    """Build the study of one experiment of ``GRIDS``, all rows and policies."""
     experiment, options = GRIDS[name](settings)
 
-    def run(settings: Settings, output: Output) -> Found:
+    def run(settings: Settings, output: Output) -> StudyResult:
         total = experiment.total_episodes(options)
         with progress_bar("episodes", total) as advance:
-            document = experiment.run(options, out=settings.asked.out, on_progress=advance)
+            document = experiment.run(options, out=settings.args.out, on_progress=advance)
         output.say(experiment.render(document))
         wall, compiling = document["wall_s"], document["compile_s"]
         output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
         return document, lambda out: _draw(experiment.name, document, out, output)
 
     return Study(
-        **{one.name: getattr(experiment, one.name) for one in dataclasses.fields(Report)},
+        **{field.name: getattr(experiment, field.name) for field in dataclasses.fields(Report)},
         run=run,
         made=lambda document: {
             "episodes": f"{document['episodes']} a row and arm, seed {document['seed']}, "
@@ -100,44 +100,44 @@ def _episodes(name: str, settings: Settings) -> Study:
     )
 
 
-def _timing(settings: Settings, output: Output) -> Found:
-    """Measure where a decision cycle's time goes, under the engine's numbers of the settings."""
+def _run_timing(settings: Settings, output: Output) -> StudyResult:
+    """Measure the run time of each part of a decision cycle with the settings' parameters."""
     with waiting("timing the parts of a cycle", output):
         document: dict[str, Any] = cycle_parts(params=settings.params)
-    whole, parts = document["cycle_us"], document["parts_us"]
-    for part, spent in sorted(parts.items(), key=lambda one: -one[1]):
-        output.say(f"{part:<34} {spent:8.1f} µs {100 * spent / whole:5.1f} %")
+    total, parts = document["cycle_us"], document["parts_us"]
+    for part, micros in sorted(parts.items(), key=lambda item: -item[1]):
+        output.say(f"{part:<34} {micros:8.1f} µs {100 * micros / total:5.1f} %")
     return document, lambda out: [
         write_manifest(document, out / "time.json"),
         *_draw("time", document, out, output),
     ]
 
 
-def _conversation(settings: Settings, output: Output) -> Found:
-    """Run episodes in which a simulated person speaks; ``informed`` alone is told of it."""
-    given = settings.options
-    with progress_bar("episodes", given.episodes * len(spoken.ROWS)) as advance:
-        document = spoken.run_rows(given, on_progress=advance)
+def _run_conversation(settings: Settings, output: Output) -> StudyResult:
+    """Run episodes with a simulated speaker, policy ``informed`` only."""
+    options = settings.options
+    with progress_bar("episodes", options.episodes * len(spoken.ROWS)) as advance:
+        document = spoken.run_rows(options, on_progress=advance)
     output.say(spoken.CONVERSATION.render(document))
 
     def write(out: Path) -> list[Path]:
         page = write_text(spoken.CONVERSATION.markdown(document), out / "conversation.md")
-        told = document_text({**document, "files": [page]})
-        return [page, write_text(told, out / "conversation.json")]
+        text = document_text({**document, "files": [page]})
+        return [page, write_text(text, out / "conversation.json")]
 
     return document, write
 
 
-def _table3(settings: Settings, output: Output) -> Found:
-    """Run the robots with bodies; trials that the folder holds are not run again."""
+def _run_table3(settings: Settings, output: Output) -> StudyResult:
+    """Run the physics simulations of Table 3; trials found in the folder are not repeated."""
     from jaxlangnav.robots.libraries import check_libraries
 
     check_libraries()
     from jaxlangnav.robots.trials import TABLE3, TrialPlan, reproduce_table3, trials_table
 
-    asked, policies = settings.asked, settings.options.policies
+    args, policies = settings.args, settings.options.policies
     policy = policies[0] if len(policies) == 1 else "informed"
-    plan = TrialPlan(trials=asked.trials or 10, seed=asked.seed or 0, policy=policy, out=asked.out)
+    plan = TrialPlan(trials=args.trials or 10, seed=args.seed or 0, policy=policy, out=args.out)
     total = len(TABLE3) * (plan.trials + 1)
     output.note(f"{total} runs of two robots, two at a time")
     with progress_bar("runs", total) as advance:
@@ -145,10 +145,10 @@ def _table3(settings: Settings, output: Output) -> Found:
     table = trials_table(document, title=_TITLE3, caption=_CAPTION3)
     output.say(table.text())
     for row in document["rows"]:
-        where = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"
-        for one in row["failures"]:
-            output.say(f"{where}, trial {one['trial']}: {one['ending']}: {one['why']}")
-    low, high = (100 * one for one in document["success_interval"])
+        label = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"
+        for failure in row["failures"]:
+            output.say(f"{label}, trial {failure['trial']}: {failure['ending']}: {failure['why']}")
+    low, high = (100 * bound for bound in document["success_interval"])
     output.say(
         f"Over all: {100 * document['success']:.1f} % [{low:.1f}, {high:.1f}]; "
         f"{total - document['resumed']} runs in {document['wall_s']:.0f} s, "
@@ -162,7 +162,7 @@ def _table3(settings: Settings, output: Output) -> Found:
 
 
 def _draw(name: str, document: Document, out: Path, output: Output) -> list[Path]:
-    """Draw the figures of an experiment, where there is something to draw with."""
+    """Draw the figures of an experiment if matplotlib is installed."""
     if importlib.util.find_spec("matplotlib") is None:
         output.note('note: no figure without matplotlib: pip install "jaxlangnav[viz]"')
         return []
@@ -170,42 +170,42 @@ def _draw(name: str, document: Document, out: Path, output: Output) -> list[Path
     from jaxlangnav.viz.style import save
     from jaxlangnav.viz.sweep import range_figure, robustness_figure, unknowns_figure
 
-    drawers: dict[str, Callable[..., Any]] = {
+    figures: dict[str, Callable[..., Any]] = {
         "time": lambda document: time_figure(document["parts_us"]),
         "robustness": robustness_figure,
         "table2": table_figure,
         "figure5": range_figure,
         "unknowns": unknowns_figure,
     }
-    drawn = [*save(drawers[name](document), out / name)]
+    paths = [*save(figures[name](document), out / name)]
     if name not in ("time", "robustness") and (panels := reliability_panels(document)):
         subtitle = (
             f"Every step of {document['calibration_episodes']} episodes a row of Table 2; "
             "intervals allow for steps of one episode being alike."
         )
         title = "Calibration: “this object is the goal”"
-        drawn += save(reliability_figure(panels, title=title, subtitle=subtitle),
+        paths += save(reliability_figure(panels, title=title, subtitle=subtitle),
                       out / "calibration")  # fmt: skip
-    return drawn
+    return paths
 
 
 def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
-    """Gather the reliability curves of Table 2's rows: by policy and command, over all worlds.
+    """Pool the reliability curves of Table 2's rows by policy and command over all worlds.
 
-    Several hydrants and no relation stand apart: there no belief can know which is meant.
+    Several hydrants without a relation form their own curve: the command is ambiguous.
     """
     from jaxlangnav.experiments.judging import curve, pooled
 
-    parts: dict[str, dict[str, list[Any]]] = {}
+    panels: dict[str, dict[str, list[Any]]] = {}
     for row in document["rows"]:
-        found = row.get("reliability")
-        if found is not None and any(found["planner"]["events"]):
-            is_open = row["relation"] is None and not row["world"].startswith("1H")
-            name = _AMBIGUOUS if is_open else _CURVES[row["relation"] or "null"]
-            parts.setdefault(row["policy"], {}).setdefault(name, []).append(found["planner"])
+        reliability = row.get("reliability")
+        if reliability is not None and any(reliability["planner"]["events"]):
+            is_ambiguous = row["relation"] is None and not row["world"].startswith("1H")
+            name = _AMBIGUOUS_CURVE if is_ambiguous else _CURVE_NAMES[row["relation"] or "null"]
+            panels.setdefault(row["policy"], {}).setdefault(name, []).append(reliability["planner"])
     return {
-        policy: {name: curve(pooled(listed)) for name, listed in curves.items()}
-        for policy, curves in parts.items()
+        policy: {name: curve(pooled(rows)) for name, rows in curves.items()}
+        for policy, curves in panels.items()
     }
 
 
@@ -214,7 +214,7 @@ STUDIES = {
         title="Table 1: how often sentences are understood",
         lead="Whole sentences whose annotation or behavior is exactly right among those held "
         "out, mean and 95 % interval over random splits of 67 to 33 percent (section 4.1).",
-        run=_table1,
+        run=_run_table1,
         tables=lambda document: [table_1(document)],
         notes=lambda _: [
             "The corpora differ: the paper's 39 instructions were never published, ours ship "
@@ -229,22 +229,22 @@ STUDIES = {
         title="Where the time goes",
         lead="The parts of one decision cycle of one episode, each compiled alone and timed on "
         "the same beliefs in a batch; planner, motion and what else there are is left over.",
-        run=_timing,
+        run=_run_timing,
         notes=lambda document: [
             "{device}, {threads} threads, load {load} at the start; JAX {jax}; policy {policy}. "
             "CPU time of all threads.".format_map(document["machine"])
         ],
     ),
-    "conversation": Study(title=spoken.CONVERSATION.title, run=_conversation),
-    "table3": Study(title=_TITLE3, run=_table3),
+    "conversation": Study(title=spoken.CONVERSATION.title, run=_run_conversation),
+    "table3": Study(title=_TITLE3, run=_run_table3),
 }
-"""The other experiments."""
+"""All other experiments."""
 REPORTED = ("table1", "fig1", "fig3", "fig4", "table2", "fig5", "unknowns", "time")
-"""Those of the report, in its order: the paper's, and what they cost."""
+"""Experiments of the report, in order."""
 
 
 def check_sizes(names: Sequence[str], settings: Settings) -> None:
-    """Refuse, before the first of some experiments is run, what memory cannot hold."""
+    """Check the memory needs of experiments before the first one runs."""
     for name in names:
         if name in GRIDS:
             experiment, options = GRIDS[name](settings)
@@ -254,48 +254,48 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
 
 
 def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, Any], Study]:
-    """Run an experiment, print what it found, write its files and draw its figures."""
-    study = _episodes(name, settings) if name in GRIDS else STUDIES[name]
+    """Run an experiment, print its results, write its files and draw its figures."""
+    study = _episode_study(name, settings) if name in GRIDS else STUDIES[name]
     begin = time.perf_counter()
     document, write = study.run(settings, output)
     document |= {"wall_s": time.perf_counter() - begin, "files": []} | document
-    if settings.asked.out is not None:
-        document["files"] += [str(path) for path in write(settings.asked.out)]
+    if settings.args.out is not None:
+        document["files"] += [str(path) for path in write(settings.args.out)]
     for path in document["files"]:
         output.say(f"Wrote {path}")
     return document, study
 
 
 def run_all(settings: Settings, output: Output) -> Document:
-    """Run all experiments, and write one page about them, ``report``, where a folder is given."""
+    """Run all experiments, and write ``report.html`` if a folder is given."""
     begin = time.perf_counter()
     documents: dict[str, Any] = {}
     sections = []
-    for place, name in enumerate(REPORTED, start=1):
-        output.note(f"{name} ({place} of {len(REPORTED)})")
+    for i, name in enumerate(REPORTED, start=1):
+        output.note(f"{name} ({i} of {len(REPORTED)})")
         documents[name], study = run_one(name, settings, output)
-        sections.append(study.section(documents[name], settings.asked.command(name)))
+        sections.append(study.section(documents[name], settings.args.command(name)))
     documents["report"] = None
-    if settings.asked.out is not None:
-        made = manifest({}, models=load_shipped())
-        device, machine = made["device"], made["machine"]
-        libraries = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())
+    if settings.args.out is not None:
+        setup = manifest({}, models=load_shipped())
+        device, machine = setup["device"], setup["machine"]
+        libraries = ", ".join(f"{name} {version}" for name, version in setup["libraries"].items())
         values = settings.values.items()
         facts = {
-            "command": settings.asked.command("all"),
-            "versions": f"jaxlangnav {__version__}, Python {made['python']}, {libraries}",
-            "models": f"as shipped, SHA-256 {made['models_sha256']}",
+            "command": settings.args.command("all"),
+            "versions": f"jaxlangnav {__version__}, Python {setup['python']}, {libraries}",
+            "models": f"as shipped, SHA-256 {setup['models_sha256']}",
             "seed": f"{settings.options.seed}; {settings.seed_unknowns} in the study of the "
             "paper's unknowns",
             "episodes": f"{settings.options.episodes} a row and policy",
-            "changed numbers": ", ".join(f"{'.'.join(place)} = {one}" for place, one in values),
+            "changed numbers": ", ".join(f"{'.'.join(i)} = {value}" for i, value in values),
             "machine": f"{machine['system']} {machine['cpu']}, {machine['cores']} cores; "
             f"JAX on {device['count']} × {device['kind']}",
             "wall time": f"{time.perf_counter() - begin:.0f} s, compilation included",
             "the paper": _PAPER,
         }
         title = "Following commands in unknown places: ours beside the paper's"
-        path = write_report(title, sections, settings.asked.out / "report.html", made=facts)
+        path = write_report(title, sections, settings.args.out / "report.html", made=facts)
         documents["report"] = str(path)
         output.say(f"Wrote {path}")
     return documents

@@ -1,4 +1,4 @@
-"""What a command sets up before JAX computes: the kept programs, and progress on the terminal."""
+"""Set-up of a command: the persistent compilation cache and progress bars."""
 
 import contextlib
 import functools
@@ -9,11 +9,11 @@ from pathlib import Path
 
 from jaxlangnav.cli.output import Output, one_line
 
-Advance = Callable[[int], None]  # called with the number of pieces of work just done
+Advance = Callable[[int], None]  # called with the number of items just completed
 
 
 def _cache_folder(name: str) -> Path:
-    """Find a folder in the user's cache, which need not exist."""
+    """Return the path of a folder in the user's cache directory, which need not exist."""
     from platformdirs import user_cache_path
 
     path = user_cache_path("jaxlangnav") / name
@@ -23,7 +23,7 @@ def _cache_folder(name: str) -> Path:
 
 
 def keep_compiled_programs() -> None:
-    """Keep what is compiled, so that the next run of a command answers fast.
+    """Enable the persistent caches of compiled programs, so that later runs start fast.
 
     A folder named by JAX_COMPILATION_CACHE_DIR stays JAX's own; our programs lie below it if it is
     the user's alone to write, else in the user's cache folder, as JAX's do where none is named.
@@ -36,27 +36,27 @@ def keep_compiled_programs() -> None:
 
     if not getattr(jax.config, "jax_enable_compilation_cache", True):
         return
-    say = Output(is_json=False).note
-    named = getattr(jax.config, "jax_compilation_cache_dir", None)
+    note = Output(is_json=False).note
+    jax_folder = getattr(jax.config, "jax_compilation_cache_dir", None)
     try:
-        if named is None:
-            # What JAX loads runs as the user, as ours does.
+        if jax_folder is None:
+            # JAX executes what it loads, so other users must not write there.
             folder = own_folder(_cache_folder("xla"))
             check_own_files(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         programs = None
-        if named and "://" not in named:
+        if jax_folder and "://" not in jax_folder:
             with contextlib.suppress(OSError):
-                programs = own_folder(Path(named) / "programs")
-        set_cache_dir(programs or own_folder(_cache_folder("programs")), say=say)
+                programs = own_folder(Path(jax_folder) / "programs")
+        set_cache_dir(programs or own_folder(_cache_folder("programs")), say=note)
     except OSError as error:
-        say(f"compiled programs are not kept: {one_line(error)}")
+        note(f"compiled programs are not kept: {one_line(error)}")
 
 
 @contextlib.contextmanager
 def waiting(what: str, output: Output) -> Iterator[None]:
-    """Show that something without steps to count is under way; elsewhere a late note says it."""
+    """Show a spinner on a terminal; elsewhere print a note after five seconds."""
     timer = threading.Timer(5.0, output.note, [what])
     timer.daemon = True
     if not sys.stderr.isatty():
@@ -70,7 +70,7 @@ def waiting(what: str, output: Output) -> Iterator[None]:
 
 @contextlib.contextmanager
 def progress_bar(what: str, total: int | None) -> Iterator[Advance]:
-    """Show work done where a person watches, a spinner without total; yields what counts it."""
+    """Show a progress bar on a terminal, a spinner without total; yields its advance function."""
     if not sys.stderr.isatty():
         yield lambda _done: None
         return

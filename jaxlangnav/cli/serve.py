@@ -1,4 +1,4 @@
-"""``jaxlangnav serve``: a page on this machine to talk to the robot while it searches."""
+"""``jaxlangnav serve``: a local web page to talk to the robot while it searches."""
 
 import dataclasses
 import secrets
@@ -50,12 +50,12 @@ class Serve:
 
         from jaxlangnav.cli.runtime import keep_compiled_programs
         from jaxlangnav.grounding.weights import load
-        from jaxlangnav.serve.server import LARGEST_MESSAGE, serving
+        from jaxlangnav.serve.server import MAX_MESSAGE_SIZE, serving
 
         keep_compiled_programs()
         model = load(self.weights)
         with serving(model, token=token, port=port, pace=self.pace) as (app, server):
-            options: dict[str, Any] = {"log_level": "warning", "ws_max_size": LARGEST_MESSAGE}
+            options: dict[str, Any] = {"log_level": "warning", "ws_max_size": MAX_MESSAGE_SIZE}
             options |= {"timeout_graceful_shutdown": 2, "server_header": False}
             output.note(f"jaxlangnav serves on this machine only: {address}")
             threading.Thread(target=self._prepare, args=(server, output), daemon=True).start()
@@ -66,28 +66,28 @@ class Serve:
             try:
                 uvicorn.Server(uvicorn.Config(app, **options)).run(sockets=[listener])
             except KeyboardInterrupt:
-                pass  # that is how it ends
+                pass  # Ctrl-C is the normal way to stop
             finally:
                 listener.close()
         output.note(f"ended; episodes opened: {server.num_opened}")
         return {"address": address, "episodes": server.num_opened}
 
     def _listen(self) -> socket.socket:
-        """Take the port, before anything heavy is loaded."""
+        """Bind the port before heavy imports."""
         listener = socket.socket()
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind(("127.0.0.1", self.port))
         except OSError as error:
             listener.close()
-            remedy = "name another, or --port 0 for any that is free"
+            hint = "name another, or --port 0 for any that is free"
             raise UsageError(
-                f"--port is {self.port}, but cannot be taken ({error.strerror}): {remedy}"
+                f"--port is {self.port}, but cannot be taken ({error.strerror}): {hint}"
             ) from None
         return listener
 
     def _prepare(self, server: Any, output: Output) -> None:
-        """Compile ahead of the first sentence, so that it starts within a second."""
+        """Compile the episode program ahead of the first sentence."""
         try:
             server.warm_up()
         except Exception as error:

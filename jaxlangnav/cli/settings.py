@@ -1,4 +1,4 @@
-"""The engine's numbers and sizes on the command line: ``--params.planner.discount 0.9``.
+"""Command-line options for numeric parameters, such as ``--params.planner.discount 0.9``.
 
 Options are made from the records themselves: names, help (``pytree.field``), defaults, and the
 limits of a sweep's configuration; only where somebody uses one, so that plain help is instant.
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
     from jaxlangnav.task.opening import Prepared
 
 _T = TypeVar("_T")
-SettingPath = tuple[str, ...]  # where a value stands: ("params", "planner", "discount")
+SettingPath = tuple[str, ...]  # such as ("params", "planner", "discount")
 GROUPS = ("params", "config", "sensor", "motion")
-HELP_ALL = "--help-params"  # the help with all of these options
+HELP_ALL = "--help-params"  # prints the help with all of these options
 
-_UNSET = "\0"  # what nobody can type
-_ELSEWHERE = {
+_UNSET = "\0"  # sentinel: cannot be typed
+_DEDICATED_FLAGS = {
     ("config", "map", "num_particles"): "--particles",
     ("config", "planner", "policy"): "--policy",
     ("sensor", "range_max"): "--range",
 }
-"""What has an option of its own."""
-_NOT_OFFERED = {("params", "map", "motion")}  # the belief is told the world's own motion
-_GREEK = {"alpha": "α", "gamma": "γ", "kappa": "κ", "mu": "μ", "sigma": "σ", "tau": "τ"}
+"""Parameters that have a dedicated option."""
+_EXCLUDED = {("params", "map", "motion")}  # the filter uses the world's motion model
+_SYMBOLS = {"alpha": "α", "gamma": "γ", "kappa": "κ", "mu": "μ", "sigma": "σ", "tau": "τ"}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Option:
-    """One value that can be set."""
+    """A command-line option for one parameter."""
 
     path: SettingPath
     default: Any  # a number, or a tuple of them
@@ -45,42 +45,42 @@ class Option:
 
     @property
     def flag(self) -> str:
-        """What is typed."""
+        """The flag, such as "--params.planner.discount"."""
         return "--" + ".".join(self.path).replace("_", "-")
 
     def read(self, text: str) -> Any:
-        """Read a number, perhaps with a unit, or several with commas between; refuses all else."""
+        """Parse one number, with or without a unit, or several separated by commas."""
         if not isinstance(self.default, tuple):
-            return self._one(text)
+            return self._parse(text)
         parts = [part.strip() for part in text.split(",")]
         if len(parts) != len(self.default):
-            number = len(self.default)
-            raise UsageError(f'{self.flag} is "{text}", but needs {number} numbers, a comma apart')
-        return tuple(self._one(part) for part in parts)
+            count = len(self.default)
+            raise UsageError(f'{self.flag} is "{text}", but needs {count} numbers, a comma apart')
+        return tuple(self._parse(part) for part in parts)
 
-    def _one(self, text: str) -> float | int:
-        given: str | float = text
+    def _parse(self, text: str) -> float | int:
+        value: str | float = text
         try:
-            given = int(text) if self.is_whole else float(text)
+            value = int(text) if self.is_whole else float(text)
         except ValueError:
             if self.is_whole:
                 message = f'{self.flag} is "{text}", but must be a whole number'
                 raise UsageError(message) from None
-        return int(given) if self.is_whole else _quantity(self.path).read(given, self.flag)
+        return int(value) if self.is_whole else _quantity(self.path).read(value, self.flag)
 
     def metavar(self) -> str:
-        """Name the kind of value, such as LENGTH; "3xLENGTH" for three with commas between."""
-        kind = "INT" if self.is_whole else _quantity(self.path).kind.upper()
-        return f"{len(self.default)}x{kind}" if isinstance(self.default, tuple) else kind
+        """Return the placeholder in the help, such as LENGTH or 3xLENGTH."""
+        name = "INT" if self.is_whole else _quantity(self.path).kind.upper()
+        return f"{len(self.default)}x{name}" if isinstance(self.default, tuple) else name
 
 
 def is_setting(word: str) -> bool:
-    """Tell whether a word of the command line asks for these options: it has a dot in its name."""
+    """Test whether an argument is one of these options (a dot in its name) or their help."""
     return word == HELP_ALL or re.match(r"--[\w-]+\.", word) is not None
 
 
 def options(groups: Iterable[str]) -> list[Option]:
-    """List the options of some of ``GROUPS``, or of one record in it, such as "params.planner"."""
+    """List the options of groups, or of one record in a group, such as "params.planner"."""
     from jaxlangnav.messages import default_motion, default_sensor
     from jaxlangnav.navigator import NavigatorConfig
     from jaxlangnav.task.follow import navigator_params
@@ -91,91 +91,91 @@ def options(groups: Iterable[str]) -> list[Option]:
         "sensor": default_sensor,
         "motion": default_motion,
     }
-    found: list[Option] = []
+    result: list[Option] = []
     for root, *below in (group.split(".") for group in groups):
-        all_of_it = _walk(roots[root](), (root,))
-        found += [one for one in all_of_it if not below or one.path[:-1] == (root, *below)]
-    return found
+        all_options = _list_options(roots[root](), (root,))
+        result += [opt for opt in all_options if not below or opt.path[:-1] == (root, *below)]
+    return result
 
 
-def with_settings(kind: type[Any]) -> type[Any]:
-    """Add the options of its ``SETTINGS`` to a command that has a field ``settings``."""
+def with_settings(command: type[Any]) -> type[Any]:
+    """Derive a command class with the options of its ``SETTINGS`` in a field ``settings``."""
     import tyro
 
-    tree = _record_of("Settings", options(kind.SETTINGS), depth=0)
+    tree = _options_class("Settings", options(command.SETTINGS), depth=0)
     field = ("settings", Annotated[tree, tyro.conf.arg(name="")], dataclasses.field(default=tree()))
-    form: dict[str, Any] = {"bases": (kind,), "frozen": True, "kw_only": True}
-    form["namespace"] = {"__doc__": kind.__doc__}
-    return dataclasses.make_dataclass(kind.__name__, [field], **form)
+    kwargs: dict[str, Any] = {"bases": (command,), "frozen": True, "kw_only": True}
+    kwargs["namespace"] = {"__doc__": command.__doc__}
+    return dataclasses.make_dataclass(command.__name__, [field], **kwargs)
 
 
 def read_settings(settings: Any, groups: Sequence[str]) -> dict[SettingPath, Any]:
-    """Read what was typed, values by path; refuses those that are none or out of their limits."""
+    """Parse the given settings into values by path; ``UsageError`` for invalid ones."""
     if settings is None:
         return {}
-    typed = [(one, functools.reduce(getattr, one.path, settings)) for one in options(groups)]
-    return {one.path: one.read(text) for one, text in typed if text != _UNSET}
+    given = [(opt, functools.reduce(getattr, opt.path, settings)) for opt in options(groups)]
+    return {opt.path: opt.read(text) for opt, text in given if text != _UNSET}
 
 
 def apply(record: _T, values: Mapping[SettingPath, Any], root: str) -> _T:
-    """Set the values of one group in its record; the very same record where nothing is set."""
-    mine = {path[1:]: value for path, value in values.items() if path[0] == root}
-    return _applied(record, mine) if mine else record
+    """Set the values of one group in its record; returns the same record if there are none."""
+    group_values = {path[1:]: value for path, value in values.items() if path[0] == root}
+    return _set_values(record, group_values) if group_values else record
 
 
 def equip(
     prepared: "Prepared", values: Mapping[SettingPath, Any], *, params: "NavigatorParams"
 ) -> "tuple[Prepared, NavigatorParams]":
-    """Set detector and odometry of a task; the belief is told the odometry."""
-    own = {name: apply(getattr(prepared.task, name), values, name) for name in ("sensor", "motion")}
-    prepared = dataclasses.replace(prepared, task=dataclasses.replace(prepared.task, **own))
-    told = dataclasses.replace(params.map, motion=own["motion"])
-    return prepared, dataclasses.replace(params, map=told)
+    """Set the sensor and the motion of a task, and the motion model of the filter."""
+    new = {name: apply(getattr(prepared.task, name), values, name) for name in ("sensor", "motion")}
+    prepared = dataclasses.replace(prepared, task=dataclasses.replace(prepared.task, **new))
+    map_params = dataclasses.replace(params.map, motion=new["motion"])
+    return prepared, dataclasses.replace(params, map=map_params)
 
 
 def suggestion(flag: str, groups: Sequence[str], plain: Iterable[str]) -> str:
-    """Suggest what may have been meant by an option with a dot in it, or where all are listed."""
+    """Suggest the closest option for an unknown flag with a dot, or point to the list."""
     path = tuple(flag[2:].replace("-", "_").split("."))
-    # Where several may be given it is "--ranges".
-    elsewhere = {one[-1]: (option, f"{option}s") for one, option in _ELSEWHERE.items()}
-    if path[-1] in elsewhere:
-        near = [one for one in plain if one in elsewhere[path[-1]]]
+    # Some commands have the plural, "--ranges".
+    dedicated = {key[-1]: (flag, f"{flag}s") for key, flag in _DEDICATED_FLAGS.items()}
+    if path[-1] in dedicated:
+        matches = [option for option in plain if option in dedicated[path[-1]]]
     else:
-        found = options(groups)
-        names = difflib.get_close_matches(path[-1], [one.path[-1] for one in found], n=1)
-        near = [one.flag for one in found if one.path[-1] in names]
-        symbol = _GREEK.get(path[-1])
-        if symbol and not near:
-            near = [one.flag for one in found if re.match(rf"{symbol}\b", one.help)]
-    return f'; did you mean "{near[0]}"?' if near else f"; see {HELP_ALL}"
+        known = options(groups)
+        names = difflib.get_close_matches(path[-1], [option.path[-1] for option in known], n=1)
+        matches = [option.flag for option in known if option.path[-1] in names]
+        symbol = _SYMBOLS.get(path[-1])
+        if symbol and not matches:
+            matches = [option.flag for option in known if re.match(rf"{symbol}\b", option.help)]
+    return f'; did you mean "{matches[0]}"?' if matches else f"; see {HELP_ALL}"
 
 
-def _walk(record: Any, path: SettingPath) -> list[Option]:
-    """List the options of a record and of those in it."""
-    record = _as_typed(record)
-    found: list[Option] = []
+def _list_options(record: Any, path: SettingPath) -> list[Option]:
+    """List the options of a record and its nested records."""
+    record = _raw_params(record)
+    result: list[Option] = []
     for field in dataclasses.fields(record):
-        here, value = (*path, field.name), getattr(record, field.name)
-        if here in _ELSEWHERE or here in _NOT_OFFERED:
+        field_path, value = (*path, field.name), getattr(record, field.name)
+        if field_path in _DEDICATED_FLAGS or field_path in _EXCLUDED:
             continue
         if dataclasses.is_dataclass(value):
-            found += _walk(value, here)
-        elif (default := _numbers(value)) is not None:
+            result += _list_options(value, field_path)
+        elif (default := _as_numbers(value)) is not None:
             text = field.metadata.get("help", "")
             is_whole = isinstance(value, int)
-            found.append(Option(path=here, default=default, help=text, is_whole=is_whole))
-    return found
+            result.append(Option(path=field_path, default=default, help=text, is_whole=is_whole))
+    return result
 
 
-def _as_typed(record: Any) -> Any:
-    """Take the free parameters of the relations, of which the filter's tables are made."""
+def _raw_params(record: Any) -> Any:
+    """Replace a relation model by the parameters from which its tables are computed."""
     from jaxlangnav.relations import RelationModel, default_params
 
     return default_params() if isinstance(record, RelationModel) else record
 
 
-def _numbers(value: Any) -> float | int | tuple[float, ...] | None:
-    """Turn a leaf into numbers; None where it is none that could be typed."""
+def _as_numbers(value: Any) -> float | int | tuple[float, ...] | None:
+    """Convert a leaf to numbers; None if it is not a float or a vector of floats."""
     import numpy as np
 
     if isinstance(value, int) and not isinstance(value, bool):
@@ -185,16 +185,16 @@ def _numbers(value: Any) -> float | int | tuple[float, ...] | None:
     array = np.asarray(value)
     if array.ndim > 1 or not np.issubdtype(array.dtype, np.floating):
         return None
-    rounded = tuple(float(f"{float(one):.6g}") for one in array.ravel())
+    rounded = tuple(float(f"{float(value):.6g}") for value in array.ravel())
     return rounded if array.ndim else rounded[0]
 
 
 def _quantity(path: SettingPath) -> Any:
-    """Find kind and limits of a number; the limits are those of a sweep's configuration."""
+    """Return the unit and limits of a parameter, as in a sweep's configuration."""
     from jaxlangnav.inputs.limits import Quantity
     from jaxlangnav.navigator.deployment import FIELDS
 
-    known = {
+    quantities = {
         "mode_speed": Quantity(is_low_open=True),
         "mode_clearance": Quantity(kind="length"),
         "log_distance_sd": Quantity(is_low_open=True),
@@ -202,45 +202,45 @@ def _quantity(path: SettingPath) -> Any:
         "axis": Quantity(kind="angle", low=-math.inf),
         **FIELDS.get(path[-2], {}),
     }
-    return known.get(path[-1], Quantity(low=-math.inf))
+    return quantities.get(path[-1], Quantity(low=-math.inf))
 
 
-def _record_of(name: str, found: Sequence[Option], *, depth: int) -> type[Any]:
-    """Build the nested dataclass that tyro reads."""
+def _options_class(name: str, group: Sequence[Option], *, depth: int) -> type[Any]:
+    """Build the nested dataclass that tyro parses."""
     import tyro
 
     fields: list[tuple[str, Any, Any]] = []
-    for key in dict.fromkeys(one.path[depth] for one in found):
-        below = [one for one in found if one.path[depth] == key]
-        if len(below[0].path) == depth + 1:
-            (one,) = below
-            numbers = one.default if isinstance(one.default, tuple) else (one.default,)
-            given = f"(default: {','.join(f'{number:g}' for number in numbers)})"
+    for key in dict.fromkeys(option.path[depth] for option in group):
+        members = [option for option in group if option.path[depth] == key]
+        if len(members[0].path) == depth + 1:
+            (option,) = members
+            numbers = option.default if isinstance(option.default, tuple) else (option.default,)
+            default = f"(default: {','.join(f'{number:g}' for number in numbers)})"
             hint = tyro.conf.arg(
-                metavar=one.metavar(), help=one.help or None, help_behavior_hint=given
+                metavar=option.metavar(), help=option.help or None, help_behavior_hint=default
             )
             fields.append((key, Annotated[str, hint], _UNSET))
         else:
-            kind = _record_of(key.capitalize(), below, depth=depth + 1)
-            fields.append((key, kind, dataclasses.field(default=kind())))
+            nested = _options_class(key.capitalize(), members, depth=depth + 1)
+            fields.append((key, nested, dataclasses.field(default=nested())))
     return dataclasses.make_dataclass(name, fields, frozen=True, kw_only=True)
 
 
-def _applied(record: Any, values: Mapping[SettingPath, Any]) -> Any:
-    """Set values in a record and in those in it."""
+def _set_values(record: Any, values: Mapping[SettingPath, Any]) -> Any:
+    """Replace values in a record and its nested records."""
     import jax.numpy as jnp
 
     from jaxlangnav.relations import RelationModel, prepare
 
     is_model = isinstance(record, RelationModel)
-    record = _as_typed(record)
+    record = _raw_params(record)
     changes: dict[str, Any] = {}
     for name in dict.fromkeys(path[0] for path in values):
-        mine = {path[1:]: value for path, value in values.items() if path[0] == name}
-        if () in mine:
-            value = mine[()]
+        field_values = {path[1:]: value for path, value in values.items() if path[0] == name}
+        if () in field_values:
+            value = field_values[()]
             changes[name] = value if isinstance(value, int) else jnp.asarray(value, jnp.float32)
         else:
-            changes[name] = _applied(getattr(record, name), mine)
+            changes[name] = _set_values(getattr(record, name), field_values)
     changed = dataclasses.replace(record, **changes)
     return prepare(changed) if is_model else changed

@@ -1,4 +1,4 @@
-"""What is said to the robot of ``follow`` under way: options, and who sits at the terminal."""
+"""Utterances during an episode of ``follow``: scripted, simulated or typed."""
 
 import queue
 import re
@@ -18,32 +18,32 @@ if TYPE_CHECKING:
     from jaxlangnav.navigator.candidates import Candidate
     from jaxlangnav.task.talk import Earshot
 
-_PACE = 0.4  # seconds that a step takes at least while somebody may type
+_STEP_SECONDS = 0.4  # minimum duration of a step while the user may type
 
 
 def read_script(hear: Iterable[str], max_steps: int) -> dict[int, list[str]]:
-    """Read utterances such as "5: go to the other hydrant", by their steps."""
+    """Parse scripted utterances such as "5: go to the other hydrant" into lists by step."""
     script: dict[int, list[str]] = {}
     for text in hear:
-        found = re.fullmatch(r"\s*([0-9]+)\s*:\s*(\S.*?)\s*", text, re.DOTALL)
-        if found is None:
+        match = re.fullmatch(r"\s*([0-9]+)\s*:\s*(\S.*?)\s*", text, re.DOTALL)
+        if match is None:
             raise UsageError(
                 f'--hear is "{shorten(text)}", but must name a step and what is said: '
                 '--hear "5: go to the other hydrant"'
             )
-        digits = found[1].lstrip("0") or "0"
+        digits = match[1].lstrip("0") or "0"
         step = int(digits[:18])
         if step >= max_steps:
             raise UsageError(
                 f"--hear is for step {shorten(digits)}, but the last one is {max_steps - 1}: name "
                 "an earlier step, or raise --max-steps"
             )
-        script.setdefault(step, []).append(found[2])
+        script.setdefault(step, []).append(match[2])
     return script
 
 
 def check_speakers(*, ask: bool, talk: bool, person: str | None) -> None:
-    """Refuse a person that nobody is, and a question or a talk with nobody to type."""
+    """Raise UsageError for an unknown person, or if input is needed without a terminal."""
     from jaxlangnav.world.person import PERSONS
 
     if person is not None and person not in PERSONS:
@@ -62,7 +62,7 @@ def check_speakers(*, ask: bool, talk: bool, person: str | None) -> None:
 def check_script(
     script: dict[int, list[str]], grounder: "Grounder", first: "Understanding"
 ) -> None:
-    """Refuse words that the robot could not understand in any state."""
+    """Raise UsageError for utterances that could not be interpreted in any state."""
     from jaxlangnav.task.talk import check_words
 
     for step, texts in script.items():
@@ -74,7 +74,7 @@ def check_script(
 
 
 def ear_of(output: Output, *, person: str | None, ask: bool, talk: bool, **given: Any) -> "Earshot":
-    """Build the ear of ``recorder.play``, of further fields of ``Earshot``."""
+    """Build the utterance source of ``recorder.play``; ``given``: further fields of it."""
     from jaxlangnav.task.talk import YOU, Earshot, Watcher
 
     if person is not None:
@@ -82,16 +82,16 @@ def ear_of(output: Output, *, person: str | None, ask: bool, talk: bool, **given
         return Earshot(**given, voices={person: watcher.speak}, is_awaited=watcher.is_there)
     if not (ask or talk):
         return Earshot(**given)
-    typist = Typist(output, is_talking=talk)
-    voices = {YOU: typist.say}
-    return Earshot(**given, voices=voices, is_awaited=typist.is_there, on_said=typist.reply)
+    user = TerminalUser(output, is_talking=talk)
+    voices = {YOU: user.say}
+    return Earshot(**given, voices=voices, is_awaited=user.is_there, on_said=user.reply)
 
 
-class Typist:
-    """Who sits at the terminal: answers questions, and may type at any time where they talk."""
+class TerminalUser:
+    """User at the terminal, who answers questions and, if talking, types at any time."""
 
     def __init__(self, output: Output, *, is_talking: bool, lines: Iterable[str] | None = None):
-        """Listen to lines, standard input by default; only for answers if not ``is_talking``."""
+        """Start a thread that reads lines, of standard input by default."""
         self._output, self._is_talking = output, is_talking
         self._lines = sys.stdin if lines is None else lines
         self._typed: queue.Queue[str | None] = queue.Queue()
@@ -100,29 +100,29 @@ class Typist:
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
-        """Pass on what is typed, and at last that there is no more."""
+        """Put the typed lines into the queue, and None at the end of the input."""
         for line in self._lines:
             self._typed.put(line)
         self._typed.put(None)
 
     def is_there(self, progress: "EpisodeState") -> bool:
-        """Tell whether somebody may yet speak to a robot that stands still."""
+        """Test whether the user may still speak to a waiting robot."""
         from jaxlangnav.messages import Status
 
         is_asked = int(progress.navigator.status) == Status.WHICH_ONE
         return not self._has_left and (self._is_talking or is_asked)
 
     def say(self, step: int, progress: "EpisodeState", doubt: "Sequence[Candidate]") -> str | None:
-        """Wait for an answer to a question, or for a moment for anything else."""
+        """Return the next line: waits for an answer to a question, else only briefly."""
         is_waiting = bool(doubt) or (self._is_talking and bool(progress.navigator.is_resting))
         if self._has_left or not (is_waiting or self._is_talking):
             return None
         if doubt:
             self._output.note("Which one? The nearest first:")
-            for place, one in enumerate(doubt, start=1):
+            for rank, it in enumerate(doubt, start=1):
                 self._output.note(
-                    f"  {place}. the {one.type_name} at ({one.x:.1f}, {one.y:.1f}) m, "
-                    f"{100 * one.probability:.0f} %"
+                    f"  {rank}. the {it.type_name} at ({it.x:.1f}, {it.y:.1f}) m, "
+                    f"{100 * it.probability:.0f} %"
                 )
             self._output.note(
                 'Answer "the first", "the left one", "either", …; an empty line: none.'
@@ -131,7 +131,7 @@ class Typist:
             self._output.note("It stands still. Say something, or end the input (Ctrl-D).")
         is_new, self._step = step != self._step, step
         try:
-            line = self._typed.get(timeout=None if is_waiting else _PACE if is_new else 0.0)
+            line = self._typed.get(timeout=None if is_waiting else _STEP_SECONDS if is_new else 0.0)
         except queue.Empty:
             return None
         if line is None or (is_waiting and not line.strip()):
@@ -140,15 +140,15 @@ class Typist:
         return line.strip() or None
 
     def reply(self, said: "Remark") -> None:
-        """Tell at once what was not taken in."""
+        """Report an utterance that was not understood."""
         if said.refusal:
             self._output.note(f"not understood now: {said.refusal}")
 
 
 def describe_talk(recording: "Recording") -> dict[str, Any]:
-    """Gather what was said, and what may be meant: ``utterances`` and ``candidates``."""
+    """Build the JSON of the utterances and candidates of a recording."""
 
-    def thing(one: "Candidate") -> dict[str, Any]:
+    def to_dict(one: "Candidate") -> dict[str, Any]:
         return {"slot": one.slot, "type": one.type_name, "x": one.x, "y": one.y}
 
     return {
@@ -158,13 +158,13 @@ def describe_talk(recording: "Recording") -> dict[str, Any]:
                 "speaker": one.speaker,
                 "text": sanitize(one.text),
                 "kind": one.kind or None,
-                "ruled_out": [thing(other) for other in one.ruled_out],
+                "ruled_out": [to_dict(other) for other in one.ruled_out],
                 "notes": list(one.notes),
                 "refusal": one.refusal or None,
             }
             for one in recording.said
         ],
         "candidates": [
-            {**thing(one), "probability": one.probability} for one in recording.candidates
+            {**to_dict(one), "probability": one.probability} for one in recording.candidates
         ],
     }

@@ -1,4 +1,4 @@
-"""A study of ``jaxlangnav reproduce`` as one record, and those of Figures 1, 3 and 4, run anew."""
+"""The record of an experiment of ``jaxlangnav reproduce``; Figures 1, 3 and 4."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
@@ -27,48 +27,48 @@ from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, s
 from jaxlangnav.viz.panels import belief_figure, values_figure
 from jaxlangnav.viz.style import save
 
-Found = tuple[dict[str, Any], Callable[[Path], Iterable[Path]]]
-"""A document, and what writes the files of it into a folder."""
+StudyResult = tuple[dict[str, Any], Callable[[Path], Iterable[Path]]]
+"""A document, and a function that writes its files into a folder."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What is run, and where it is written."""
+    """Options of a run of ``reproduce``."""
 
     options: Options
-    """Of the experiments made of episodes; the sensing range is a matter of each row."""
+    """For experiments over episodes; each row sets its sensing range."""
     params: NavigatorParams
     ranges: tuple[float, ...]
-    """Metres, in place of those of Table 2's rows and of Figure 5; none for their own."""
+    """Sensing ranges, metres, that replace those of Table 2 and Figure 5; empty: theirs."""
     values: Mapping[SettingPath, Any]
-    """Numbers of engine, detector and motion that are not the defaults."""
-    asked: Reproduce  # the other options, and how to run an experiment again
+    """Changed parameters of navigator, sensor and motion."""
+    args: Reproduce  # the other options, and how to run an experiment again
 
     @property
     def seed_unknowns(self) -> int:
-        """Seed of worlds of their own, none that a table or a tuning has used."""
-        return 3000 if self.asked.seed is None else self.asked.seed
+        """Default seed of worlds that no table or tuning uses."""
+        return 3000 if self.args.seed is None else self.args.seed
 
     @property
     def particles_drawn(self) -> int:
-        """P of the episodes that are drawn."""
-        return self.asked.particles or 256
+        """Number of particles of the episodes of Figures 1 and 4."""
+        return self.args.particles or 256
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Study(Report):
-    """An experiment of ``reproduce``: how it is run, and what stands of it in the report."""
+    """An experiment of ``reproduce``: its function and its section of the report."""
 
-    run: Callable[[Settings, Output], Found]  # runs it and tells it
+    run: Callable[[Settings, Output], StudyResult]  # runs it and prints its results
     made: Callable[[Document], Mapping[str, str]] = lambda _: {}
-    """What else there is to say of how it was made."""
+    """Further facts about the run."""
 
     def section(self, document: Document, command: str) -> Section:
-        """Put what was found into the report; SVG pictures are shown, sharp at any size."""
+        """Build the section of the report, with its SVG figures and tables."""
         wall, files = document["wall_s"], [Path(path) for path in document["files"]]
-        took = f"{wall:.{0 if wall > 10 else 1}f} s"
+        duration = f"{wall:.{0 if wall > 10 else 1}f} s"
         if "compile_s" in document:
-            took += f", {document['compile_s']:.0f} s of them compilation"
+            duration += f", {document['compile_s']:.0f} s of them compilation"
         return Section(
             title=self.title,
             lead=self.lead,
@@ -78,7 +78,7 @@ class Study(Report):
             made={
                 "command": command,
                 **self.made(document),
-                "wall time": took,
+                "wall time": duration,
                 "files": ", ".join(path.name for path in files),
             },
         )
@@ -97,19 +97,19 @@ _FIGURE_NOTES = [
 def _figure(
     title: str, name: str, num_panels: int, draw: Callable[..., Any], paper: str, ours: str
 ) -> Study:
-    """Build the study of a figure of one episode; ``name`` is of its world and of the files."""
+    """Build the study of a figure of one episode; ``name``: of its world and files."""
 
-    def run(settings: Settings, output: Output) -> Found:
-        # All policies by default: then the paper's, whose figure it is.
-        named = [one for one in settings.options.policies if one in POLICIES]
-        policy = named[0] if len(named) == 1 else "faithful"
-        sizes = navigator_config(policy, settings.particles_drawn)
+    def run(settings: Settings, output: Output) -> StudyResult:
+        # The paper's policy unless exactly one is given.
+        known = [key for key in settings.options.policies if key in POLICIES]
+        policy = known[0] if len(known) == 1 else "faithful"
+        config = navigator_config(policy, settings.particles_drawn)
         with CompileClock() as clock, waiting(f"an episode in {name}", output):
             understood = understand_parse(parse(TEXT), load(None))
             prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = equip(prepared, settings.values, params=settings.params)
-            given = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
-            episode = record_episode(OpenedEpisode(**given, config=sizes))
+            args = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
+            episode = record_episode(OpenedEpisode(**args, config=config))
         output.tell(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result
         document = {
@@ -131,14 +131,14 @@ def _figure(
 
         def write(out: Path) -> Iterable[Path]:
             table = moments_table(document["moments"]).markdown()
-            told = {key: value for key, value in document.items() if key != "moments"}
-            made, stem = manifest(told, models=load(None)), out / name
+            summary = {key: value for key, value in document.items() if key != "moments"}
+            manifest_, stem = manifest(summary, models=load(None)), out / name
             text = f"# {title}\n\n{paper}\n\n{ours}\n\n{table}"
             return [
                 *save(draw(episode, steps=steps), stem),
                 write_html(episode, stem.with_suffix(".html")),
                 write_text(text, stem.with_suffix(".md")),
-                write_manifest(made, out / f"{name}_manifest.json"),
+                write_manifest(manifest_, out / f"{name}_manifest.json"),
             ]
 
         return document, write
@@ -149,9 +149,9 @@ def _figure(
         run=run,
         tables=lambda document: [moments_table(document["moments"])],
         notes=lambda _: _FIGURE_NOTES,
-        made=lambda one: {
-            "episode": f"world {one['world']}, policy {one['policy']}, seed {one['seed']}, "
-            f"{one['num_particles']} particles, sensing range {one['range']:g} m",
+        made=lambda doc: {
+            "episode": f"world {doc['world']}, policy {doc['policy']}, seed {doc['seed']}, "
+            f"{doc['num_particles']} particles, sensing range {doc['range']:g} m",
         },
     )
 
@@ -180,8 +180,8 @@ FIGURE_4 = _figure(
 )
 
 
-def _count_factors(_: Settings, output: Output) -> Found:
-    """Build the factor graph of the sentence, count its parts, and draw it: Figure 3."""
+def _count_factors(_: Settings, output: Output) -> StudyResult:
+    """Build the factor graph of the sentence, count its factors, and draw it (Figure 3)."""
     model, parsed = load(None), parse(TEXT)
     document: dict[str, Any] = {
         "experiment": "figure3",
@@ -196,11 +196,11 @@ def _count_factors(_: Settings, output: Output) -> Found:
 
 
 def _factors_table(document: Document) -> Table:
-    """Lay out the sizes of the graph beside the paper's."""
+    """Build the table of graph sizes beside the paper's."""
     rows = [
-        [kind, *(f"{document[who][kind][what]:,}" for what in ("factors", "variables")
-                 for who in ("graph", "paper"))]
-        for kind in ("annotation", "behavior")
+        [graph, *(f"{document[source][graph][part]:,}" for part in ("factors", "variables")
+                 for source in ("graph", "paper"))]
+        for graph in ("annotation", "behavior")
     ]  # fmt: skip
     return Table(headings=["", "factors", "paper", "random variables", "paper"], rows=rows)
 

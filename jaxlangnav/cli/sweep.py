@@ -1,4 +1,4 @@
-"""``jaxlangnav sweep`` and ``summarize``: any grid of episodes, and its tables (section 4.2)."""
+"""``jaxlangnav sweep`` and ``summarize``: grids of episodes and their tables (section 4.2)."""
 
 import dataclasses
 import importlib.util
@@ -58,13 +58,13 @@ class Sweep:
         """Run the grid."""
         check_folder("--out", self.out)
         keep_compiled_programs()
-        shard = self._part()
+        shard = self._shard()
         from jaxlangnav.experiments.sweep import run_sweep, total_episodes
         from jaxlangnav.experiments.sweep_config import read_config
 
         overrides: dict[str, dict[str, float]] = {}
-        for place, value in read_settings(self.settings, self.SETTINGS).items():
-            overrides.setdefault(place[-2], {})[place[-1]] = value
+        for path, value in read_settings(self.settings, self.SETTINGS).items():
+            overrides.setdefault(path[-2], {})[path[-1]] = value
         config = read_config(self.config, overrides=overrides)
         with progress_bar("episodes", total_episodes(config, shard=shard)) as advance:
             document = run_sweep(
@@ -78,10 +78,10 @@ class Sweep:
         output.say(f"Wrote {self.out}. See it: jaxlangnav summarize {self.out}")
         return document
 
-    def _part(self) -> str:
-        """Find out which part of the work is ours, "i/n"."""
-        told = (self.coordinator, self.processes, self.process)
-        if not self.distributed and told == (None, None, None):
+    def _shard(self) -> str:
+        """Return the shard of this process, "i/n"."""
+        launcher = (self.coordinator, self.processes, self.process)
+        if not self.distributed and launcher == (None, None, None):
             return self.shard
         if self.shard != "1/1":
             raise ValueError(
@@ -90,8 +90,8 @@ class Sweep:
             )
         from jaxlangnav.experiments.monte_carlo import join_devices
 
-        place, number = join_devices(*told)
-        return f"{place + 1}/{number}"
+        process, count = join_devices(*launcher)
+        return f"{process + 1}/{count}"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -128,7 +128,7 @@ class Summarize:
         return {**document, "written": files}
 
     def _write(self, document: Document, out: Path, output: Output) -> list[Path]:
-        """Write the tables, and the figure where there is something to draw with."""
+        """Write the tables, and the figure if matplotlib is installed."""
         from jaxlangnav.experiments.summary import summary_markdown
         from jaxlangnav.inputs.whole_files import write_text
 

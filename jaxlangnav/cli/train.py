@@ -1,4 +1,4 @@
-"""``jaxlangnav train`` and ``evaluate``: models of language, and how well they understand (4.1)."""
+"""``jaxlangnav train`` and ``evaluate``: training and evaluation of language models (4.1)."""
 
 import dataclasses
 import shlex
@@ -50,19 +50,19 @@ class Train:
         from jaxlangnav.grounding.weights import load, save
         from jaxlangnav.training.shipped import MODELS, train_models
 
-        kinds = MODELS if self.what == "both" else (self.what,)
+        models = MODELS if self.what == "both" else (self.what,)
         trained = train_models(
-            self.corpus, kinds=kinds, base=load(self.base), on_progress=output.note
+            self.corpus, kinds=models, base=load(self.base), on_progress=output.note
         )
         if self.out is not None:
             corpus = trained.report["corpus"]
             save(self.out, trained.model, command=self._command, corpus_hash=corpus)
         document = {**trained.report, "file": self.out}
         output.say(f"{document['sentences']} sentences, corpus {document['corpus']}")
-        for kind in kinds:
-            report = document[kind]
+        for name in models:
+            report = document[name]
             output.say(
-                f"{kind}: {report['examples']} factors, {report['features']} features; "
+                f"{name}: {report['examples']} factors, {report['features']} features; "
                 f"{report['steps']} steps in {report['train_s']:.2f} s "
                 f"(compiled in {report['train_compile_s']:.1f} s)"
             )
@@ -72,8 +72,8 @@ class Train:
                     f"{report['held_out']} held out; calibration error "
                     f"{report['calibration_error']:.3f} at temperature {report['temperature']:.2f}"
                 )
-        wrote = f"Wrote {self.out}. Use it: jaxlangnav follow ... --weights FILE"
-        output.say(wrote if self.out else "Nothing was written; --out FILE keeps the weights.")
+        message = f"Wrote {self.out}. Use it: jaxlangnav follow ... --weights FILE"
+        output.say(message if self.out else "Nothing was written; --out FILE keeps the weights.")
         return document
 
     @property
@@ -96,8 +96,8 @@ class Train:
             "{sentences} sentences, {features} features, {labels} labels: {weights} weights, "
             "{loss:.3f} nats a sentence, in {train_s:.0f} s".format(**report)
         )
-        wrote = f"Wrote {self.out}. Use it: JAXLANGNAV_READER=FILE jaxlangnav ..."
-        output.say(wrote if self.out else "Nothing was written; --out FILE keeps the reader.")
+        message = f"Wrote {self.out}. Use it: JAXLANGNAV_READER=FILE jaxlangnav ..."
+        output.say(message if self.out else "Nothing was written; --out FILE keeps the reader.")
         return {**report, "file": self.out}
 
 
@@ -158,14 +158,14 @@ class Evaluate:
         keep_compiled_programs()
         from jaxlangnav.experiments.table1 import evaluate, table_1
 
-        given: dict[str, Any] = {"splits": self.splits, "seed": self.seed, "beams": self.beams}
+        kwargs: dict[str, Any] = {"splits": self.splits, "seed": self.seed, "beams": self.beams}
         with progress_bar("splits", self.splits) as advance:
-            document = evaluate(**given, is_exact=not self.beam_only, on_progress=advance)
+            document = evaluate(**kwargs, is_exact=not self.beam_only, on_progress=advance)
         output.say(table_1(document).text())
         return document
 
     def _score(self, path: Path, output: Output) -> Document:
-        """Score a file of labelled sentences, with and without recorded rewritings if given."""
+        """Score a file of labelled sentences, with and without recorded rewrites if given."""
         from jaxlangnav.task.labelled import read_sentences
 
         sentences = read_sentences(path)
@@ -177,23 +177,23 @@ class Evaluate:
         document: dict[str, Any] = {"file": str(path)}
         model = load_shipped()
         if self.rewrites is None:
-            least = self.least_probability
+            bound = self.least_probability
             with progress_bar("sentences", len(sentences)) as advance:
-                found = scored.score_sentences(sentences, model, advance, least_probability=least)
-            document |= scored.summarize_scores(found)
+                scores = scored.score_sentences(sentences, model, advance, least_probability=bound)
+            document |= scored.summarize_scores(scores)
             table, lines = scored.render_scores(document)
         else:
             default_rewrite_params(self.temperature)
             recorded = RecordedRewrites(self.rewrites)
-            kept = scored.recorded_of(sentences, recorded)
-            if left := len(sentences) - len(kept):
-                output.note(f"note: {left} sentences were not recorded; left out")
-            fit = scored.fit_recorded(kept, recorded, model) if self.fit_temperature else None
+            available = scored.recorded_of(sentences, recorded)
+            if num_missing := len(sentences) - len(available):
+                output.note(f"note: {num_missing} sentences were not recorded; left out")
+            fit = scored.fit_recorded(available, recorded, model) if self.fit_temperature else None
             temperature = self.temperature if fit is None else fit.temperature
-            told = None if fit is None else dataclasses.asdict(fit)
-            document |= {"rewrites": str(self.rewrites), "fit": told}
-            with progress_bar("sentences", len(kept) * len(scored.ARMS)) as advance:
-                document |= scored.compare_arms(kept, recorded, model, temperature, advance)
+            fit_report = None if fit is None else dataclasses.asdict(fit)
+            document |= {"rewrites": str(self.rewrites), "fit": fit_report}
+            with progress_bar("sentences", len(available) * len(scored.ARMS)) as advance:
+                document |= scored.compare_arms(available, recorded, model, temperature, advance)
             table, lines = scored.render_arms(document, fit)
         output.say(table)
         for line in lines:

@@ -1,4 +1,4 @@
-"""The worlds of section 4.2, and any world file, as environments for agents other than ours.
+"""Reinforcement-learning environments of section 4.2's worlds and of any world file.
 
 ``functional`` has ``reset`` and ``step`` as pure functions of keys and arrays; ``gymnasium_env``
 wraps them for Gymnasium (extra ``gym``), which knows them by ``ID`` from here on.

@@ -1,4 +1,4 @@
-"""A sentence as an agent takes it: an embedding of its readings, and the types that it names."""
+"""Embedding of a command for agents: features of its readings, and the types it mentions."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ DEFAULT_RELATION = "behind"
 
 @pytree
 class EmbeddedCommand:
-    """A sentence as an agent takes it."""
+    """A command as a fixed-size vector, with the object types of goal and landmark."""
 
     embedding: Array  # f32[COMMAND_SIZE] probabilities over its readings: see the module
     figure: Array  # i32[] type of the goal; NONE where it is a region; ANYTHING
@@ -28,16 +28,16 @@ class EmbeddedCommand:
 
 
 def command_of(understood: Understanding, *, is_find: bool = False) -> EmbeddedCommand:
-    """Embed a sentence: its readings' probabilities; the types are those of the likeliest."""
+    """Embed a command as expected features over its readings; types of the likeliest one."""
     embedding = np.zeros(COMMAND_SIZE, np.float32)
-    names = [one.name for one in REGISTRY]
+    names = [relation.name for relation in REGISTRY]
     types = {"robot": ROBOT, "thing": ANYTHING, None: NONE}
-    types |= {name: kind for kind, name in enumerate(understood.type_names)}
-    for said in understood.annotations:
-        flags = (said["superlative"], said["landmark"] == "robot", said["figure"] is None, is_find)
-        is_so = [name == said["relation"] for name in names] + [bool(flag) for flag in flags]
-        embedding += said["probability"] * np.array(is_so, np.float32)
-    best = max(understood.annotations, key=lambda said: said["probability"])
+    types |= {name: type_id for type_id, name in enumerate(understood.type_names)}
+    for row in understood.annotations:
+        flags = (row["superlative"], row["landmark"] == "robot", row["figure"] is None, is_find)
+        features = [name == row["relation"] for name in names] + [bool(flag) for flag in flags]
+        embedding += row["probability"] * np.array(features, np.float32)
+    best = max(understood.annotations, key=lambda row: row["probability"])
     return EmbeddedCommand(
         embedding=jnp.asarray(np.minimum(embedding, 1.0)),
         figure=jnp.int32(types[best["figure"]]),
@@ -52,8 +52,8 @@ def text_of(
     instruction: str | None = None,
     **_: Any,
 ) -> str:
-    """Tell the sentence of an environment; arguments as of ``functional.default_params``."""
-    place = open_world(world)
-    if isinstance(place, WorldFile):
-        return instruction or place.instruction or ""
+    """Return the command text of an environment; arguments of ``functional.default_params``."""
+    source = open_world(world)
+    if isinstance(source, WorldFile):
+        return instruction or source.instruction or ""
     return SENTENCES[relation]

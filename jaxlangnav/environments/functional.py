@@ -1,32 +1,32 @@
-"""Following a command as a pure environment: ``reset`` and ``step`` (section 4.2).
+"""Instruction following as a functional RL environment: ``reset`` and ``step`` (section 4.2).
 
-An agent drives the simulated robot itself: it is told a sentence, senses what the robot senses, and
-says stop where it takes the goal to be.
+An agent controls the simulated robot: it observes an embedded command and the robot's sensors, and
+stops where it expects the goal.
 
     params = default_params(world="yard", instruction="go to the hydrant behind the cone")
     observation, state = reset(key, params)
     observation, state, reward, is_over, info = step(key, state, action, params)
 
-Where episodes follow one another, worlds of a template are drawn ahead:
+For training over many episodes, sample a pool of worlds beforehand:
 
     params = replace(params, worlds=draw_pool(key, params.worlds))
     observation, state, reward, is_over, info = step_and_reset(key, state, action, params)
 
-Everything is ``jit``- and ``vmap``-able; ``params`` are traced and may differ from lane to lane.
+Everything is ``jit``- and ``vmap``-able; ``params`` are traced and may vary over the batch.
 
-An observation, f32[OBSERVATION_SIZE], has the raw view first, then what memory makes of it:
+An observation, f32[OBSERVATION_SIZE], has the current view first, then a memory:
 
     0:4      x, y of odometry, metres; cosine and sine of its heading
     4:8      the operating area: x_min, x_max, y_min, y_max, metres
     8        the sensing range, metres
     9:21     the command, probabilities over its readings: the goal is related to the landmark by
              each relation of ``relations.table.REGISTRY``; more so than others of its type; the
-             landmark is the robot; the goal is a region at the landmark; finding is enough
-    21:61    eight detections, nearest first: is one there, x and y in the robot's frame, metres,
+             landmark is the robot; the goal is a region at the landmark; the action is find
+    21:61    eight detections, nearest first: is it valid, x and y in the robot's frame, metres,
              is it of the goal's type, is it of the landmark's
-    61:67    the goal's type and the landmark's, as last detected: is it known, x and y in the
+    61:67    last detected goal type and landmark type: is it known, x and y in the
              robot's frame, metres
-    67:131   8 × 8 cells of the area, row by row from y_min: has its middle been in view
+    67:131   coverage of 8 × 8 cells, row by row from y_min: has its centre been in view
 """
 
 import functools
@@ -62,32 +62,32 @@ from jaxlangnav.world.state import Scenario, WorldState
 
 ACTION_SIZE = 3
 STOP_ABOVE = 0.9
-"""An action stops where its last entry is above this: one in twenty of uniformly random ones."""
+"""An action with a last entry above this stops: 1 of 20 uniformly random actions does."""
 NUM_DIRECTIONS = 16
 
-_TURNS = np.arange(NUM_DIRECTIONS) * (2.0 * math.pi / NUM_DIRECTIONS)
+_DIRECTIONS = np.arange(NUM_DIRECTIONS) * (2.0 * math.pi / NUM_DIRECTIONS)
 DISCRETE_ACTIONS = np.array(
-    [[0.0, 0.0, 1.0], *([np.cos(turn), np.sin(turn), -1.0] for turn in _TURNS)], np.float32
+    [[0.0, 0.0, 1.0], *([np.cos(turn), np.sin(turn), -1.0] for turn in _DIRECTIONS)], np.float32
 )
-"""f32[17, 3], the discrete actions: stop, then the greatest step in 16 directions, +x to +y."""
+"""f32[17, 3], the discrete actions: stop, then the maximum step in 16 directions, +x to +y."""
 
-BOUND = 100.0  # entries of an observation are clipped to plus and minus this
+BOUND = 100.0  # observations are clipped to ± this
 NUM_CELLS = 8
-"""Cells of the coverage, along x and along y."""
+"""Cells of the coverage grid along each axis."""
 VIEW_SIZE = 9 + COMMAND_SIZE + 5 * NUM_DETECTIONS
-"""Entries of the raw view, the first of an observation."""
+"""Size of the current view, the first entries of an observation."""
 OBSERVATION_SIZE = VIEW_SIZE + 6 + NUM_CELLS**2
 
 
 @pytree
 class EnvironmentParams:
-    """What may vary from lane to lane; traced."""
+    """Parameters of an environment; traced, may vary over the batch."""
 
-    worlds: ScenarioLaw | Scenario  # how they are drawn; or a pool, leaves [N, …]
+    worlds: ScenarioLaw | Scenario  # their distribution, or a pool, leaves [N, …]
     command: EmbeddedCommand
     sensor: SensorParams
     motion: MotionParams
-    max_steps: Array  # i32[] steps after which an episode is cut off
+    max_steps: Array  # i32[] steps after which an episode is truncated
     stop_radius: Array  # f32[] metres from the goal within which a stop is a success
     metre_cost: Array  # f32[] subtracted from the reward for each metre travelled
     shaping: Array  # f32[] added to the reward for each metre that the goal has come nearer
@@ -95,25 +95,25 @@ class EnvironmentParams:
 
 @pytree
 class EnvironmentState:
-    """An episode under way."""
+    """State of an episode."""
 
     scenario: Scenario
     world: WorldState
     steps: Array  # i32[]
-    is_known: Array  # bool[2] the goal's type and the landmark's have been detected
-    known_place: Array  # f32[2, 2] where, x and y by odometry, metres
-    is_looked_at: Array  # bool[NUM_CELLS, NUM_CELLS] a cell's middle has been in view; [y, x]
+    is_known: Array  # bool[2] goal type and landmark type have been detected
+    known_place: Array  # f32[2, 2] their last x and y by odometry, metres
+    is_looked_at: Array  # bool[NUM_CELLS, NUM_CELLS] cell centre has been in view; [y, x]
 
 
 @pytree
 class EnvironmentInfo:
-    """What a person or a test wants to know of one step."""
+    """Diagnostics of one step."""
 
     is_success: Array  # bool[] stopped within the stop radius of the goal
-    is_stopped: Array  # bool[] the agent has said stop
+    is_stopped: Array  # bool[] the agent has stopped
     is_cut_off: Array  # bool[] out of time
     distance: Array  # f32[] metres travelled in this episode
-    goal_distance: Array  # f32[] metres to the goal that is meant
+    goal_distance: Array  # f32[] metres to the intended goal
 
 
 def default_params(
@@ -133,7 +133,7 @@ def default_params(
         relation: which of Table 2's commands is given in a template: "null", "behind", "nearest".
         instruction: the sentence in a world of a file; the file's own if None.
         sensing_range: metres; 3, or what the world's file says, if None.
-        max_steps: those after which an episode is cut off.
+        max_steps: steps after which an episode is truncated.
         metre_cost: subtracted from the reward for each metre travelled.
         shaping: added to the reward for each metre that the goal has come nearer.
 
@@ -144,48 +144,48 @@ def default_params(
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be above 0 m")
     refuse_below(1, max_steps=max_steps)
-    model, place = load_shipped(), open_world(world)
+    model, source = load_shipped(), open_world(world)
     is_find = False
-    if isinstance(place, WorldFile):
+    if isinstance(source, WorldFile):
         text = text_of(world=world, instruction=instruction)
         if not text:
-            raise ValueError(f"world {place.name} has no instruction of its own: give one")
+            raise ValueError(f"world {source.name} has no instruction of its own: give one")
         understood = understand(text, model, detector_of(world, model.type_names))
         prepared = open_task(world, understood, sensing_range=sensing_range, seed=0)
         if prepared.unjudged:
-            raise ValueError(f"world {place.name}: {prepared.unjudged}")
+            raise ValueError(f"world {source.name}: {prepared.unjudged}")
         task, is_find = prepared.task, prepared.is_find
         worlds = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], task.scenario)
         sensor, motion = task.sensor, task.motion
     elif instruction is not None:
         raise ValueError(f"instruction is given, but in {world} worlds relation names the command")
     else:
-        worlds = scenario_law(template=place, relation=relation)
+        worlds = scenario_law(template=source, relation=relation)
         sensor, motion = default_sensor(sensing_range or 3.0), default_motion()
         understood = understand(text_of(world=world, relation=relation), model)
-    reach = jnp.maximum(sensor.range_max, simulator.SUCCESS_RADIUS)
+    range_max = jnp.maximum(sensor.range_max, simulator.SUCCESS_RADIUS)
     return EnvironmentParams(
         worlds=worlds,
         command=command_of(understood, is_find=is_find),
         sensor=sensor,
         motion=motion,
         max_steps=jnp.int32(max_steps),
-        stop_radius=reach if is_find else jnp.float32(simulator.SUCCESS_RADIUS),
+        stop_radius=range_max if is_find else jnp.float32(simulator.SUCCESS_RADIUS),
         metre_cost=jnp.float32(metre_cost),
         shaping=jnp.float32(shaping),
     )
 
 
 def reset(key: Array, params: EnvironmentParams) -> tuple[Array, EnvironmentState]:
-    """Put the robot at the start of a world: observation f32[OBSERVATION_SIZE], state."""
+    """Start an episode: observation f32[OBSERVATION_SIZE], state."""
     world_key, sense_key = jax.random.split(key)
-    return _observe(sense_key, _begin(world_key, params), params)
+    return _observe(sense_key, _initial_state(world_key, params), params)
 
 
 def step(
     key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams
 ) -> tuple[Array, EnvironmentState, Array, Array, EnvironmentInfo]:
-    """Carry out one action; the next episode has to be begun by ``reset``.
+    """Execute one action; after the end of an episode call ``reset``.
 
     The reward is 1 where the agent stops within the stop radius of the goal, and otherwise 0, less
     the cost of the way, and with what ``shaping`` gives.
@@ -203,7 +203,7 @@ def step(
         and info.
     """
     move_key, sense_key = jax.random.split(key)
-    after, reward, info = _advance(move_key, state, action, params)
+    after, reward, info = _transition(move_key, state, action, params)
     observation, after = _observe(sense_key, after, params)
     return observation, after, reward, info.is_stopped | info.is_cut_off, info
 
@@ -211,37 +211,37 @@ def step(
 def step_and_reset(
     key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams
 ) -> tuple[Array, EnvironmentState, Array, Array, EnvironmentInfo]:
-    """Carry out one action and begin the next episode at once where one ends, as gymnax does.
+    """Execute one action, with automatic reset at the end of an episode, as gymnax does.
 
     As ``step``; observation and state are those of a new episode where one is over. Without a pool
     a world is drawn in every step.
     """
     move_key, world_key, sense_key = jax.random.split(key, 3)
-    after, reward, info = _advance(move_key, state, action, params)
+    after, reward, info = _transition(move_key, state, action, params)
     is_over = info.is_stopped | info.is_cut_off
-    observation, after = _observe(sense_key, _anew(world_key, after, params, is_over), params)
+    observation, after = _observe(sense_key, _reset_if(world_key, after, params, is_over), params)
     return observation, after, reward, is_over, info
 
 
 def step_or_reset(
     key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams, is_over: Array
 ) -> tuple[Array, EnvironmentState, Array, EnvironmentInfo]:
-    """Carry out one action, or begin a new episode where the last one ``is_over``, bool[].
+    """Execute one action, or reset where the last step ended its episode (``is_over``, bool[]).
 
     As ``step_and_reset``, but where a new episode begins the action has no effect, and reward and
     info are zero. Observation, state, reward and info.
     """
     move_key, world_key, sense_key = jax.random.split(key, 3)
-    after, reward, info = _advance(move_key, state, action, params)
+    after, reward, info = _transition(move_key, state, action, params)
     reward, info = jax.tree.map(
         lambda leaf: jnp.where(is_over, jnp.zeros_like(leaf), leaf), (reward, info)
     )
-    observation, after = _observe(sense_key, _anew(world_key, after, params, is_over), params)
+    observation, after = _observe(sense_key, _reset_if(world_key, after, params, is_over), params)
     return observation, after, reward, info
 
 
-def _begin(key: Array, params: EnvironmentParams) -> EnvironmentState:
-    """Put the robot at the start of a world: one of the pool, or a new one."""
+def _initial_state(key: Array, params: EnvironmentParams) -> EnvironmentState:
+    """Build the initial state in a new world, sampled or taken from the pool."""
     scenario = next_world(key, params.worlds)
     return EnvironmentState(
         scenario=scenario,
@@ -253,66 +253,64 @@ def _begin(key: Array, params: EnvironmentParams) -> EnvironmentState:
     )
 
 
-def _anew(
+def _reset_if(
     key: Array, after: EnvironmentState, params: EnvironmentParams, is_over: Array
 ) -> EnvironmentState:
-    """Begin a new episode in place of one that is over."""
-    return jax.tree.map(functools.partial(jnp.where, is_over), _begin(key, params), after)
+    """Replace the state by an initial one where the episode is over."""
+    return jax.tree.map(functools.partial(jnp.where, is_over), _initial_state(key, params), after)
 
 
-def _advance(
+def _transition(
     key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams
 ) -> tuple[EnvironmentState, Array, EnvironmentInfo]:
-    """Move and judge; nothing is sensed yet."""
+    """Move the robot and compute the reward, without sensing."""
     action = jnp.clip(action, -1.0, 1.0)
     is_stopped = action[2] > STOP_ABOVE
-    way = action[:2] * params.motion.step_length
-    order = plain_action(state.world.odometry[:2] + way, way, is_stopped)
-    moved = carry_out(key, state.world, order, params.motion)
-    world = halted(state.world, moved, state.scenario.terrain)
+    displacement = action[:2] * params.motion.step_length
+    command = plain_action(state.world.odometry[:2] + displacement, displacement, is_stopped)
+    target = carry_out(key, state.world, command, params.motion)
+    world = halted(state.world, target, state.scenario.terrain)
     after = replace(state, world=world, steps=state.steps + 1)
-    before_metres = simulator.goal_distance(state.world, state.scenario)
-    metres = simulator.goal_distance(world, state.scenario)
-    is_success = is_stopped & (metres <= params.stop_radius)
+    previous_distance = simulator.goal_distance(state.world, state.scenario)
+    goal_distance = simulator.goal_distance(world, state.scenario)
+    is_success = is_stopped & (goal_distance <= params.stop_radius)
     info = EnvironmentInfo(
         is_success=is_success,
         is_stopped=is_stopped,
         is_cut_off=~is_stopped & (after.steps >= params.max_steps),
         distance=world.distance,
-        goal_distance=metres,
+        goal_distance=goal_distance,
     )
     travelled = world.distance - state.world.distance
-    nearer = params.shaping * (before_metres - metres)
-    reward = is_success.astype(jnp.float32) - params.metre_cost * travelled + nearer
+    shaping_reward = params.shaping * (previous_distance - goal_distance)
+    reward = is_success.astype(jnp.float32) - params.metre_cost * travelled + shaping_reward
     return after, reward, info
 
 
 def _observe(
     key: Array, state: EnvironmentState, params: EnvironmentParams
 ) -> tuple[Array, EnvironmentState]:
-    """Look, and remember what has been seen and where it has been looked."""
-    seen = sense(key, state.world, state.scenario, params.sensor, num_detections=NUM_DETECTIONS)
-    x, y, heading = seen.pose[0], seen.pose[1], seen.pose[2]
-    ahead = jnp.where(seen.is_detection, seen.detection_range * jnp.cos(seen.detection_bearing), 0)
-    left = jnp.where(seen.is_detection, seen.detection_range * jnp.sin(seen.detection_bearing), 0)
+    """Sense, update the memory, and assemble the observation vector."""
+    scan = sense(key, state.world, state.scenario, params.sensor, num_detections=NUM_DETECTIONS)
+    x, y, heading = scan.pose[0], scan.pose[1], scan.pose[2]
+    ahead = jnp.where(scan.is_detection, scan.detection_range * jnp.cos(scan.detection_bearing), 0)
+    left = jnp.where(scan.is_detection, scan.detection_range * jnp.sin(scan.detection_bearing), 0)
     command = params.command
-    is_role = seen.is_detection[
-        None
-    ] & jnp.stack(  # bool[2, D] of the goal's type, of the landmark's
+    is_match = scan.is_detection[None] & jnp.stack(  # bool[2, D] goal type, landmark type
         [
-            (seen.detection_type == command.figure) | (command.figure == ANYTHING),
-            seen.detection_type == command.landmark,
+            (scan.detection_type == command.figure) | (command.figure == ANYTHING),
+            scan.detection_type == command.landmark,
         ]
     )
-    state = _remember(state, seen.pose, is_role, ahead, left, params)
-    there = state.known_place - seen.pose[None, :2]
-    known_ahead, known_left = rotated(there[:, 0], there[:, 1], -heading)
+    state = _remember(state, scan.pose, is_match, ahead, left, params)
+    offset = state.known_place - scan.pose[None, :2]
+    known_ahead, known_left = rotated(offset[:, 0], offset[:, 1], -heading)
     parts = [
         jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)]),
         state.scenario.area,
-        seen.sensor.range_max[None],
+        scan.sensor.range_max[None],
         command.embedding,
-        jnp.stack([seen.is_detection, ahead, left, *is_role], axis=1).reshape(-1),
+        jnp.stack([scan.is_detection, ahead, left, *is_match], axis=1).reshape(-1),
         (state.is_known[None] * jnp.stack([jnp.ones(2), known_ahead, known_left])).T.reshape(-1),
         state.is_looked_at.reshape(-1),
     ]
@@ -323,28 +321,28 @@ def _observe(
 def _remember(
     state: EnvironmentState,
     pose: Array,
-    is_role: Array,
+    is_match: Array,
     ahead: Array,
     left: Array,
     params: EnvironmentParams,
 ) -> EnvironmentState:
-    """Keep the nearest detection of either role, f32[2, D] in the robot's frame, and the view."""
-    nearest = jnp.argmax(is_role, axis=1)  # detections come nearest first
+    """Update the last positions of goal and landmark type (f32[2, D]) and the coverage grid."""
+    nearest = jnp.argmax(is_match, axis=1)  # detections come nearest first
     dx, dy = rotated(ahead[nearest], left[nearest], pose[2])
-    is_seen = is_role.any(axis=1)
-    place = jnp.where(
-        is_seen[:, None], jnp.stack([pose[0] + dx, pose[1] + dy], 1), state.known_place
+    is_detected = is_match.any(axis=1)
+    position = jnp.where(
+        is_detected[:, None], jnp.stack([pose[0] + dx, pose[1] + dy], 1), state.known_place
     )
     x_min, x_max, y_min, y_max = state.scenario.area
-    middle = (jnp.arange(NUM_CELLS) + 0.5) / NUM_CELLS
+    centre = (jnp.arange(NUM_CELLS) + 0.5) / NUM_CELLS
     y, x = jnp.meshgrid(
-        y_min + middle * (y_max - y_min), x_min + middle * (x_max - x_min), indexing="ij"
+        y_min + centre * (y_max - y_min), x_min + centre * (x_max - x_min), indexing="ij"
     )
     eye = eye_of(pose[0], pose[1], pose[2], params.sensor)
     in_view = state.scenario.terrain.view.sees(eye, x, y)
     return replace(
         state,
-        is_known=state.is_known | is_seen,
-        known_place=place,
+        is_known=state.is_known | is_detected,
+        known_place=position,
         is_looked_at=state.is_looked_at | in_view,
     )

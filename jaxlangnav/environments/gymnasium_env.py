@@ -1,4 +1,4 @@
-"""Our worlds for Gymnasium: one environment, and many in one compiled program (section 4.2).
+"""Gymnasium wrappers: a single environment, and a vectorized one in one compiled program.
 
     env = gymnasium.make("jaxlangnav:jaxlangnav/Follow-v2", world="2H1C", relation="behind")
     envs = gymnasium.make_vec("jaxlangnav:jaxlangnav/Follow-v2", num_envs=64, world="yard")
@@ -30,90 +30,90 @@ RenderMode = Literal["rgb_array"]
 METADATA: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 4}
 
 
-def _choice(name: str, value: str, kind: Any, more: str = "") -> str:
-    """Refuse a word that is none of a few."""
-    if value not in get_args(kind):
-        known = ", ".join(get_args(kind))
-        raise ValueError(f'{name} is "{value}", but must be one of {known}{more}')
+def _choice(name: str, value: str, literal: Any, suffix: str = "") -> str:
+    """Raise ValueError unless a value is one of a Literal's choices."""
+    if value not in get_args(literal):
+        choices = ", ".join(get_args(literal))
+        raise ValueError(f'{name} is "{value}", but must be one of {choices}{suffix}')
     return value
 
 
 def observation_space() -> spaces.Box:
-    """Describe observations: bounded as ``functional`` clips them."""
+    """Build the observation space, bounded by ``functional.BOUND``."""
     limit = functional.BOUND
     return spaces.Box(-limit, limit, (functional.OBSERVATION_SIZE,), np.float32)
 
 
 def action_space(actions: str) -> spaces.Box | spaces.Discrete[np.int64]:
-    """Describe actions: a step along x and y, and stop; or one of few, the first of them stop."""
+    """Build the action space: continuous step along x and y and stop, or discrete."""
     if _choice("actions", actions, Actions) == "discrete":
         return spaces.Discrete(len(DISCRETE_ACTIONS))
     return spaces.Box(-1.0, 1.0, (functional.ACTION_SIZE,), np.float32)
 
 
 def to_functional(actions: Any, space: spaces.Space[Any]) -> np.ndarray:
-    """Turn actions of a space, one or many, into those of ``functional``: f32[..., 3]."""
+    """Convert one or many actions of a space to those of ``functional``: f32[..., 3]."""
     if isinstance(space, spaces.Discrete):
         return DISCRETE_ACTIONS[np.asarray(actions)]
     return np.asarray(actions, np.float32)
 
 
 def _seed(generator: np.random.Generator) -> np.integer:
-    """Draw what a compiled function makes its key of; made here, it would cost half a step."""
+    """Draw a seed; the compiled functions turn it into a key, which is faster than here."""
     return generator.integers(2**32, dtype=np.uint32)
 
 
-class _Worlds:
-    """What both environments hold: parameters, the present state, and the way of every lane."""
+class _Simulation:
+    """State shared by both environments: parameters, current state, and trajectories to draw."""
 
     def __init__(self, render_mode: str | None, options: dict[str, Any]) -> None:
-        """Set up, and refuse at once what could not be drawn later."""
+        """Create the parameters, and check the render mode."""
         if render_mode is not None:
             _choice("render_mode", render_mode, RenderMode, ", or None")
             require("matplotlib")
-        self.is_drawn = render_mode is not None
+        self.has_rendering = render_mode is not None
         self.params = functional.default_params(**options)
         self.text = text_of(**options)
         self.state: EnvironmentState | None = None
-        self._ways: list[list[np.ndarray]] = []
+        self._paths: list[list[np.ndarray]] = []
 
-    def see(self, observation: jax.Array, state: EnvironmentState) -> np.ndarray:
-        """Take over a state; a lane whose episode has just begun begins its way anew."""
+    def update(self, observation: jax.Array, state: EnvironmentState) -> np.ndarray:
+        """Set the state and extend the trajectories, which restart with each episode."""
         self.state = state
-        if self.is_drawn:
-            places = np.asarray(state.world.position).reshape(-1, 2)
-            begun = np.asarray(state.steps).reshape(-1) == 0
-            former = self._ways if len(self._ways) == len(places) else [[] for _ in places]
-            self._ways = [
-                [place] if is_begun else [*way, place]
-                for way, place, is_begun in zip(former, places, begun, strict=True)
+        if self.has_rendering:
+            positions = np.asarray(state.world.position).reshape(-1, 2)
+            is_first = np.asarray(state.steps).reshape(-1) == 0
+            paths = self._paths if len(self._paths) == len(positions) else [[] for _ in positions]
+            self._paths = [
+                [position] if is_new else [*path, position]
+                for path, position, is_new in zip(paths, positions, is_first, strict=True)
             ]
         return np.asarray(observation)
 
-    def started(self, what: str) -> EnvironmentState:
-        """Give the present state, or say what comes too early."""
+    def require_state(self, caller: str) -> EnvironmentState:
+        """Return the current state, or raise ValueError before the first reset."""
         if self.state is None:
-            raise ValueError(f"{what} before reset: begin an episode first")
+            raise ValueError(f"{caller} before reset: begin an episode first")
         return self.state
 
-    def draw(self) -> tuple[np.ndarray, ...] | None:
-        """Draw every lane, u8[480, W, 3] each; None, with a warning, without a render mode."""
-        if not self.is_drawn:
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Render every environment, u8[480, W, 3]; None, with a warning, without a render mode."""
+        if not self.has_rendering:
             gymnasium.logger.warn('nothing to render: make it with render_mode="rgb_array"')
             return None
-        lanes: Any = jax.tree.map(np.asarray, self.started("render"))
-        if lanes.steps.ndim == 0:
-            lanes = jax.tree.map(lambda leaf: leaf[None], lanes)
-        pictures = []
-        for index, way in enumerate(self._ways):
-            lane: EnvironmentState = jax.tree.map(lambda leaf, at=index: leaf[at], lanes)
-            seen = lane.scenario, self.params.sensor, lane.world
-            pictures.append(render_world(*seen, path=np.stack(way), text=self.text))
-        return tuple(pictures)
+        states: Any = jax.tree.map(np.asarray, self.require_state("render"))
+        if states.steps.ndim == 0:
+            states = jax.tree.map(lambda leaf: leaf[None], states)
+        images = []
+        for index, path in enumerate(self._paths):
+            member: EnvironmentState = jax.tree.map(lambda leaf, i=index: leaf[i], states)
+            view = member.scenario, self.params.sensor, member.world
+            images.append(render_world(*view, path=np.stack(path), text=self.text))
+        return tuple(images)
 
 
 class FollowEnv(gymnasium.Env[np.ndarray, Any]):
-    """A robot to be driven to the goal of a command, in a world drawn anew for each episode."""
+    """Gymnasium environment: drive a robot to the goal of a command in a random world."""
 
     metadata = METADATA
 
@@ -139,8 +139,8 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         self.observation_space = observation_space()
         self.action_space = action_space(actions)
         self.render_mode = render_mode
-        self._worlds = _Worlds(render_mode, options)
-        self.instruction = self._worlds.text
+        self._simulation = _Simulation(render_mode, options)
+        self.instruction = self._simulation.text
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -151,27 +151,27 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         those after it; no ``options`` are known.
         """
         super().reset(seed=seed)
-        begun = _reset(_seed(self.np_random), self._worlds.params)
-        return self._worlds.see(*begun), {"instruction": self.instruction}
+        first = _reset(_seed(self.np_random), self._simulation.params)
+        return self._simulation.update(*first), {"instruction": self.instruction}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Carry out an action: observation, reward, terminated (stopped), truncated, and info."""
-        worlds, before = self._worlds, self._worlds.started("step")
+        """Execute an action: observation, reward, terminated (stopped), truncated, and info."""
+        simulation, state_before = self._simulation, self._simulation.require_state("step")
         action = to_functional(action, self.action_space)
         seed = _seed(self.np_random)
-        observation, state, reward, _, info = _step(seed, before, action, worlds.params)
-        told = {name: value.item() for name, value in _told(info).items()}
-        ended, late = told["is_stopped"], told["is_cut_off"]
-        return worlds.see(observation, state), float(reward), ended, late, told
+        observation, state, reward, _, info = _step(seed, state_before, action, simulation.params)
+        scalars = {name: value.item() for name, value in _info_dict(info).items()}
+        terminated, truncated = scalars["is_stopped"], scalars["is_cut_off"]
+        return simulation.update(observation, state), float(reward), terminated, truncated, scalars
 
     def render(self) -> np.ndarray | None:
-        """Draw the true world, the way gone and what is in view: u8[480, W, 3], or None."""
-        pictures = self._worlds.draw()
+        """Render the true world, the trajectory and the field of view: u8[480, W, 3], or None."""
+        pictures = self._simulation.render()
         return pictures[0] if pictures else None
 
 
 class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
-    """Many worlds at once, in one compiled program; a lane that has ended begins anew next step.
+    """Vectorized environment in one compiled program; autoreset in the step after an end.
 
     Every episode begins in one of ``num_worlds`` worlds drawn at ``reset`` (see ``pool``).
     """
@@ -187,8 +187,8 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     ) -> None:
         """Set up ``num_envs`` environments, options as of ``FollowEnv``; a picture for each.
 
-        ``num_worlds``: worlds drawn ahead, out of which every episode takes one by lot; 0 draws
-        fresh ones in every step of every lane, at hundreds of times the cost.
+        ``num_worlds``: size of the pool from which each episode takes a random world; 0 samples
+        a new world in every step of every environment, at hundreds of times the cost.
         """
         refuse_below(1, num_envs=num_envs)
         if num_worlds < 0:
@@ -200,15 +200,15 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.render_mode = render_mode
-        self._worlds = _Worlds(render_mode, options)
+        self._simulation = _Simulation(render_mode, options)
         self._is_over = np.zeros(num_envs, bool)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Draw the worlds and begin an episode in every lane: f32[num_envs, …], the command."""
+        """Sample the pool and start all episodes: observations f32[num_envs, …], the command."""
         super().reset(seed=seed)
-        params = self._worlds.params
+        params = self._simulation.params
         if self._num_worlds:
             key = jax.random.key(_seed(self.np_random))
             worlds = draw_pool(key, params.worlds, num_worlds=self._num_worlds)
@@ -216,33 +216,33 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self._params = params
         keys = _keys(_seed(self.np_random), self.num_envs)
         self._is_over = np.zeros(self.num_envs, bool)
-        told = {"instruction": np.full(self.num_envs, self._worlds.text)}
-        return self._worlds.see(*_reset_many(keys, self._params)), told
+        info = {"instruction": np.full(self.num_envs, self._simulation.text)}
+        return self._simulation.update(*_reset_many(keys, self._params)), info
 
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Carry out one action in every lane, but for those that begin anew; as ``FollowEnv.step``.
+        """Execute one action in every environment that is not being reset; as ``FollowEnv.step``.
 
-        Observations, rewards, terminated, truncated, and info as arrays over lanes.
+        Observations, rewards, terminated, truncated, and info as arrays over environments.
         """
-        worlds, before = self._worlds, self._worlds.started("step")
+        worlds, state_before = self._simulation, self._simulation.require_state("step")
         keys = _keys(_seed(self.np_random), self.num_envs)
         actions = to_functional(actions, self.single_action_space)
         observation, state, reward, info = _step_many(
-            keys, before, actions, self._params, self._is_over
+            keys, state_before, actions, self._params, self._is_over
         )
-        told = _told(info)
-        ended, late = told["is_stopped"], told["is_cut_off"]
+        info_arrays = _info_dict(info)
+        ended, late = info_arrays["is_stopped"], info_arrays["is_cut_off"]
         self._is_over = ended | late
-        return worlds.see(observation, state), np.asarray(reward), ended, late, told
+        return worlds.update(observation, state), np.asarray(reward), ended, late, info_arrays
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Draw every lane, as ``FollowEnv.render``."""
-        return self._worlds.draw()
+        """Render every environment, as ``FollowEnv.render``."""
+        return self._simulation.render()
 
 
-def _told(info: functional.EnvironmentInfo) -> dict[str, np.ndarray]:
+def _info_dict(info: functional.EnvironmentInfo) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in vars(info).items()}
 
 

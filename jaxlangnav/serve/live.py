@@ -1,4 +1,4 @@
-"""One episode behind the page: it runs in a thread, is looked at and spoken to from others."""
+"""An episode that runs in its own thread, with thread-safe access for the web server."""
 
 import contextlib
 import dataclasses
@@ -37,19 +37,19 @@ from jaxlangnav.world.files import (
 )
 from jaxlangnav.world.templates import TEMPLATE_NAMES
 
-LONGEST_UTTERANCE = 1000  # characters
-_MOST_UNHEARD = 8  # utterances that wait for the next decision
-_PATIENCE = 1800.0  # seconds that a robot at rest waits for another word; then its episode ends
-_ENGINE = threading.Lock()  # held while a program may be compiled, lest two threads compile it
+MAX_UTTERANCE_LENGTH = 1000  # characters
+_QUEUE_SIZE = 8  # utterances that may wait for the next decision
+_IDLE_TIMEOUT = 1800.0  # seconds without utterance after which an idle episode ends
+_compile_lock = threading.Lock()  # held while a program may be compiled
 
 
 class Request(Struct, forbid_unknown_fields=True, kw_only=True):
-    """What the page asks for: a sentence, a world and a robot; units as of ``task.follow``."""
+    """Request to open an episode: sentence, world and options; units as of ``task.follow``."""
 
     text: PlainText
     world: Annotated[str, Meta(max_length=64)] = "1H1C"
     document: Annotated[str, Meta(max_length=LARGEST_WORLD_FILE)] = ""
-    """A world file, TOML or JSON, in place of ``world``; none if empty."""
+    """A world file, TOML or JSON, that replaces ``world`` unless empty."""
     range: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] | None = None
     policy: Literal["informed", "faithful"] = "informed"
     seed: Annotated[int, Meta(ge=0, lt=2**32)] = 0
@@ -59,19 +59,19 @@ class Request(Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class Message(Struct, forbid_unknown_fields=True):
-    """What comes from the page on the way: an utterance, or that nobody listens any more."""
+    """WebSocket message from the page: an utterance, or the request to end the episode."""
 
     say: str = ""
     close: bool = False
 
 
-def places() -> tuple[str, ...]:
-    """List the worlds that can be picked by name: templates and shipped ones."""
+def world_names() -> tuple[str, ...]:
+    """List the names of the available worlds: templates and shipped ones."""
     return *TEMPLATE_NAMES, *shipped_worlds()
 
 
 def read_world(text: str) -> dict[str, Any]:
-    """Read a world file's text, TOML or JSON, with all defaults; ``ValueError`` if it is none."""
+    """Parse a world file, TOML or JSON, and fill in defaults; ``ValueError`` if it is invalid."""
     try:
         table = (parse_json if text.lstrip().startswith("{") else parse_toml)(text)
     except ValueError as error:
@@ -80,23 +80,23 @@ def read_world(text: str) -> dict[str, Any]:
 
 
 class LiveEpisode:
-    """An episode that goes on until it is closed, has no steps left, or nobody says more."""
+    """An interactive episode that runs until it is closed, out of steps, or idle too long."""
 
     def __init__(self, request: Request, *, model: GroundingModel, folder: Path, pace: float):
         """Open an episode.
 
         Args:
-            request: what is asked for.
+            request: sentence, world and options.
             model: trained models of language.
-            folder: where the world of this episode is kept while it lasts.
-            pace: seconds that a step takes at least.
+            folder: where the world file of this episode is stored.
+            pace: minimum duration of a step, seconds.
 
         Raises:
             ValueError: the sentence, the world or an option is refused; one line.
         """
         self.request, self._pace = request, pace
-        self._world = self._find_world(folder)
-        with _ENGINE:
+        self._world = self._resolve_world(folder)
+        with _compile_lock:
             opened = open_episode(
                 request.text,
                 self._world,
@@ -112,32 +112,32 @@ class LiveEpisode:
         grounder = GraphGrounder.of_detector(
             model, detector_of(self._world, opened.understood.type_names)
         )
-        self._opened = self._equip(opened)
-        self._ear = self._listen(grounder)
+        self._opened = self._enable_dialogue(opened)
+        self._source = self._utterance_source(grounder)
         self._steps: list[tuple[Frame, EpisodeResult]] = []
-        self._unheard: queue.Queue[str | None] = queue.Queue(_MOST_UNHEARD)
+        self._queue: queue.Queue[str | None] = queue.Queue(_QUEUE_SIZE)
         self._question: list[dict[str, str]] = []
-        self._is_resting, self._heard_at = False, -1
+        self._is_resting, self._last_step = False, -1
         self._change, self._version = threading.Condition(), 0
         self._closed = threading.Event()
         self.is_over, self.fault = False, ""
 
-    def _find_world(self, folder: Path) -> str:
-        """Name the world that is picked; one that was sent is kept in a file."""
+    def _resolve_world(self, folder: Path) -> str:
+        """Return the world's name, or the path of the file to which a sent world is written."""
         if not self.request.document:
-            if self.request.world not in places():
-                raise ValueError(bad_choice("world", self.request.world, places()))
+            if self.request.world not in world_names():
+                raise ValueError(bad_choice("world", self.request.world, world_names()))
             return self.request.world
         path = folder / "your world.toml"
         write_text(to_toml(read_world(self.request.document)) + "\n", path)
         return str(path)
 
-    def _equip(self, opened: OpenedEpisode) -> OpenedEpisode:
-        """Make room for what else may be said, and let the robot ask."""
+    def _enable_dialogue(self, opened: OpenedEpisode) -> OpenedEpisode:
+        """Reserve capacity for later utterances, and allow questions."""
         params = allow_questions(opened.params) if self.request.may_ask else opened.params
         return dataclasses.replace(opened, understood=roomy(opened.understood), params=params)
 
-    def _listen(self, grounder: GraphGrounder) -> Earshot:
+    def _utterance_source(self, grounder: GraphGrounder) -> Earshot:
         understood, task = self._opened.understood, self._opened.prepared.task
         scene = recorder.scene_of(
             task.scenario,
@@ -152,13 +152,13 @@ class LiveEpisode:
             grounder=grounder,
             first=understood,
             scene=scene,
-            voices={YOU: self._hear},
+            voices={YOU: self._read},
             is_awaited=lambda progress: not self._closed.is_set(),
-            on_said=lambda said: self._tell(),
+            on_said=lambda _: self._notify(),
         )
 
     def start(self) -> None:
-        """Run the episode in a thread of its own."""
+        """Run the episode in a new thread."""
         threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
@@ -169,114 +169,114 @@ class LiveEpisode:
             params=opened.params,
             config=opened.config,
             max_steps=self._max_steps,
-            ear=self._ear,
+            ear=self._source,
         )
         try:
-            with _ENGINE:
+            with _compile_lock:
                 self._steps.append(next(steps))
-            self._tell()
-            for one in steps:
+            self._notify()
+            for step in steps:
                 self._closed.wait(self._pace)
-                self._steps.append(one)
-                self._tell()
-        except Exception as error:  # a fault of ours is shown on the page, the server goes on
+                self._steps.append(step)
+                self._notify()
+        except Exception as error:  # shown on the page; the server goes on
             line = " ".join(str(error).split()) or type(error).__name__
             self.fault = sanitize(shorten(line, 300))
         finally:
             self.is_over, self._question = True, []
-            self._tell()
+            self._notify()
 
-    def _hear(self, step: int, progress: EpisodeState, doubt: Sequence[Candidate]) -> str | None:
-        """Take the next utterance: a robot at rest, or one that asks, waits for it."""
-        if step == self._heard_at:
-            # What came of it is seen after the step; until then more may be said, nothing need be.
-            return self._next(0.0)
-        is_resting = bool(progress.navigator.is_resting)
-        self._is_resting, words = is_resting, name_candidates(doubt)
+    def _read(self, step: int, state: EpisodeState, options: Sequence[Candidate]) -> str | None:
+        """Return the next utterance; blocks while the robot rests or asks a question."""
+        if step == self._last_step:
+            # An utterance was taken in this step: do not wait for another one.
+            return self._poll(0.0)
+        is_resting = bool(state.navigator.is_resting)
+        self._is_resting, answers = is_resting, name_candidates(options)
         self._question = [
             {
-                "say": words[one.slot],
-                "thing": f"the {one.type_name} at ({one.x:.1f}, {one.y:.1f}) m, "
-                f"{percent(one.probability)}",
+                "say": answers[candidate.slot],
+                "thing": f"the {candidate.type_name} at ({candidate.x:.1f}, {candidate.y:.1f}) m, "
+                f"{percent(candidate.probability)}",
             }
-            for one in doubt
-            if one.slot in words
+            for candidate in options
+            if candidate.slot in answers
         ]
-        is_waiting = (is_resting or bool(doubt)) and not self._closed.is_set()
+        is_waiting = (is_resting or bool(options)) and not self._closed.is_set()
         if is_waiting:
-            self._tell()
-        said = self._next(_PATIENCE if is_waiting else 0.0)
-        if said is not None:
-            self._heard_at, self._is_resting, self._question = step, False, []
+            self._notify()
+        text = self._poll(_IDLE_TIMEOUT if is_waiting else 0.0)
+        if text is not None:
+            self._last_step, self._is_resting, self._question = step, False, []
         elif is_waiting:
             self._closed.set()
-        return said
+        return text
 
-    def _next(self, seconds: float) -> str | None:
-        """Take what is said within so many seconds."""
+    def _poll(self, seconds: float) -> str | None:
+        """Take an utterance from the queue within a number of seconds, else None."""
         try:
-            return self._unheard.get(seconds > 0.0, seconds)
+            return self._queue.get(seconds > 0.0, seconds)
         except queue.Empty:
             return None
 
     def say(self, text: str) -> None:
-        """Say something to the robot, which hears it before its next decision.
+        """Queue an utterance for the robot, which reads it before its next decision.
 
         Raises:
-            ValueError: nothing is said, too much, or nobody listens any more; one line.
+            ValueError: empty or too long, or the episode has ended; one line.
         """
         said = text.strip()
         if not said:
             raise ValueError("nothing is said: type a sentence")
-        if len(said) > LONGEST_UTTERANCE:
-            most = f"at most {LONGEST_UTTERANCE}"
-            raise ValueError(f"{len(said)} characters are said, but {most} are heard: say less")
+        if len(said) > MAX_UTTERANCE_LENGTH:
+            limit = f"at most {MAX_UTTERANCE_LENGTH}"
+            raise ValueError(f"{len(said)} characters are said, but {limit} are heard: say less")
         if self.is_over:
             raise ValueError("this episode has ended: press go for another")
         try:
-            self._unheard.put_nowait(said)
+            self._queue.put_nowait(said)
         except queue.Full:
-            raise ValueError(f"{_MOST_UNHEARD} utterances are still unheard: wait") from None
+            raise ValueError(f"{_QUEUE_SIZE} utterances are still unheard: wait") from None
 
     def close(self) -> None:
         """End the episode after its present step."""
         self._closed.set()
         with contextlib.suppress(queue.Full):
-            self._unheard.put_nowait(None)
+            self._queue.put_nowait(None)
 
-    def _tell(self) -> None:
-        """Wake those who wait for something new."""
+    def _notify(self) -> None:
+        """Increment the version and wake the waiting threads."""
         with self._change:
             self._version += 1
             self._change.notify_all()
 
     def wait(self, version: int, seconds: float) -> int:
-        """Wait at most so long until there is something newer than a version; the newest."""
+        """Wait, with a timeout, for a version newer than a given one; returns the newest."""
         with self._change:
             self._change.wait_for(lambda: self._version > version, seconds)
             return self._version
 
     def recording(self) -> Recording | None:
-        """Stack the steps so far, judged as if it ended here; None before the first."""
+        """Stack the steps so far into a recording with its outcome; None before the first step."""
         steps = list(self._steps)
         if not steps:
             return None
         frames, results = zip(*steps, strict=True)
-        recording = stack_frames(self._ear.scene, list(frames), results[-1])
-        return with_talk(judged(recording, self._opened.prepared), self._ear)
+        recording = stack_frames(self._source.scene, list(frames), results[-1])
+        return with_talk(judged(recording, self._opened.prepared), self._source)
 
     def describe(self) -> dict[str, Any]:
-        """Gather what the page shows now, in JSON's own types; a robot that asks is under way."""
+        """Build the JSON state for the page; an episode with an open question is under way."""
         is_over, is_resting, question = self.is_over, self._is_resting, self._question
         recording = self.recording()
         is_under_way = not is_over and (bool(question) or not is_resting)
-        heard = [
-            {"text": sanitize(one.text), "kind": one.kind, "refusal": sanitize(one.refusal)}
-            for one in list(self._ear.said)
+        utterances = [
+            {"text": sanitize(item.text), "kind": item.kind, "refusal": sanitize(item.refusal)}
+            for item in list(self._source.said)
         ]
         return {
             "episode": recording and page_data(recording, is_under_way=is_under_way),
-            "heard": heard,
+            "heard": utterances,
             "question": question,
             "is_resting": is_resting,
             "is_over": is_over,
@@ -284,11 +284,11 @@ class LiveEpisode:
         }
 
     def world(self) -> str:
-        """Write the world of this episode as a world file, TOML."""
-        prepared, place = self._opened.prepared, open_world(self._world)
+        """Serialize the world of this episode as a TOML world file."""
+        prepared, source = self._opened.prepared, open_world(self._world)
         task = prepared.task
-        if isinstance(place, WorldFile):
-            world = dataclasses.replace(place, scenario=task.scenario, sensor=task.sensor)
+        if isinstance(source, WorldFile):
+            world = dataclasses.replace(source, scenario=task.scenario, sensor=task.sensor)
         else:
             world = WorldFile(
                 name=prepared.world,
@@ -301,7 +301,7 @@ class LiveEpisode:
 
 
 def warm_up(model: GroundingModel, folder: Path) -> None:
-    """Load or compile what the first sentence in a drawn world needs."""
+    """Compile the programs for template worlds by running one step of an episode."""
     episode = LiveEpisode(
         Request(text="go to the hydrant behind the cone", max_steps=1),
         model=model,

@@ -1,8 +1,8 @@
-"""The local server: one page, its episodes as JSON, and a WebSocket that shows and hears.
+"""Local web server: the page, its episodes as JSON, and a WebSocket for state and utterances.
 
-It listens on the loopback only. Every request must name this server as its host, carry the token
-that is printed at the start, and, where a browser says from which page it comes, come from ours:
-no other page of the same browser can start, read or speak to an episode.
+It listens on the loopback interface only. Every request must name this server as its host, carry
+the token printed at the start, and, if it has an ``Origin`` header, come from this page: no
+other page of the same browser can start, read or speak to an episode.
 """
 
 import asyncio
@@ -29,15 +29,15 @@ from jaxlangnav.grounding import GroundingModel
 from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.inputs.schema import convert
 from jaxlangnav.inputs.whole_files import read_file
-from jaxlangnav.serve.live import LiveEpisode, Message, Request, places, read_world, warm_up
+from jaxlangnav.serve.live import LiveEpisode, Message, Request, read_world, warm_up, world_names
 from jaxlangnav.viz.html import fill_page, page_json, write_html
 from jaxlangnav.world.files import LARGEST_WORLD_FILE
 
-LARGEST_BODY = 2 * LARGEST_WORLD_FILE  # bytes of a request: a world file, escaped
-LARGEST_MESSAGE = 8 * 1024  # bytes of an utterance
-MOST_EPISODES = 8  # that are kept: the oldest is closed for a new one
-_LARGEST_RECORDING = 1 << 30
-_POLL = 0.5  # seconds after which a wait for news looks whether the page is still there
+MAX_BODY_SIZE = 2 * LARGEST_WORLD_FILE  # bytes of a request: an escaped world file
+MAX_MESSAGE_SIZE = 8 * 1024  # bytes of a WebSocket message
+MAX_EPISODES = 8  # open at once; the oldest is closed for a new one
+_MAX_RECORDING_SIZE = 1 << 30  # bytes
+_POLL_SECONDS = 0.5  # interval of checks that the page is still connected
 _HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
@@ -47,32 +47,32 @@ _HEADERS = {
 
 
 class Guard:
-    """Refuses what does not come from our own page: host, origin and token."""
+    """Middleware that rejects requests with a wrong host, origin or token."""
 
     def __init__(self, app: ASGIApp, *, token: str, port: int) -> None:
-        """Guard an application that is served on a port of the loopback."""
+        """Wrap an application that is served on a port of the loopback interface."""
         self._app, self._token = app, token
         self._hosts = {f"{host}:{port}" for host in ("127.0.0.1", "localhost")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on what is ours."""
+        """Forward a valid request, or reject it."""
         if scope["type"] == "lifespan":
             return await self._app(scope, receive, send)
-        fault = self._fault(scope)
-        if not fault:
+        reason = self._reject_reason(scope)
+        if not reason:
             return await self._app(scope, receive, send)
         if scope["type"] == "websocket":
-            return await WebSocket(scope, receive, send).close(1008, fault)
-        return await PlainTextResponse(fault + "\n", 403, _HEADERS)(scope, receive, send)
+            return await WebSocket(scope, receive, send).close(1008, reason)
+        return await PlainTextResponse(reason + "\n", 403, _HEADERS)(scope, receive, send)
 
-    def _fault(self, scope: Scope) -> str:
-        """Say why a request is refused; empty where it is not."""
+    def _reject_reason(self, scope: Scope) -> str:
+        """Return why a request is rejected, or ""."""
         headers = Headers(scope=scope)
         if headers.get("host") not in self._hosts:
             return "this server answers to 127.0.0.1 and localhost only: open the printed address"
         origin = headers.get("origin")
-        own = {f"http://{host}" for host in self._hosts}
-        if origin not in own and (origin is not None or scope["type"] == "websocket"):
+        origins = {f"http://{host}" for host in self._hosts}
+        if origin not in origins and (origin is not None or scope["type"] == "websocket"):
             return "the request comes from another page: open the printed address"
         token = headers.get("x-token") or QueryParams(scope["query_string"]).get("token", "")
         if not secrets.compare_digest(token.encode(), self._token.encode()):
@@ -81,24 +81,24 @@ class Guard:
 
 
 class Server:
-    """The episodes of one process, and the routes that lead to them."""
+    """Registry of the open episodes, and the HTTP routes to them."""
 
     def __init__(self, model: GroundingModel, folder: Path, *, pace: float) -> None:
-        """Serve trained models; worlds that are sent lie in a folder while they are in use."""
+        """Create a server for trained models; sent worlds are stored in ``folder``."""
         self._model, self._folder, self._pace = model, folder, pace
         self._episodes: dict[str, LiveEpisode] = {}
         self.num_opened = 0
 
     def routes(self) -> list[Route | WebSocketRoute]:
         """List the routes."""
-        one = "/episodes/{name}"
+        prefix = "/episodes/{name}"
         return [
             Route("/", self._page),
             Route("/world", self._read_world, methods=["POST"]),
             Route("/episodes", self._open, methods=["POST"]),
-            Route(f"{one}/world.toml", self._world),
-            Route(f"{one}/episode.html", self._recording),
-            WebSocketRoute(f"{one}/live", self._live),
+            Route(f"{prefix}/world.toml", self._world),
+            Route(f"{prefix}/episode.html", self._recording),
+            WebSocketRoute(f"{prefix}/live", self._live),
         ]
 
     def warm_up(self) -> None:
@@ -112,30 +112,30 @@ class Server:
 
     async def _page(self, request: HttpRequest) -> Response:
         controls = resources.files("jaxlangnav.serve") / "controls.html"
-        options = "".join(f"<option>{name}</option>" for name in places())
-        filled = controls.read_text(encoding="utf-8").replace("__WORLDS__", options)
-        page = fill_page("jaxlangnav", None, controls=filled, connect="'self'")
+        options = "".join(f"<option>{name}</option>" for name in world_names())
+        html = controls.read_text(encoding="utf-8").replace("__WORLDS__", options)
+        page = fill_page("jaxlangnav", None, controls=html, connect="'self'")
         return HTMLResponse(page, headers=_HEADERS)
 
     async def _read_world(self, request: HttpRequest) -> Response:
-        """Read a world file for the page that draws it."""
-        with _refusals() as refusal:
-            text = (await _body(request, LARGEST_WORLD_FILE)).decode(errors="replace")
-            return _answer(await run_in_threadpool(read_world, text))
+        """Parse a world file for the page's map editor."""
+        with _error_response() as refusal:
+            text = (await _read_body(request, LARGEST_WORLD_FILE)).decode(errors="replace")
+            return _json_response(await run_in_threadpool(read_world, text))
         return refusal()
 
     async def _open(self, request: HttpRequest) -> Response:
-        """Open an episode and start it."""
-        with _refusals() as refusal:
-            document = json.loads(await _body(request, LARGEST_BODY))
-            return _answer({"name": await run_in_threadpool(self._start, document)})
+        """Create and start an episode."""
+        with _error_response() as refusal:
+            document = json.loads(await _read_body(request, MAX_BODY_SIZE))
+            return _json_response({"name": await run_in_threadpool(self._start, document)})
         return refusal()
 
     def _start(self, document: Any) -> str:
         asked = convert(document, Request)
         name = secrets.token_hex(8)
         episode = LiveEpisode(asked, model=self._model, folder=self._folder / name, pace=self._pace)
-        for oldest in list(self._episodes)[: max(0, len(self._episodes) + 1 - MOST_EPISODES)]:
+        for oldest in list(self._episodes)[: max(0, len(self._episodes) + 1 - MAX_EPISODES)]:
             self._episodes.pop(oldest).close()
         self._episodes[name] = episode
         self.num_opened += 1
@@ -145,51 +145,51 @@ class Server:
     async def _world(self, request: HttpRequest) -> Response:
         episode = self._episodes.get(request.path_params["name"])
         if episode is None:
-            return _gone()
-        return _file(episode.world().encode(), "world.toml", "application/toml")
+            return _not_found()
+        return _file_response(episode.world().encode(), "world.toml", "application/toml")
 
     async def _recording(self, request: HttpRequest) -> Response:
         episode = self._episodes.get(request.path_params["name"])
         recording = None if episode is None else await run_in_threadpool(episode.recording)
         if recording is None:
-            return _gone()
+            return _not_found()
         path = self._folder / f"{secrets.token_hex(8)}.html"
         await run_in_threadpool(write_html, recording, path)
-        content = read_file(path, at_most=_LARGEST_RECORDING)
+        content = read_file(path, at_most=_MAX_RECORDING_SIZE)
         path.unlink()
-        return _file(content, "episode.html", "text/html")
+        return _file_response(content, "episode.html", "text/html")
 
     async def _live(self, socket: WebSocket) -> None:
-        """Show an episode as it grows, and hear what is said to it."""
+        """Stream the state of an episode to the page, and pass on its utterances."""
         episode = self._episodes.get(socket.path_params["name"])
         await socket.accept()
         if episode is None:
             await socket.close(1008, "this episode is not kept any more")
             return
-        listening = asyncio.create_task(_listen(socket, episode))
+        listener = asyncio.create_task(_listen(socket, episode))
         try:
             version = -1
-            while not listening.done():
-                newest = await run_in_threadpool(episode.wait, version, _POLL)
+            while not listener.done():
+                newest = await run_in_threadpool(episode.wait, version, _POLL_SECONDS)
                 if newest > version:
                     version = newest
                     is_over = episode.is_over
                     text = await run_in_threadpool(lambda: page_json(episode.describe()))
                     await socket.send_text(text)
                     if is_over:
-                        # Nothing more comes, but what is said is still answered.
-                        await listening
+                        # No more states follow, but utterances still get an answer.
+                        await listener
         except (WebSocketDisconnect, RuntimeError):
-            pass  # the page has gone; the episode goes on and can be looked at again
+            pass  # the page was closed; the episode goes on
         finally:
-            listening.cancel()
+            listener.cancel()
             if socket.client_state == WebSocketState.CONNECTED:
                 with contextlib.suppress(RuntimeError):
                     await socket.close()
 
 
 async def _listen(socket: WebSocket, episode: LiveEpisode) -> None:
-    """Take in what a page says until it is closed."""
+    """Receive messages of a page until it is closed."""
     with contextlib.suppress(WebSocketDisconnect):
         while True:
             text = await socket.receive_text()
@@ -204,47 +204,47 @@ async def _listen(socket: WebSocket, episode: LiveEpisode) -> None:
 
 
 @contextlib.contextmanager
-def _refusals() -> Iterator[Callable[[], Response]]:
-    """Turn a ``ValueError`` into an answer of one line, which is what is yielded then gives."""
+def _error_response() -> Iterator[Callable[[], Response]]:
+    """Convert a ``ValueError`` into a 400 response, returned by the yielded function."""
     line: list[str] = []
     try:
-        yield lambda: _answer({"refusal": line[0]}, 400)
+        yield lambda: _json_response({"refusal": line[0]}, 400)
     except RecursionError:
         line.append("the document is nested too deeply: make it flat")
     except ValueError as error:
         line.append(sanitize(" ".join(str(error).split())))
 
 
-async def _body(request: HttpRequest, most: int) -> bytes:
-    """Read what was sent, or refuse it as soon as it is too large."""
+async def _read_body(request: HttpRequest, limit: int) -> bytes:
+    """Read the request body; ``ValueError`` as soon as it exceeds a limit in bytes."""
     content = bytearray()
-    async for piece in request.stream():
-        content += piece
-        if len(content) > most:
+    async for chunk in request.stream():
+        content += chunk
+        if len(content) > limit:
             raise ValueError(
-                f"more than {most:,} bytes were sent, the most there may be: send less"
+                f"more than {limit:,} bytes were sent, the most there may be: send less"
             )
     return bytes(content)
 
 
-def _answer(document: Any, code: int = 200) -> Response:
+def _json_response(document: Any, code: int = 200) -> Response:
     return Response(page_json(document), code, _HEADERS, "application/json")
 
 
-def _gone() -> Response:
+def _not_found() -> Response:
     return PlainTextResponse("this episode is not kept any more: press go\n", 404, _HEADERS)
 
 
-def _file(content: bytes, name: str, kind: str) -> Response:
-    saved = {"Content-Disposition": f'attachment; filename="{name}"'}
-    return Response(content, headers=_HEADERS | saved, media_type=kind)
+def _file_response(content: bytes, name: str, media_type: str) -> Response:
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return Response(content, headers=_HEADERS | headers, media_type=media_type)
 
 
 @contextlib.contextmanager
 def serving(
     model: GroundingModel, *, token: str, port: int, pace: float
 ) -> Iterator[tuple[Starlette, Server]]:
-    """Make the application for a port of the loopback; its files are removed at the end.
+    """Create the application for a port of the loopback; its files are removed at the end.
 
     Every request must carry the ``token``; a step takes at least ``pace`` seconds.
     """
