@@ -29,7 +29,7 @@ from studies.own_worlds import judge_own_worlds
 
 import jaxlangnav
 from jaxlangnav.experiments import calibration
-from jaxlangnav.experiments.judging import bin_sums, curve
+from jaxlangnav.experiments.judging import bin_sums, reliability_curve
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.messages import Observation
@@ -157,8 +157,8 @@ figure
 
 # %%
 curves = {
-    "the planner's probability": curve(bin_sums(tally)["planner"]),
-    "the map's": curve(bin_sums(tally)["map"]),
+    "the planner's probability": reliability_curve(bin_sums(tally)["planner"]),
+    "the map's": reliability_curve(bin_sums(tally)["map"]),
 }
 print(
     f"expected calibration error {scores['ece']:.3f} (so few episodes of a perfect belief would "

@@ -1,4 +1,4 @@
-"""A hook of MkDocs: executed notebooks as pages of the site, equations as MathML."""
+"""MkDocs hooks: executed notebooks as pages, equations as MathML."""
 
 import base64
 import json
@@ -22,16 +22,16 @@ ORDER = (
     "your_own_world",
     "husky",
 )
-"""How they stand in the menu."""
+"""Order in the menu."""
 _MAGICS = re.compile(r"(?m)^%.*\n")
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 _DISPLAYED = re.compile(r"(?ms)^```math\n(.*?)^```$")
 _INLINE = re.compile(r"\$(?=\S)([^$\n`]+)(?<=\S)\$")
 _TAG = re.compile(r"\\tag\{([^}]*)\}")
-_ASIDE = re.compile(r"equation(\d+)set aside")
+_PLACEHOLDER = re.compile(r"equation(\d+)set aside")
 _equations: list[str] = []
 _FRAMES = re.compile("[\u2500-\u257f]")
-"""What draws boxes and trees: such output scrolls, for wrapped it means nothing."""
+"""Box-drawing characters: output with them scrolls and is not wrapped."""
 
 
 def notebooks() -> list[Path]:
@@ -50,29 +50,29 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Put the notebooks into the menu, after the first page (called by MkDocs)."""
     pages = [{title(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
     menu = list(config.nav or [])
-    place = 1 + next(index for index, entry in enumerate(menu) if "Start" in entry)
-    config.nav = [*menu[:place], {"Notebooks": pages}, *menu[place:]]
+    position = 1 + next(index for index, entry in enumerate(menu) if "Start" in entry)
+    config.nav = [*menu[:position], {"Notebooks": pages}, *menu[position:]]
     return config
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Lead links to notebooks to their pages, and set equations (called by MkDocs)."""
+    """Redirect notebook links to their pages, and extract equations (called by MkDocs)."""
     del page, config, files
     if _DISPLAYED.search(markdown):
-        markdown = _INLINE.sub(_set_aside, _DISPLAYED.sub(_set_aside, markdown))
+        markdown = _INLINE.sub(_store_equation, _DISPLAYED.sub(_store_equation, markdown))
     return re.sub(r"\]\(\.\./notebooks/(\w+)\.ipynb\)", r"](notebooks/\1.md)", markdown)
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put the equations back that Markdown must not read (called by MkDocs)."""
+    """Insert the stored equations into the HTML (called by MkDocs)."""
     del page, config, files
-    return _ASIDE.sub(lambda found: _equations[int(found[1])], html)
+    return _PLACEHOLDER.sub(lambda match: _equations[int(match[1])], html)
 
 
-def _set_aside(found: re.Match[str]) -> str:
-    """Turn an equation into MathML, its number in the paper behind it, and leave a mark for it."""
-    numbered = _TAG.sub(r"\\qquad (\1)", found[1].strip())
-    _equations.append(to_mathml(numbered, display="block" if found.re is _DISPLAYED else "inline"))
+def _store_equation(match: re.Match[str]) -> str:
+    """Convert an equation and its number to MathML, store it, and return a placeholder."""
+    numbered = _TAG.sub(r"\\qquad (\1)", match[1].strip())
+    _equations.append(to_mathml(numbered, display="block" if match.re is _DISPLAYED else "inline"))
     return f"equation{len(_equations) - 1}set aside"
 
 
@@ -87,7 +87,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def convert(path: Path) -> tuple[str, dict[str, bytes]]:
-    """Turn an executed notebook (``.ipynb``) into Markdown, and its pictures by their names."""
+    """Convert an executed notebook (``.ipynb``) to Markdown and pictures by name."""
     parts: list[str] = []
     pictures: dict[str, bytes] = {}
     for cell in json.loads(path.read_text("utf-8"))["cells"]:
@@ -117,5 +117,5 @@ def _text(value: Any) -> str:
 
 
 def _fence(text: str, kind: str) -> str:
-    """Put text in a fenced block; nothing where there is none."""
+    """Format text as a fenced code block; "" for blank text."""
     return f"````{kind}\n{text}\n````" if text.strip() else ""

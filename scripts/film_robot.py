@@ -1,4 +1,4 @@
-"""Film one run of a robot in physics: from outside, through its camera, and what it believes.
+"""Record a video of one simulated run: external view, robot camera and belief.
 
     python scripts/film_robot.py OUT.gif [husky|wheelchair] [--trial N]
 
@@ -26,7 +26,7 @@ _PAGE = ".html"
 
 
 def main() -> int:
-    """Drive, and write film or page."""
+    """Run the simulation, and write the video or the page."""
     parser = argparse.ArgumentParser(description="Film one run of a robot in physics.")
     parser.add_argument("out", type=Path, help="file ending in .gif, .mp4 or .html")
     parser.add_argument("robot", nargs="?", choices=sorted(MACHINES), default="husky")
@@ -46,15 +46,15 @@ def main() -> int:
 
 
 def _run(out: Path, name: str, trial: int) -> str:
-    """Drive once; say in one line what came of it."""
+    """Run one episode; returns a one-line summary."""
     keep_compiled_programs()
-    row = next(one for one in TABLE3 if one.robot == name and one.relation == "behind")
+    row = next(row for row in TABLE3 if row.robot == name and row.relation == "behind")
     robot, text, key = make_robot(row, 0, trial), SENTENCES[row.relation], jax.random.key(trial)
     navigator = navigator_of(name)
     ended, recording = record_drive(robot, text, navigator=navigator, key=key)
-    written = (write_html if out.suffix == _PAGE else write_film)(recording, out)
+    path = (write_html if out.suffix == _PAGE else write_film)(recording, out)
     robot.close()
-    return f"{written}: {ended.why}, {robot.travelled:.1f} m in {robot.seconds:.0f} s"
+    return f"{path}: {ended.why}, {robot.travelled:.1f} m in {robot.seconds:.0f} s"
 
 
 if __name__ == "__main__":

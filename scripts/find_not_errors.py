@@ -22,15 +22,15 @@ def main() -> None:
     """Write the list beside the lexicon."""
     english = SpellChecker().word_frequency.dictionary
     vocabulary = load_lexicon().vocabulary
-    found = {
+    words = {
         word
         for word, count in english.items()
         if len(word) >= MIN_LETTERS and count >= MIN_COUNT and word.isascii() and word.isalpha()
         and word not in vocabulary and edits(word) & repairable()
     }  # fmt: skip
     path = Path(jaxlangnav.language.__file__).parent / "data" / "not_errors.txt"
-    path.write_text(HEAD + "\n".join(sorted(found)) + "\n", encoding="utf-8")
-    print(f"{len(found)} words written to {path.name}")
+    path.write_text(HEAD + "\n".join(sorted(words)) + "\n", encoding="utf-8")
+    print(f"{len(words)} words written to {path.name}")
 
 
 if __name__ == "__main__":

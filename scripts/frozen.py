@@ -1,4 +1,4 @@
-"""Make anew what is frozen in notebooks, README and docs: ``make frozen``.
+"""Regenerate stale outputs in notebooks, README and docs: ``make frozen``.
 
     python scripts/frozen.py            # everything that is old
     python scripts/frozen.py --check    # only say what is old; exit code 1 if anything is
@@ -31,32 +31,32 @@ ROOT = ages.ROOT
 README, RESULTS = ROOT / "README.md", ROOT / "docs" / "results.md"
 PICTURE = ROOT / "docs" / "follow.png"
 COLUMNS = 100
-SHOWN = re.compile(r"(?ms)^```\n\$ (jaxlangnav [^\n]*)\n(.*?)^```$")
+COMMAND_BLOCK = re.compile(r"(?ms)^```\n\$ (jaxlangnav [^\n]*)\n(.*?)^```$")
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
-_OURS = ("faithful", "informed")
+_POLICIES = ("faithful", "informed")
 _HEAD = "| world | range | relation | `faithful` | `informed` | paper | known map (paper) |"
-_SHORT = re.compile(rf"(?m)^{re.escape(_HEAD)}\n(?:\|.*\n)+")
+_SHORT_TABLE = re.compile(rf"(?m)^{re.escape(_HEAD)}\n(?:\|.*\n)+")
 
 
 class _Terminal(io.StringIO):
-    """A terminal as programs see it."""
+    """A text stream that claims to be a terminal."""
 
     def isatty(self) -> bool:
         return True
 
 
 def pages() -> list[Path]:
-    """List the pages that may show what a command prints."""
+    """List the pages that may contain command output."""
     return [README, *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def shown(page: Path) -> list[tuple[str, str]]:
-    """List the commands that a page shows, and what it says that they print."""
-    return SHOWN.findall(page.read_text("utf-8"))
+    """List the commands of a page with the output that it shows."""
+    return COMMAND_BLOCK.findall(page.read_text("utf-8"))
 
 
 def printed(command: str, folder: Path) -> str:
-    """Run a command in a folder and take what it prints on a terminal of a hundred columns.
+    """Run a command in a folder and capture its output on a terminal of a hundred columns.
 
     Args:
         command: such as ``jaxlangnav parse "go to the cone"``.
@@ -67,66 +67,66 @@ def printed(command: str, folder: Path) -> str:
     """
     from jaxlangnav.cli import main as cli
 
-    out, told = _Terminal(), io.StringIO()
+    out, err = _Terminal(), io.StringIO()
     with (
         contextlib.chdir(folder),
         mock.patch.dict(os.environ, COLUMNS=str(COLUMNS), NO_COLOR="1"),
         contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(told),
+        contextlib.redirect_stderr(err),
     ):
         code = cli.main(shlex.split(command)[1:])
-    text = _ESCAPES.sub("", (told if code else out).getvalue())
+    text = _ESCAPES.sub("", (err if code else out).getvalue())
     return "".join(f"{_fold(line)}\n" for line in text.rstrip().splitlines())
 
 
 def _fold(line: str) -> str:
-    """Break a line that is wider than the terminal."""
+    """Wrap a line that is wider than the terminal."""
     return line.rstrip() if len(line) <= COLUMNS else textwrap.fill(line, COLUMNS)
 
 
 def short_table(results: str) -> str:
-    """Make the README's Table 2 (Markdown) from the results page."""
-    found: dict[tuple[str, ...], dict[str, list[str]]] = {}
+    """Build the README's Table 2 (Markdown) from the results page."""
+    table: dict[tuple[str, ...], dict[str, list[str]]] = {}
     section = results.partition("## Table 2\n")[2].partition("\n## ")[0]
     for line in re.findall(r"(?m)^\| (\d.*) \|$", section):
         cells = [cell.strip() for cell in line.split("|")]
         if len(cells) > 9:
-            found.setdefault(tuple(cells[:3]), {})[cells[3]] = [c.split(" (")[0] for c in cells]
+            table.setdefault(tuple(cells[:3]), {})[cells[3]] = [c.split(" (")[0] for c in cells]
     lines = [_HEAD, "|---" * 7 + "|"]
-    for (world, reach, relation), rows in found.items():
-        ours = [f"{rows[name][4]} % · {_tenths(rows[name][6])} m" for name in _OURS]
+    for (world, sensing_range, relation), rows in table.items():
+        ours = [f"{rows[name][4]} % · {_tenths(rows[name][6])} m" for name in _POLICIES]
         row = rows["faithful"]
-        theirs = [f"{row[5]} % · {row[7]} m", f"{row[8]} ({row[9]}) m"]
-        lines.append(f"| {' | '.join([world, f'{reach} m', relation, *ours, *theirs])} |")
+        paper = [f"{row[5]} % · {row[7]} m", f"{row[8]} ({row[9]}) m"]
+        lines.append(f"| {' | '.join([world, f'{sensing_range} m', relation, *ours, *paper])} |")
     return "\n".join(lines) + "\n"
 
 
 def _tenths(number: str) -> Decimal:
-    """Round as a reader of the results page would."""
+    """Round half up to one decimal."""
     return Decimal(number).quantize(Decimal("0.1"), ROUND_HALF_UP)
 
 
 def remake_page(page: Path, folder: Path) -> str:
-    """Make a page's text anew, the commands it shows run in a folder."""
+    """Regenerate a page's text, running its commands in a folder."""
 
-    def again(block: re.Match[str]) -> str:
+    def rerun(block: re.Match[str]) -> str:
         return f"```\n$ {block[1]}\n{printed(block[1], folder)}```"
 
-    text = SHOWN.sub(again, page.read_text("utf-8"))
+    text = COMMAND_BLOCK.sub(rerun, page.read_text("utf-8"))
     if page == README:
         table = short_table(RESULTS.read_text("utf-8"))
-        text = _SHORT.sub(lambda _: table, text)
+        text = _SHORT_TABLE.sub(lambda _: table, text)
     return text
 
 
 def old_pages(folder: Path) -> dict[Path, str]:
-    """Find the pages whose text is old, and make them anew."""
-    again = {page: remake_page(page, folder) for page in pages()}
-    return {page: text for page, text in again.items() if text != page.read_text("utf-8")}
+    """Regenerate all pages; returns those whose text has changed."""
+    new_texts = {page: remake_page(page, folder) for page in pages()}
+    return {page: text for page, text in new_texts.items() if text != page.read_text("utf-8")}
 
 
 def remake(texts: dict[Path, str], picture: Path) -> None:
-    """Write pages that were old, and the demo's picture, which a page's command has drawn."""
+    """Write the changed pages, and the demo's picture, which a page's command has drawn."""
     for page, text in texts.items():
         page.write_text(text, "utf-8")
     if not ages.is_current(PICTURE):
@@ -135,7 +135,7 @@ def remake(texts: dict[Path, str], picture: Path) -> None:
 
 
 def main() -> int:
-    """Make anew, or say, what is old."""
+    """Regenerate, or list, the stale files."""
     parser = argparse.ArgumentParser(description="Make anew what is frozen and old.")
     parser.add_argument("--check", action="store_true", help="only say what is old")
     parser.add_argument("--results", nargs=2, metavar=("DIR", "COMMIT"), help="of reproduce all")

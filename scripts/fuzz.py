@@ -1,11 +1,11 @@
-"""Throw damaged input at every door of the package until a time is over.
+"""Mutation fuzzer for all inputs of the package, with a time limit.
 
     python scripts/fuzz.py --minutes 60
     python scripts/fuzz.py --minutes 5 --seed 7 --target world --target corpus
 
-Each target has honest inputs. A run takes one, damages it in a few places and hands it to the
-package, which must take it or refuse it in one line; anything else is a failure, and its input is
-written to a folder with what was raised. The same seed throws the same inputs.
+Each target has valid seed inputs. A run takes one, mutates it in a few places and passes it to the
+package, which must accept it or refuse it in one line; anything else is a failure, and its input is
+written to a folder with the traceback. The same seed gives the same inputs.
 """
 
 import argparse
@@ -27,11 +27,11 @@ from jaxlangnav.cli.output import is_refusal
 from jaxlangnav.inputs.sanitize import is_plain
 
 SECONDS_PER_TURN = 2.0
-"""A target runs this long before the next has its turn."""
-SECONDS_PER_RUN, SECONDS_WAITED = 30.0, 600.0
-"""A run that takes more of the processor, or of the clock, is a failure: it hangs."""
-LONGEST_LINE = 2000
-"""Characters of a refusal."""
+"""Duration of a target's turn."""
+MAX_CPU_SECONDS, MAX_WALL_SECONDS = 30.0, 600.0
+"""Limits of CPU time and wall time, seconds; a run that exceeds one is a failure."""
+MAX_MESSAGE_LENGTH = 2000
+"""Maximum characters of an error message."""
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
 _TEXT = re.compile(rb'"[^"\n]*"')
 NUMBERS = (
@@ -47,7 +47,7 @@ TEXTS = (
     "\ufb01re", "\ud800", "é" * 40, "𝄞", "\uff11", "null", "-", "--help",
     "object(hydrant)", "region(behind,robot)",
 )  # fmt: skip
-_PIECES = (
+_FRAGMENTS = (
     b"[", b"]", b"{", b"}", b"[[", b"]]", b'"', b"'", b'"""', b"=", b",", b".", b"\n", b"\x00",
     b"\xff", b"\xed\xa0\x80", b"\\", b"\\u0000", b"#", b"a.b.c", b"\xef\xbb\xbf", b"\r\n",
 )  # fmt: skip
@@ -55,20 +55,20 @@ _PIECES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """A door of the package."""
+    """An entry point of the package that reads input."""
 
     name: str
     seeds: Callable[[], Sequence[bytes]]
-    """Honest inputs; asked for once."""
+    """Returns valid inputs; called once."""
     call: Callable[[bytes, Path], Any]
-    """Hands an input to the package; may write into the folder, which is its own."""
+    """Passes an input to the package; may write into the private folder."""
     refusals: tuple[type[Exception], ...]
-    """What may be raised, with a message of one line."""
+    """Exceptions that may be raised, with a one-line message."""
 
 
 @dataclass
 class Count:
-    """What came of the runs of a target."""
+    """Outcome counts of the runs of a target."""
 
     runs: int = 0
     accepted: int = 0
@@ -79,97 +79,97 @@ class Count:
 
 
 class Overtime(BaseException):
-    """A run does not come to its end; no handler of the package may catch it."""
+    """Raised on a time-out; no handler of the package may catch it."""
 
 
 def mutate(rng: random.Random, seeds: Sequence[bytes]) -> bytes:
-    """Damage one of some honest inputs.
+    """Mutate a random seed input.
 
     Args:
-        rng: where chance comes from.
-        seeds: honest inputs.
+        rng: random generator.
+        seeds: valid inputs.
 
     Returns:
         One of them, changed in one to six places.
     """
     text = rng.choice(seeds)
     for _ in range(min(6, 1 + int(rng.expovariate(0.7)))):
-        text = rng.choice(_WAYS)(rng, text, seeds)
+        text = rng.choice(_MUTATIONS)(rng, text, seeds)
     return text[: 1 << 20]
 
 
 def _number(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
-    """Put another number in the place of one."""
-    return _instead(rng, text, _NUMBER, rng.choice(NUMBERS))
+    """Replace a number."""
+    return _replace(rng, text, _NUMBER, rng.choice(NUMBERS))
 
 
 def _string(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
-    """Put another text in the place of one in quotes, as it is or with its signs escaped."""
+    """Replace a quoted string, by a raw or an escaped one."""
     other = rng.choice(TEXTS)
     raw = other.encode("utf-8", "surrogatepass")
     escaped = "".join(
-        one if is_plain(one) and one not in '"\\' and ord(one) < 65536 else f"\\u{ord(one):04x}"
-        for one in other
-        if ord(one) < 65536
+        c if is_plain(c) and c not in '"\\' and ord(c) < 65536 else f"\\u{ord(c):04x}"
+        for c in other
+        if ord(c) < 65536
     ).encode("utf-8", "surrogatepass")
-    return _instead(rng, text, _TEXT, b'"' + rng.choice((raw, escaped)) + b'"')
+    return _replace(rng, text, _TEXT, b'"' + rng.choice((raw, escaped)) + b'"')
 
 
 def _swap(rng: random.Random, text: bytes, seeds: Sequence[bytes]) -> bytes:
-    """Put a text in quotes of another input in the place of one."""
-    found = _TEXT.findall(rng.choice(seeds))
-    return _instead(rng, text, _TEXT, rng.choice(found)) if found else text
+    """Replace a quoted string by one of another input."""
+    matches = _TEXT.findall(rng.choice(seeds))
+    return _replace(rng, text, _TEXT, rng.choice(matches)) if matches else text
 
 
-def _instead(rng: random.Random, text: bytes, what: re.Pattern[bytes], other: bytes) -> bytes:
-    """Put something in the place of one of the matches."""
-    found = list(what.finditer(text))
-    if not found:
+def _replace(rng: random.Random, text: bytes, pattern: re.Pattern[bytes], new: bytes) -> bytes:
+    """Replace a random match of a pattern."""
+    matches = list(pattern.finditer(text))
+    if not matches:
         return text
-    start, end = rng.choice(found).span()
-    return text[:start] + other + text[end:]
+    start, end = rng.choice(matches).span()
+    return text[:start] + new + text[end:]
 
 
 def _line(rng: random.Random, text: bytes, seeds: Sequence[bytes]) -> bytes:
-    """Drop a line, double it, move it, or bring one from another input."""
+    """Delete a line, duplicate it, move it, or insert one of another input."""
     lines = text.split(b"\n")
     line = lines.pop(rng.randrange(len(lines)))
     other = rng.choice(rng.choice(seeds).split(b"\n"))
-    for one in rng.choice(((), (line, line), (line,), (other,), (line,) * 100)):
-        lines.insert(rng.randrange(len(lines) + 1), one)
+    for new in rng.choice(((), (line, line), (line,), (other,), (line,) * 100)):
+        lines.insert(rng.randrange(len(lines) + 1), new)
     return b"\n".join(lines)
 
 
-def _piece(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
-    """Put a sign somewhere, once, a few times or very often."""
-    place = rng.randrange(len(text) + 1)
-    often = rng.choice((1, 1, 1, 3, 50, 5000))
-    return text[:place] + rng.choice(_PIECES) * often + text[place:]
+def _insert(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
+    """Insert a fragment at a random position, repeated once or many times."""
+    position = rng.randrange(len(text) + 1)
+    repeats = rng.choice((1, 1, 1, 3, 50, 5000))
+    return text[:position] + rng.choice(_FRAGMENTS) * repeats + text[position:]
 
 
-def _cut(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
-    """Leave a part out, or double it."""
+def _span(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
+    """Delete a span, or repeat it."""
     start, end = sorted(rng.randrange(len(text) + 1) for _ in range(2))
     end = min(end, start + rng.choice((1, 8, 64, len(text))))
     return text[:start] + text[start:end] * rng.choice((0, 0, 2, 20)) + text[end:]
 
 
 def _flip(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
-    """Turn a bit."""
+    """Flip a bit."""
     if not text:
         return text
-    place = rng.randrange(len(text))
-    return text[:place] + bytes([text[place] ^ 1 << rng.randrange(8)]) + text[place + 1 :]
+    position = rng.randrange(len(text))
+    return text[:position] + bytes([text[position] ^ 1 << rng.randrange(8)]) + text[position + 1 :]
 
 
-_WAYS = (_number, _number, _string, _string, _swap, _line, _piece, _cut, _flip)
+_MUTATIONS = (_number, _number, _string, _string, _swap, _line, _insert, _span, _flip)
 
 
 def run_once(target: Target, text: bytes, count: Count) -> None:
-    """Hand one input to a target and judge what comes of it.
+    """Run a target on one input and count the outcome.
 
     Args:
-        target: the door.
+        target: the entry point.
         text: the input.
         count: where the outcome is counted.
     """
@@ -191,23 +191,23 @@ def run_once(target: Target, text: bytes, count: Count) -> None:
 
 
 def _fault(target: Target, error: BaseException) -> str | None:
-    """Find out why an error is no proper refusal; None where it is one."""
+    """Describe why an exception is not a proper refusal; None if it is one."""
     if not isinstance(error, target.refusals):
         return "".join(traceback.format_exception(error))
     if isinstance(error, ValueError) and not is_refusal(error):
         return "raised in the depth of a library:\n" + "".join(traceback.format_exception(error))
     line = str(error)
-    if "\n" in line or not line or len(line) > LONGEST_LINE:
-        return f"the refusal is no line:\n{line[:LONGEST_LINE]!r}"
+    if "\n" in line or not line or len(line) > MAX_MESSAGE_LENGTH:
+        return f"the refusal is no line:\n{line[:MAX_MESSAGE_LENGTH]!r}"
     return None
 
 
 @contextmanager
 def _limited() -> Iterator[None]:
-    """Raise Overtime inside the block when it takes too long, at work or waiting."""
+    """Raise Overtime inside the block if it exceeds the CPU or the wall time."""
     timers = (
-        (signal.ITIMER_PROF, signal.SIGPROF, SECONDS_PER_RUN),
-        (signal.ITIMER_REAL, signal.SIGALRM, SECONDS_WAITED),
+        (signal.ITIMER_PROF, signal.SIGPROF, MAX_CPU_SECONDS),
+        (signal.ITIMER_REAL, signal.SIGALRM, MAX_WALL_SECONDS),
     )
 
     def ring(number: int, _frame: Any) -> None:
@@ -233,10 +233,10 @@ def throw(
     seconds: float = 0.0,
     with_honest: bool = True,
 ) -> Count:
-    """Throw damaged inputs at one target, its honest ones first.
+    """Run one target on its seed inputs, then on mutated ones.
 
     Args:
-        target: the door.
+        target: the entry point.
         seed: of the damage.
         runs: how many; None for as many as the time allows.
         seconds: how long, if ``runs`` is None.
@@ -256,10 +256,10 @@ def throw(
 
 
 def write_failures(target: Target, count: Count, folder: Path) -> None:
-    """Keep the inputs that failed, each beside what was raised.
+    """Write the failed inputs, each with its traceback.
 
     Args:
-        target: the door.
+        target: the entry point.
         count: its failures.
         folder: made if it is not there.
     """
@@ -272,35 +272,35 @@ def write_failures(target: Target, count: Count, folder: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Throw at all targets in turn; 0 where nothing fell through, else 1."""
+    """Fuzz all targets in turn; returns 0 without failures, else 1."""
     from fuzz_targets import TARGETS
 
-    names = [one.name for one in TARGETS]
+    names = [target.name for target in TARGETS]
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=10.0, help="how long (10)")
     parser.add_argument("--seed", type=int, default=0, help="of the damage (0)")
     parser.add_argument("--target", action="append", choices=names, help="only these; repeatable")
     parser.add_argument("--out", type=Path, default=Path("fuzz"), help="folder for what failed")
     options = parser.parse_args(arguments)
-    chosen = [one for one in TARGETS if one.name in (options.target or names)]
-    counts = {one.name: Count() for one in chosen}
+    chosen = [target for target in TARGETS if target.name in (options.target or names)]
+    counts = {target.name: Count() for target in chosen}
     end, turn = time.monotonic() + 60.0 * options.minutes, 0
     while time.monotonic() < end:
         for target in chosen:
             seed = options.seed * 1_000_000 + turn
-            found = throw(target, seed=seed, seconds=SECONDS_PER_TURN, with_honest=turn == 0)
-            write_failures(target, found, options.out)
+            result = throw(target, seed=seed, seconds=SECONDS_PER_TURN, with_honest=turn == 0)
+            write_failures(target, result, options.out)
             for name in ("runs", "accepted", "refused", "failed", "seconds"):
-                mine = counts[target.name]
-                setattr(mine, name, getattr(mine, name) + getattr(found, name))
+                total = counts[target.name]
+                setattr(total, name, getattr(total, name) + getattr(result, name))
         turn += 1
     print(f"{'target':<12} {'runs':>9} {'accepted':>9} {'refused':>9} {'failed':>7} {'seconds':>8}")
-    for name, one in counts.items():
+    for name, count in counts.items():
         print(
-            f"{name:<12} {one.runs:>9} {one.accepted:>9} {one.refused:>9} {one.failed:>7} "
-            f"{one.seconds:>8.0f}"
+            f"{name:<12} {count.runs:>9} {count.accepted:>9} {count.refused:>9} {count.failed:>7} "
+            f"{count.seconds:>8.0f}"
         )
-    failed = sum(one.failed for one in counts.values())
+    failed = sum(count.failed for count in counts.values())
     print(f"seed {options.seed}; {failed} failed" + (f", see {options.out}" if failed else ""))
     return int(failed > 0)
 

@@ -1,4 +1,4 @@
-"""The doors that ``fuzz.py`` throws at. A new one is one more ``Target`` in ``TARGETS``."""
+"""Targets of ``fuzz.py``. To add one, append a ``Target`` to ``TARGETS``."""
 
 import contextlib
 import io
@@ -43,7 +43,7 @@ SEEDS = tomllib.loads((Path(__file__).parent / "fuzz_seeds.toml").read_text("utf
 
 
 def _texts(name: str) -> list[bytes]:
-    return [one.encode() for one in SEEDS[name]]
+    return [text.encode() for text in SEEDS[name]]
 
 
 def _worlds() -> list[bytes]:
@@ -52,25 +52,25 @@ def _worlds() -> list[bytes]:
 
 def _json_worlds() -> list[bytes]:
     opened: list[Any] = [open_world(name) for name in shipped_worlds()]
-    return [json.dumps(world_to_dict(one), indent=1).encode() for one in opened]
+    return [json.dumps(world_to_dict(world), indent=1).encode() for world in opened]
 
 
-def _world(text: bytes, folder: Path, *, kind: str = "toml") -> None:
-    """Read a world; one that is taken is finite, can be shown, and is written back the same."""
-    path = folder / f"world.{kind}"
+def _world(text: bytes, folder: Path, *, suffix: str = "toml") -> None:
+    """Load a world; if accepted, it is finite, printable, and survives a round trip."""
+    path = folder / f"world.{suffix}"
     path.write_bytes(text)
     world = load_world(path)
     leaves = jax.tree.leaves((world.scenario, world.sensor))
-    assert all(np.isfinite(np.asarray(one)).all() for one in leaves)
+    assert all(np.isfinite(np.asarray(leaf)).all() for leaf in leaves)
     assert (world.name + (world.instruction or "")).isprintable()
     save_world(world, folder / "again.toml")
     again = load_world(folder / "again.toml")
-    for mine, theirs in zip(leaves, jax.tree.leaves(again.scenario), strict=False):
-        assert np.array_equal(mine, theirs)
+    for ours, theirs in zip(leaves, jax.tree.leaves(again.scenario), strict=False):
+        assert np.array_equal(ours, theirs)
 
 
 def _lexicon(text: bytes, folder: Path) -> None:
-    """Join somebody's words; now and then build the grammar of what is taken."""
+    """Read a custom lexicon; for every fiftieth accepted one build the grammar."""
     (folder / "words.toml").write_bytes(text)
     shipped = (LANGUAGE / "lexicon.toml").read_text("utf-8")
     lexicon = read_lexicon(shipped, read_text(folder / "words.toml", at_most=1 << 20))
@@ -96,7 +96,7 @@ def _corpus(text: bytes, folder: Path) -> None:
 
 
 def _sweep(text: bytes, folder: Path) -> None:
-    """Read the configuration of a sweep; what is taken can be written down."""
+    """Read a sweep configuration; if accepted, it can be serialized."""
     (folder / "sweep.toml").write_bytes(text)
     config = read_config(folder / "sweep.toml")
     json.dumps(config.document(), allow_nan=False).encode("utf-8")
@@ -116,43 +116,43 @@ def _manifests() -> list[bytes]:
 
 
 def _episodes() -> dict[str, Any]:
-    """Make eight episodes of a world with a name that no table and no terminal should obey."""
-    number, world = 8, "a|b <b>**[red]\x1b[2J.toml"
-    measured = dict.fromkeys(
+    """Build eight episode rows of a world whose name contains markup and control characters."""
+    count, world = 8, "a|b <b>**[red]\x1b[2J.toml"
+    floats = dict.fromkeys(
         ("distance", "final_x", "final_y", "goal_distance", "mean_effective_sample_size"),
-        np.linspace(1.0, 9.0, number, dtype=np.float32),
+        np.linspace(1.0, 9.0, count, dtype=np.float32),
     )
-    counted = dict.fromkeys(
+    integers = dict.fromkeys(
         ("steps", "ending", "overflow", "degenerate", "faults", "contradictions"),
-        np.arange(number, dtype=np.int32),
+        np.arange(count, dtype=np.int32),
     )
-    alike = {"world": world, "relation": "behind", "command": "go", "particles": 64, "seed": 0}
+    constants = {"world": world, "relation": "behind", "command": "go", "particles": 64, "seed": 0}
     return {
-        **{name: [one] * number for name, one in alike.items()},
-        "range": np.full(number, 3.0),
-        "policy": ["informed", "faithful"] * (number // 2),
-        "episode": [index // 2 for index in range(number)],
-        "is_success": np.arange(number) % 2 == 0,
-        **dict.fromkeys(("is_stopped", "is_valid"), np.ones(number, bool)),
-        "known_distance": np.full(number, 5.0, np.float32),
-        **measured,
-        **counted,
+        **{name: [value] * count for name, value in constants.items()},
+        "range": np.full(count, 3.0),
+        "policy": ["informed", "faithful"] * (count // 2),
+        "episode": [index // 2 for index in range(count)],
+        "is_success": np.arange(count) % 2 == 0,
+        **dict.fromkeys(("is_stopped", "is_valid"), np.ones(count, bool)),
+        "known_distance": np.full(count, 5.0, np.float32),
+        **floats,
+        **integers,
     }
 
 
 def _manifest(text: bytes, folder: Path) -> None:
-    """Summarise a sweep whose manifest is damaged; what is taken can be shown everywhere."""
+    """Summarise a sweep with a mutated manifest; if accepted, all outputs are printable."""
     (folder / MANIFEST).write_bytes(text)
     sweep = identity(read_manifest(folder))
     shard = Shard(sweep=sweep, index=0, rows=8)
     write_shard(_episodes(), folder / "episodes-000000.parquet", shard)
     document = summarize_directory(folder)
-    told = io.StringIO()
-    with contextlib.redirect_stdout(told):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
         Output(is_json=False).say(render(document))
         write_document(document)
-    told.write(summary_markdown(document))
-    assert all(line.isprintable() for line in told.getvalue().split("\n")), "it is not plain"
+    output.write(summary_markdown(document))
+    assert all(line.isprintable() for line in output.getvalue().split("\n")), "it is not plain"
     assert "<b>" not in summary_markdown(document)
 
 
@@ -163,7 +163,7 @@ def _sentence(text: bytes, _: Path) -> None:
 
 
 def _words() -> list[bytes]:
-    """Write command lines, a word a line, in quotes so that whole words are damaged too."""
+    """Build command lines, one quoted word per line, so that whole words are mutated too."""
     hostile = [["parse", one] for one in TEXTS] + [["follow", "x", "--world", t] for t in TEXTS]
     lines = [*SEEDS["command-line"], *hostile]
     return ["\n".join(f'"{w}"' for w in one).encode("utf-8", "replace") for one in lines]
@@ -174,7 +174,7 @@ def _shipped_weights() -> list[bytes]:
 
 
 def _weights(text: bytes, folder: Path) -> None:
-    """Load trained models; what is taken is finite and as large as the shipped ones."""
+    """Load trained models; if accepted, their weights are finite."""
     (folder / "weights.npz").write_bytes(text)
     model = load(folder / "weights.npz")
     for part in (model.annotation, model.behavior):
@@ -183,7 +183,7 @@ def _weights(text: bytes, folder: Path) -> None:
 
 
 @cache
-def _whole_shard() -> bytes:
+def _valid_shard() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "episodes-000000.parquet"
         return write_shard(_episodes(), path, Shard(sweep="0" * 64, index=0, rows=8)).read_bytes()
@@ -193,7 +193,7 @@ def _shard(text: bytes, folder: Path) -> None:
     path = folder / "episodes-000000.parquet"
     path.write_bytes(text)
     read_shard(path, sweep="0" * 64, index=0)
-    assert text == _whole_shard(), "a damaged file passes for whole"
+    assert text == _valid_shard(), "a damaged file passes for whole"
 
 
 def _forms() -> list[bytes]:
@@ -214,11 +214,11 @@ def _form(text: bytes, _: Path) -> None:
 
 
 class CommandLineError(Exception):
-    """The command line refused its arguments, properly or not: its whole standard error."""
+    """Raised if the command line refuses its arguments; holds the whole standard error."""
 
 
-def _cheaply(command: Any) -> int:
-    """Do of a command what needs no engine."""
+def _run_checks_only(command: Any) -> int:
+    """Run the part of a command that needs no compiled program."""
     output = Output(is_json=command.json)
     if type(command).__name__ == "Parse":
         document = command.run(output)
@@ -232,34 +232,34 @@ def _cheaply(command: Any) -> int:
 
 
 def _command_line(text: bytes, folder: Path) -> None:
-    """Run a command line in this process, up to where an engine would be compiled."""
+    """Run a command line in this process, up to compilation."""
     decoded = text.decode("utf-8", "surrogateescape").split("\n")
     words = [word.removeprefix('"').removesuffix('"') for word in decoded]
     out, err = io.StringIO(), io.StringIO()
     with (
         contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
-        contextlib.chdir(folder), mock.patch.object(cli, "_run", _cheaply),
+        contextlib.chdir(folder), mock.patch.object(cli, "_run", _run_checks_only),
     ):  # fmt: skip
         code = cli.main(words)
-    told, said = out.getvalue(), err.getvalue()
-    assert all(line.isprintable() for line in (told + said).split("\n")), "it is not plain"
+    printed, errors = out.getvalue(), err.getvalue()
+    assert all(line.isprintable() for line in (printed + errors).split("\n")), "it is not plain"
     assert not list(folder.iterdir()), "something was left behind"
     if code == 2:
-        raise CommandLineError(said.removesuffix("\n"))
-    assert code == 0, f"exit code {code}: {said}"
+        raise CommandLineError(errors.removesuffix("\n"))
+    assert code == 0, f"exit code {code}: {errors}"
 
 
 TARGETS = (
     Target(name="world", seeds=_worlds, call=_world, refusals=(WorldFileError,)),
     Target(
-        name="world-json", seeds=_json_worlds, call=partial(_world, kind="json"),
+        name="world-json", seeds=_json_worlds, call=partial(_world, suffix="json"),
         refusals=(WorldFileError,),
     ),
     Target(name="lexicon", seeds=partial(_texts, "lexicon"), call=_lexicon, refusals=(ValueError,)),
     Target(name="corpus", seeds=_corpus_lines, call=_corpus, refusals=(CorpusError,)),
     Target(name="sweep", seeds=partial(_texts, "sweep"), call=_sweep, refusals=(ValueError,)),
     Target(name="manifest", seeds=_manifests, call=_manifest, refusals=(ValueError,)),
-    Target(name="shard", seeds=lambda: [_whole_shard()], call=_shard, refusals=(ShardError,)),
+    Target(name="shard", seeds=lambda: [_valid_shard()], call=_shard, refusals=(ShardError,)),
     Target(name="weights", seeds=_shipped_weights, call=_weights, refusals=(ValueError,)),
     Target(name="form", seeds=_forms, call=_form, refusals=(ValueError,)),
     Target(
@@ -268,4 +268,4 @@ TARGETS = (
     ),
     Target(name="command-line", seeds=_words, call=_command_line, refusals=(CommandLineError,)),
 )  # fmt: skip
-"""Every door that is thrown at."""
+"""All fuzz targets."""

@@ -1,4 +1,4 @@
-"""Measure the house: lines by floor, records and traced operations inside one decision.
+"""Measure the package: lines by floor, records and traced operations of one decision.
 
     python scripts/house.py           # everything
     python scripts/house.py --budget  # lines and files beside what pyproject.toml allows
@@ -45,15 +45,15 @@ ENGINE = [
 ]
 """From messages to episode; ``grounding`` is read after lunch."""
 NUM_DETECTIONS = 8
-MOST_FILES = 20
-"""Files that are listed, of those that write the most operations."""
+NUM_FILES_LISTED = 20
+"""Number of files listed, by most operations."""
 
 
 KINDS = ("lines", "code", "imports", "docstrings")
 
 
 def _span(node: ast.AST) -> range:
-    """List the lines that a part of a file takes."""
+    """Return the line numbers of a syntax node."""
     return range(getattr(node, "lineno", 0), getattr(node, "end_lineno", 0) + 1)
 
 
@@ -66,18 +66,18 @@ def lines_of(source: str) -> Counter[str]:
         elif isinstance(node, ast.Import | ast.ImportFrom):
             imports.update(_span(node))
     lines = source.splitlines()
-    written = {n for n, line in enumerate(lines, 1) if line.strip() and line.strip()[0] != "#"}
-    numbers = len(lines), len(written - docstrings - imports), len(imports), len(docstrings)
-    return Counter(dict(zip(KINDS, numbers, strict=True)))
+    nonblank = {n for n, line in enumerate(lines, 1) if line.strip() and line.strip()[0] != "#"}
+    totals = len(lines), len(nonblank - docstrings - imports), len(imports), len(docstrings)
+    return Counter(dict(zip(KINDS, totals, strict=True)))
 
 
 def lines_by_floor() -> dict[str, Counter[str]]:
     """Count the lines of every top-level module and package by ``KINDS``."""
-    found: dict[str, Counter[str]] = {}
+    counts: dict[str, Counter[str]] = {}
     for path in PACKAGE.rglob("*.py"):
         floor = path.relative_to(PACKAGE).with_suffix("").parts[0]
-        found.setdefault(floor, Counter()).update(lines_of(path.read_text("utf-8")))
-    return found
+        counts.setdefault(floor, Counter()).update(lines_of(path.read_text("utf-8")))
+    return counts
 
 
 def budget() -> dict[str, tuple[int, int]]:
@@ -154,17 +154,17 @@ def count_operations(jaxpr: Any, caller: str | None = None) -> Counter[str]:
     What stands inside a function of JAX's own, which is traced once for all who call it, counts for
     the caller.
     """
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for equation in jaxpr.eqns:
         file = caller or written_in(equation) or "JAX"
-        found[file] += 1
+        counts[file] += 1
         is_shared = equation.primitive.name in ("jit", "pjit", "custom_jvp_call")
         for value in equation.params.values():
-            for one in value if isinstance(value, tuple | list) else (value,):
-                one = getattr(one, "jaxpr", one)
-                if hasattr(one, "eqns"):
-                    found += count_operations(one, file if is_shared else caller)
-    return found
+            for item in value if isinstance(value, tuple | list) else (value,):
+                item = getattr(item, "jaxpr", item)
+                if hasattr(item, "eqns"):
+                    counts += count_operations(item, file if is_shared else caller)
+    return counts
 
 
 def traced() -> Any:
@@ -176,7 +176,7 @@ def traced() -> Any:
 
 
 def draw(path: Path) -> None:
-    """Draw the floors layer by layer, the lowest first, each as large as its lines of code."""
+    """Draw the floors layer by layer, the lowest first, with widths by lines of code."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -201,7 +201,7 @@ def draw(path: Path) -> None:
 
 
 def main() -> None:
-    """Print the measures."""
+    """Print the measurements."""
     if "--picture" in sys.argv:
         return draw(ROOT / "docs" / "house.svg")
     if "--budget" in sys.argv:
@@ -217,7 +217,7 @@ def main() -> None:
         print(*(f"{number[kind]:>10}" for kind in KINDS), name)
     operations = count_operations(traced().jaxpr)
     print(f"{operations.total():6}  traced operations of one navigator.step")
-    for file, number in operations.most_common(MOST_FILES):
+    for file, number in operations.most_common(NUM_FILES_LISTED):
         print(f"{number:6}  {file}")
     shared = defined_twice()
     print(f"{len(shared):6}  names that several modules define: {', '.join(shared)}")

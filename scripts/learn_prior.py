@@ -1,9 +1,9 @@
-"""Learning where things tend to stand, for the order of search: ``planner.prior``'s table.
+"""Estimate the spatial prior of objects for search: the table of ``planner.prior``.
 
     python scripts/learn_prior.py
 
 Training worlds have seed 2000, the first 1,000 of each row of Table 2; results tables use other
-seeds. Counted are all objects, not the goals alone, by range and bearing from the start.
+seeds. The histogram is over all objects, not only goals, by range and bearing from the start.
 """
 
 import numpy as np
@@ -19,11 +19,11 @@ WORLDS = 1000
 """Training worlds of each row."""
 _SMOOTH = (0.25, 0.5, 0.25)
 _SAMPLES = 400
-"""Points a side of the grid that measures how much of the area falls into each bin."""
+"""Grid points per side for the area fraction of each bin."""
 
 
-def _bins(x: np.ndarray, y: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Count places by range and bearing, f64[RANGE_BINS, BEARING_BINS]."""
+def _histogram(x: np.ndarray, y: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Compute the histogram of positions by range and bearing, f64[RANGE_BINS, BEARING_BINS]."""
     count, _, _ = np.histogram2d(
         np.hypot(x, y) / depth,
         np.abs(np.arctan2(y, x)),
@@ -34,9 +34,9 @@ def _bins(x: np.ndarray, y: np.ndarray, depth: np.ndarray) -> np.ndarray:
 
 
 def _smooth(table: np.ndarray) -> np.ndarray:
-    """Run a short kernel along both axes; the edges take their own value beyond."""
+    """Convolve with a short kernel along both axes, with edge padding."""
     for axis in (0, 1):
-        widths = [(1, 1) if axis == one else (0, 0) for one in (0, 1)]
+        widths = [(1, 1) if axis == other else (0, 0) for other in (0, 1)]
         parts = np.lib.stride_tricks.sliding_window_view(
             np.pad(table, widths, mode="edge"), 3, axis
         )
@@ -45,7 +45,7 @@ def _smooth(table: np.ndarray) -> np.ndarray:
 
 
 def learn(rows: list[Scenario]) -> np.ndarray:
-    """Learn the table: the density of objects relative to one uniform over the operating area.
+    """Estimate the density of objects relative to a uniform one over the operating area.
 
     Args:
         rows: training worlds, leaves [E, …] each; every record counts alike. The start is the
@@ -61,17 +61,17 @@ def learn(rows: list[Scenario]) -> np.ndarray:
         depth = np.broadcast_to(area[:, 1:2], is_object.shape)[is_object]
         x = np.asarray(scenario.object_x)[is_object]
         y = np.asarray(scenario.object_y)[is_object]
-        total += _bins(x, y, depth) / len(x) / len(rows)
-    # The share of a uniform law in each bin, on a fine grid over an area: all have one shape.
+        total += _histogram(x, y, depth) / len(x) / len(rows)
+    # Mass of the uniform density in each bin, on a fine grid; all areas have the same shape.
     _, far, low, high = np.asarray(rows[0].area)[0]
     grid = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     x, y = np.meshgrid(far * grid, low + (high - low) * grid)
-    uniform = _bins(x.ravel(), y.ravel(), np.full(x.size, far)) / x.size
+    uniform = _histogram(x.ravel(), y.ravel(), np.full(x.size, far)) / x.size
     return (_smooth(total) / np.maximum(_smooth(uniform), 1e-4)).astype(np.float32)
 
 
 def training_worlds(worlds: int = WORLDS) -> list[Scenario]:
-    """Draw the training worlds, one record a row of Table 2."""
+    """Sample the training worlds, one record per row of Table 2."""
     return [
         make_tasks(cell(row.world, row.relation, 0, row.range, worlds, SEED)).scenario
         for row in TABLE_2

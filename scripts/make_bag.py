@@ -1,4 +1,4 @@
-"""Record the Husky on its way to a hydrant behind a cone: a bag that replays to the same decisions.
+"""Record a bag of the Husky driving to a hydrant behind a cone, which replays deterministically.
 
     python scripts/make_bag.py OUT
 
@@ -19,16 +19,16 @@ TEXT = "go to the hydrant behind the cone"
 
 
 def main() -> None:
-    """Drive, and write the bag."""
+    """Run the simulation, and write the bag."""
     path = Path(sys.argv[1])
     options = RobotOptions(robot="husky", seed=2)  # a short drive: the bag ships
     keep_compiled_programs()
     with switched_on(options, draw_start(options)) as robot:
         key = jax.random.key(options.seed)
         ended = write_bag(path, robot, TEXT, navigator=Navigator.pretrained(), key=key)
-        size = sum(one.stat().st_size for one in path.iterdir())
-        way = f"{robot.travelled:.1f} m in {robot.seconds:.0f} s, {size / 1000:.0f} kB"
-    print(f"{path}: {ended.ending.value}, {len(ended.steps)} decisions, {way}")
+        size = sum(file.stat().st_size for file in path.iterdir())
+        summary = f"{robot.travelled:.1f} m in {robot.seconds:.0f} s, {size / 1000:.0f} kB"
+    print(f"{path}: {ended.ending.value}, {len(ended.steps)} decisions, {summary}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Write the corpora: sentences from templates, worlds drawn to fit, labels by ``corpus_labels.py``.
+"""Generate the corpora: sentences from templates, sampled worlds, labels of ``corpus_labels.py``.
 
     python scripts/make_corpus.py            # corpus.jsonl from corpus_templates.txt
     python scripts/make_corpus.py --only-39  # corpus39.jsonl from corpus39.txt
@@ -37,14 +37,14 @@ WORDS = tomllib.loads((HERE / "corpus_words.toml").read_text("utf-8"))
 
 
 class Slots:
-    """Fills the slots of one sentence by chance, and remembers what they mean."""
+    """Fills the slots of one sentence at random, and records their meanings."""
 
     def __init__(self, rng: random.Random, *, is_test: bool) -> None:
-        """Begin; in a test sentence words after a bar may be used."""
+        """Start without meanings; test sentences may use the words after a bar."""
         self.rng, self.is_test, self.meaning = rng, is_test, dict[str, str]()
 
     def choose(self, name: str) -> str:
-        """Draw an expression from a list."""
+        """Sample an expression from a list."""
         common, _, held_out = WORDS["words"][name].partition("|")
         is_held_out = self.is_test and held_out.split() and self.rng.random() < 0.3
         return self.rng.choice((held_out if is_held_out else common).split()).replace("_", " ")
@@ -53,14 +53,14 @@ class Slots:
         """Fill one slot; a type slot used twice in a template keeps its type."""
         if slot in ("a", "b", "c", "d"):
             if slot not in self.meaning:
-                left = [t for t in WORDS["types"] if t not in self.meaning.values()]
-                self.meaning[slot] = self.rng.choice(left)
+                unused = [t for t in WORDS["types"] if t not in self.meaning.values()]
+                self.meaning[slot] = self.rng.choice(unused)
             return self.choose(self.meaning[slot])
-        if (drawn := WORDS["relations"].get(slot)) is None:
+        if (relation := WORDS["relations"].get(slot)) is None:
             return self.choose(slot)
-        names, weights = list(drawn["weights"]), list(drawn["weights"].values())
+        names, weights = list(relation["weights"]), list(relation["weights"].values())
         self.meaning[slot] = self.rng.choices(names, weights)[0]
-        return self.choose(drawn["prefix"] + self.meaning[slot])
+        return self.choose(relation["prefix"] + self.meaning[slot])
 
 
 def expand(pattern: str, slots: Slots) -> str:
@@ -73,7 +73,7 @@ def expand(pattern: str, slots: Slots) -> str:
 
 
 def expected(root: str, slots: Slots) -> frozenset[str]:
-    """Write the symbols a template states, with the slots' meanings in place."""
+    """Substitute the slots' meanings into the symbols that a template states."""
     symbols = set()
     for symbol in root.replace("-", "").split():
         kind, _, rest = symbol[:-1].partition("(")
@@ -83,10 +83,10 @@ def expected(root: str, slots: Slots) -> frozenset[str]:
 
 
 def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorld:
-    """Draw objects at random: those named, often twice, and others, clustered in pairs."""
-    ordinals = max(rank(p) for root in found.clauses for p in root.walk())
+    """Sample objects: those named, often twice, and others, clustered in pairs."""
+    max_rank = max(rank(p) for root in found.clauses for p in root.walk())
     kinds = [kind for kind in types for _ in range(2 if rng.random() < 0.55 else 1)]
-    kinds += types[:1] * max(0, ordinals - 1)
+    kinds += types[:1] * max(0, max_rank - 1)
     others = [name for name in load_lexicon().type_names if name not in types]
     kinds += [rng.choice(others) for _ in range(rng.randint(0, 2))]
     kinds = kinds[:8]
@@ -95,31 +95,31 @@ def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorl
     if rng.random() < 0.5:
         x, y, heading = rng.uniform(-2, 2), rng.uniform(-2, 2), rng.uniform(-3.1, 3.1)
         robot = (round(x, 2), round(y, 2), round(heading, 2))
-    places: list[tuple[float, float]] = []
+    positions: list[tuple[float, float]] = []
     for _ in kinds:
-        place = robot[:2]
+        position = robot[:2]
         for _ in range(50):
-            if places and rng.random() < 0.7:
-                x, y = rng.choice([*places, robot[:2]])
+            if positions and rng.random() < 0.7:
+                x, y = rng.choice([*positions, robot[:2]])
                 distance, angle = rng.uniform(1.2, 4.0), rng.uniform(-np.pi, np.pi)
-                place = (x + distance * np.cos(angle), y + distance * np.sin(angle))
+                position = (x + distance * np.cos(angle), y + distance * np.sin(angle))
             else:
-                place = (robot[0] + rng.uniform(-12, 12), robot[1] + rng.uniform(-12, 12))
-            gaps = [np.hypot(place[0] - x, place[1] - y) for x, y in [*places, robot[:2]]]
+                position = (robot[0] + rng.uniform(-12, 12), robot[1] + rng.uniform(-12, 12))
+            gaps = [np.hypot(position[0] - x, position[1] - y) for x, y in [*positions, robot[:2]]]
             if min(gaps) > 1.0:
                 break
-        places.append(place)
-    rows = zip(kinds, places, strict=True)
+        positions.append(position)
+    rows = zip(kinds, positions, strict=True)
     objects = tuple((kind, round(float(x), 2), round(float(y), 2)) for kind, (x, y) in rows)
     previous = None
     if "other" in found.instruction:
-        wanted = [i for i, (kind, _, _) in enumerate(objects) if not types or kind == types[0]]
-        previous = rng.choice(wanted) if wanted else None
+        candidates = [i for i, (kind, _, _) in enumerate(objects) if not types or kind == types[0]]
+        previous = rng.choice(candidates) if candidates else None
     return PlacedWorld(objects=objects, robot=robot, previous=previous)
 
 
 def with_previous(found: Parse, world: PlacedWorld) -> PlacedWorld:
-    """Say where the first command of a sentence led to that goes on about the same thing."""
+    """Set the previous goal if the sentence refers back to its first command's goal."""
     words = [word for root in found.clauses for word in root.all_words()]
     if not any("same" in word.senses for word in words):
         return world
@@ -133,7 +133,7 @@ def with_previous(found: Parse, world: PlacedWorld) -> PlacedWorld:
 def labels_in(
     found: Parse, world: PlacedWorld, *, is_among_part: bool = True
 ) -> tuple[list[list[frozenset[str]]], bool]:
-    """Label all clauses in a world; the second result tells whether the world fits."""
+    """Label all clauses in a world, and test whether the world fits the sentence."""
     all_labels, fits = [], True
     for root, kind in zip(found.clauses, found.kinds, strict=True):
         labels = list(behave(root, world, is_among_part=is_among_part))
@@ -151,14 +151,14 @@ def labels_in(
 
 
 def is_restricted(labels: list[frozenset[str]]) -> bool:
-    """Tell whether a noun phrase names more objects than are meant in the end: one is meant."""
-    meant = {s for s in labels[-1] if s.startswith("goal(at")}
-    named = {s for symbols in labels for s in symbols if s.startswith("object")}
-    return bool(meant) and len(named) > len(meant)
+    """Test whether a noun phrase denotes more objects than the command's goals."""
+    goals = {s for s in labels[-1] if s.startswith("goal(at")}
+    mentioned = {s for symbols in labels for s in symbols if s.startswith("object")}
+    return bool(goals) and len(mentioned) > len(goals)
 
 
 def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -> list[dict]:
-    """Draw worlds in which the instruction can be followed, the first with a rival object."""
+    """Sample worlds in which the instruction can be followed, the first with a distractor."""
     worlds: list[dict] = []
     roots = [annotate(root)[0][-1] for root in found.clauses]
     is_placed = any(
@@ -170,19 +170,19 @@ def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -
         # The graph knows ranks among all of a type only: worlds in which that makes no difference.
         fits &= labels_in(found, world, is_among_part=False)[0] == labels
         kinds = [kind for kind, _, _ in world.objects]
-        has_rival = not is_placed or kinds.count(types[0]) > 1
-        if not fits or (not worlds and not has_rival):
+        has_distractor = not is_placed or kinds.count(types[0]) > 1
+        if not fits or (not worlds and not has_distractor):
             continue
-        one = {"objects": [*map(list, world.objects)], "robot": list(world.robot)}
-        one |= {"previous": world.previous, "behavior": [[*map(sorted, own)] for own in labels]}
-        worlds.append(one)
+        entry = {"objects": [*map(list, world.objects)], "robot": list(world.robot)}
+        entry |= {"previous": world.previous, "behavior": [[*map(sorted, row)] for row in labels]}
+        worlds.append(entry)
         if len(worlds) == count:
             return worlds
     raise SystemExit(f"no world fits '{found.instruction}'")
 
 
 def record(text: str, template: str, split: str, want: list[frozenset[str]], seed: str) -> dict:
-    """Make the JSON document of one sentence, checked against what its template states."""
+    """Build the JSON document of one sentence, checked against its template's symbols."""
     found = parse_labelled(text)
     rng = random.Random(seed + text)
     clauses = []
@@ -216,18 +216,18 @@ def from_templates(path: Path) -> list[dict]:
             continue
         name, split, count, pattern, root = (part.strip() for part in line.split("|"))
         rng = random.Random(name)
-        made = tries = 0
-        while made < int(count) and tries < 400:
+        num_made = tries = 0
+        while num_made < int(count) and tries < 400:
             tries += 1
             slots = Slots(rng, is_test=split == "test")
             text = expand(pattern, slots)
             if text in seen or text in WORDS["evaluated"]:
                 continue
             seen.add(text)
-            want = [expected(part, slots) for part in root.split(";")]
-            records.append(record(text, name, split, want, name))
-            made += 1
-        print(f"{name}: {made}", file=sys.stderr)
+            symbols = [expected(part, slots) for part in root.split(";")]
+            records.append(record(text, name, split, symbols, name))
+            num_made += 1
+        print(f"{name}: {num_made}", file=sys.stderr)
     return records
 
 
@@ -239,7 +239,7 @@ def write(path: Path, records: list[dict]) -> None:
 
 
 def main() -> None:
-    """Write the corpora asked for."""
+    """Write the requested corpora."""
     only = [name for name in FILES if f"--only-{name[6:].strip('_')}" in sys.argv]
     for name in only or FILES:
         write(DATA / f"{name}.jsonl", from_templates(HERE / FILES[name]))

@@ -1,4 +1,4 @@
-"""Measure what the robots' camera and tags are good for: rate, error, false tags.
+"""Measure the tag detector of the robots' camera: detection rate, error, false tags.
 
     python scripts/measure_detector.py [LOOKS]
 
@@ -32,16 +32,16 @@ _FARTHEST = 20.0
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Figure:
-    """What came of one kind of look."""
+    """Detector statistics in one condition."""
 
     picture: str
     range: float  # metres
     turned: float  # degrees
     looks: int
-    rate: float  # share of the looks in which the thing was found
-    bias: float  # metres, mean of the range found less the true one; NaN where never found
-    error: float  # metres, root mean square of a place's error, each axis
-    false: int  # tags that are not there
+    rate: float  # detection rate
+    bias: float  # metres, mean error of the range; NaN without detections
+    error: float  # metres, root mean square of the position error, each axis
+    false: int  # false tags
 
 
 def measure(
@@ -60,45 +60,45 @@ def measure(
         pictures: names in ``PICTURES``.
     """
     scenario = placed([(HYDRANT, OUT_OF_SIGHT[0], 0.0)])
-    found = []
+    figures = []
     for picture in pictures:
         grain, blur = PICTURES[picture]
         wear, gates = Wear(grain=grain, blur=blur), Gates(range=_FARTHEST)
         robot = PhysicsRobot("husky", scenario, seed=0, gates=gates, wear=wear)
-        random = np.random.default_rng(0)
-        for away, turned in itertools.product(ranges, MEASURED_TURNS):
-            found.append(_look(robot, random, picture, away, turned, looks))
+        rng = np.random.default_rng(0)
+        for distance, angle in itertools.product(ranges, MEASURED_TURNS):
+            figures.append(_measure_condition(robot, rng, picture, distance, angle, looks))
         robot.close()
-    return found
+    return figures
 
 
-def _look(
+def _measure_condition(
     robot: PhysicsRobot,
-    random: np.random.Generator,
+    rng: np.random.Generator,
     picture: str,
-    away: float,
+    distance: float,
     turned: float,
     looks: int,
 ) -> Figure:
-    """Look at one thing from one range, as it is turned."""
+    """Observe one object at one range and orientation."""
     errors, biases, false = [], [], 0
     half = 0.5 * Gates(range=_FARTHEST).field_of_view
     x, y, heading = robot.true_pose
     for _ in range(looks):
-        bearing = random.uniform(-half, half) * 0.98
+        bearing = rng.uniform(-half, half) * 0.98
         angle = heading + bearing
-        place = np.array([x + away * np.cos(angle), y + away * np.sin(angle)])
-        robot.scene.put("thing0", *place)
-        robot.scene.turn("thing0", angle + random.choice([-1, 1]) * np.deg2rad(turned))
+        position = np.array([x + distance * np.cos(angle), y + distance * np.sin(angle)])
+        robot.scene.put("thing0", *position)
+        robot.scene.turn("thing0", angle + rng.choice([-1, 1]) * np.deg2rad(turned))
         robot.settle()
-        seen = robot.detections() or []
+        detections = robot.detections() or []
         false += sum(tag.number != HYDRANT * TAGS_PER_TYPE for tag in robot.last_tags)
-        for one in seen[:1]:
-            errors.append(np.array([x, y]) + one.offset(heading) - place)
-            biases.append(one.range - away)
+        for detection in detections[:1]:
+            errors.append(np.array([x, y]) + detection.offset(heading) - position)
+            biases.append(detection.range - distance)
     return Figure(
         picture=picture,
-        range=away,
+        range=distance,
         turned=turned,
         looks=looks,
         rate=len(errors) / looks,
@@ -109,38 +109,38 @@ def _look(
 
 
 def tabulate(figures: Sequence[Figure]) -> tuple[list[str], list[list[str]]]:
-    """Lay figures out for people: a row for each picture and range, a column for each turn."""
-    turns = list(dict.fromkeys(one.turned for one in figures))
+    """Build a table: a row for each picture and range, a column for each turn."""
+    turns = list(dict.fromkeys(figure.turned for figure in figures))
     headings = ["picture", "range (m)", *(f"{turn:g}°" for turn in turns)]
     rows: dict[tuple[str, float], list[str]] = {}
-    for one in figures:
-        cell = f"{100 * one.rate:.0f} %"
-        if one.rate > 0:
-            cell += f", {100 * one.bias:+.1f}, {100 * one.error:.1f} cm"
-        cell += f", {one.false} false" if one.false else ""
-        rows.setdefault((one.picture, one.range), []).append(cell)
-    return headings, [[name, f"{away:g}", *cells] for (name, away), cells in rows.items()]
+    for figure in figures:
+        cell = f"{100 * figure.rate:.0f} %"
+        if figure.rate > 0:
+            cell += f", {100 * figure.bias:+.1f}, {100 * figure.error:.1f} cm"
+        cell += f", {figure.false} false" if figure.false else ""
+        rows.setdefault((figure.picture, figure.range), []).append(cell)
+    return headings, [[name, f"{distance:g}", *cells] for (name, distance), cells in rows.items()]
 
 
 def main() -> int:
-    """Measure, and print."""
+    """Measure, and print the table."""
     parser = argparse.ArgumentParser(description="Measure the robots' camera and tags.")
     parser.add_argument("looks", nargs="?", type=int, default=6, help="of each kind; 6")
     looks = parser.parse_args().looks
     if looks < 1:
         parser.error(f"looks is {looks}, but must be at least 1")
     try:
-        found = measure(looks=looks)
+        figures = measure(looks=looks)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    print(markdown_table(*tabulate(found)))
-    near = [one for one in found if one.picture == "as told" and one.range <= 4.0]
-    rate = np.mean([one.rate for one in near])
-    error = np.sqrt(np.nanmean([one.error**2 for one in near]))
-    false = sum(one.false for one in found)
+    print(markdown_table(*tabulate(figures)))
+    near = [figure for figure in figures if figure.picture == "as told" and figure.range <= 4.0]
+    rate = np.mean([figure.rate for figure in near])
+    error = np.sqrt(np.nanmean([figure.error**2 for figure in near]))
+    false = sum(figure.false for figure in figures)
     print(f"As told, to 4 m: found {100 * rate:.1f} %, error {100 * error:.1f} cm each axis;")
-    print(f"{false} false tags in {sum(one.looks for one in found)} looks.")
+    print(f"{false} false tags in {sum(figure.looks for figure in figures)} looks.")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Measure how far the robots' dead reckoning is out.
+"""Measure the error of the robots' dead reckoning.
 
     python scripts/measure_odometry.py [DRIVES]
 
@@ -25,14 +25,14 @@ from jaxlangnav.robots.robot import WaypointStatus
 from jaxlangnav.world.state import placed
 
 SPANS = (1, 2, 4, 8, 16)
-"""Cycles over which the law is held against what is measured."""
-_LEGS, _SHORTEST, _LONGEST = 5, 1.0, 4.0  # of a drive, and metres of each
+"""Numbers of cycles over which the noise model is fitted."""
+_NUM_LEGS, _MIN_LEG, _MAX_LEG = 5, 1.0, 4.0  # of a drive, and metres of each
 _EDGE = 6.0  # metres from the start within which they end
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class OdometryFigures:
-    """What came of a robot's drives."""
+    """Odometry statistics of a robot's drives."""
 
     machine: str
     drives: int
@@ -44,20 +44,20 @@ class OdometryFigures:
 
 
 def measure(machine: str, *, drives: int = 30, seed: int = 0) -> OdometryFigures:
-    """Drive "husky" or "wheelchair" about in the open, and hold its odometry against the truth.
+    """Drive "husky" or "wheelchair" in an empty area, and compare odometry with the true pose.
 
     Each drive has wheels, gyro and places of its own; their seeds follow upon the first one.
     """
-    logs = [_drive(machine, seed + one) for one in range(drives)]
+    logs = [_drive(machine, seed + i) for i in range(drives)]
     way = np.array([np.hypot(*np.diff(log[:, :2], axis=0).T).sum() for log in logs])
-    off = np.array([log[-1, :3] - log[-1, 3:] for log in logs])
-    ends = np.hypot(off[:, 0], off[:, 1]) / way
-    headings = np.abs((off[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+    errors = np.array([log[-1, :3] - log[-1, 3:] for log in logs])
+    ends = np.hypot(errors[:, 0], errors[:, 1]) / way
+    headings = np.abs((errors[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
     return OdometryFigures(
         machine=machine,
         drives=drives,
         way=float(way.mean()),
-        shares=tuple(_share(logs, span) for span in SPANS),
+        shares=tuple(_noise_fraction(logs, span) for span in SPANS),
         end=float(ends.mean()),
         end_most=float(ends.max()),
         heading=float(headings.mean()),
@@ -68,11 +68,11 @@ def _drive(machine: str, seed: int) -> np.ndarray:
     """Drive once: f64[T, 6], pose by odometry and true pose after each cycle."""
     place = placed(area=(-_EDGE, _EDGE, -_EDGE, _EDGE))
     robot = PhysicsRobot(machine, place, seed=seed, gates=Gates(range=1.0))
-    random, place = np.random.default_rng(seed), np.zeros(2)
+    rng, place = np.random.default_rng(seed), np.zeros(2)
     log = [np.append(robot.pose(), robot.true_pose)]
-    for _ in range(_LEGS):
-        angle, way = random.uniform(-np.pi, np.pi), random.uniform(_SHORTEST, _LONGEST)
-        place = np.clip(place + way * np.array([np.cos(angle), np.sin(angle)]), -_EDGE, _EDGE)
+    for _ in range(_NUM_LEGS):
+        angle, distance = rng.uniform(-np.pi, np.pi), rng.uniform(_MIN_LEG, _MAX_LEG)
+        place = np.clip(place + distance * np.array([np.cos(angle), np.sin(angle)]), -_EDGE, _EDGE)
         robot.go_to(place[None], speed=1.0, clearance=0.0)
         progress = WaypointStatus.UNDER_WAY
         while progress is WaypointStatus.UNDER_WAY:
@@ -82,49 +82,49 @@ def _drive(machine: str, seed: int) -> np.ndarray:
     return np.array(log)
 
 
-def _share(logs: Sequence[np.ndarray], span: int) -> float:
-    """Find the share with which independent errors of cycles explain those of a span.
+def _noise_fraction(logs: Sequence[np.ndarray], span: int) -> float:
+    """Estimate the noise fraction with which independent cycle errors explain those of a span.
 
         σ² = Σ |e|² / (2 Σ d²)
 
     with e the error of a span and d the ways of its cycles.
     """
-    errors = ways = 0.0
+    squared_errors = squared_distances = 0.0
     for log in logs:
-        off = log[:, :2] - log[:, 3:5]
+        errors_at = log[:, :2] - log[:, 3:5]
         squares = np.append(0.0, np.cumsum((np.diff(log[:, :2], axis=0) ** 2).sum(axis=1)))
-        errors += float(((off[span:] - off[:-span]) ** 2).sum())
-        ways += float(2.0 * (squares[span:] - squares[:-span]).sum())
-    return float(np.sqrt(errors / ways))
+        squared_errors += float(((errors_at[span:] - errors_at[:-span]) ** 2).sum())
+        squared_distances += float(2.0 * (squares[span:] - squares[:-span]).sum())
+    return float(np.sqrt(squared_errors / squared_distances))
 
 
 def odometry_table(figures: Sequence[OdometryFigures]) -> tuple[list[str], list[list[str]]]:
-    """Lay figures of ``measure`` out for people: headings and rows."""
+    """Build a table of the figures of ``measure``: headings and rows."""
     spans = [f"{span} cycle" + ("s" if span > 1 else "") for span in SPANS]
     headings = ["robot", *spans, "told", "end, mean (most)", "heading"]
     rows = []
-    for one in figures:
-        shares = [f"{100 * share:.1f} %" for share in one.shares]
-        end = f"{100 * one.end:.1f} % ({100 * one.end_most:.1f} %)"
-        told = f"{100 * ODOMETRY_NOISE[one.machine]:g} %"
-        rows.append([one.machine, *shares, told, end, f"{np.rad2deg(one.heading):.1f}°"])
+    for row in figures:
+        shares = [f"{100 * share:.1f} %" for share in row.shares]
+        end = f"{100 * row.end:.1f} % ({100 * row.end_most:.1f} %)"
+        assumed = f"{100 * ODOMETRY_NOISE[row.machine]:g} %"
+        rows.append([row.machine, *shares, assumed, end, f"{np.rad2deg(row.heading):.1f}°"])
     return headings, rows
 
 
 def main() -> int:
-    """Measure, and print."""
+    """Measure, and print the table."""
     parser = argparse.ArgumentParser(description="Measure the robots' odometry.")
     parser.add_argument("drives", nargs="?", type=int, default=30, help="of each robot; 30")
     drives = parser.parse_args().drives
     if drives < 1:
         parser.error(f"drives is {drives}, but must be at least 1")
     try:
-        found = [measure(name, drives=drives) for name in MACHINES]
+        results = [measure(name, drives=drives) for name in MACHINES]
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    print(markdown_table(*odometry_table(found)))
-    print(f"{drives} drives each, mean way {', '.join(f'{one.way:.1f} m' for one in found)}.")
+    print(markdown_table(*odometry_table(results)))
+    print(f"{drives} drives each, mean way {', '.join(f'{row.way:.1f} m' for row in results)}.")
     return 0
 
 

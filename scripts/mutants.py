@@ -1,4 +1,4 @@
-"""Do the quick tests notice a wrong engine? Wrong it, one place at a time, and see.
+"""Mutation testing: check that the quick tests fail for each of a list of code changes.
 
     python scripts/mutants.py                 all of ``mutants.toml``
     python scripts/mutants.py --only claim    those whose name has "claim" in it
@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 class Mutant(NamedTuple):
-    """One wrong expression."""
+    """A mutation of one expression."""
 
     name: str
     file: str  # in the package
@@ -32,35 +32,35 @@ class Mutant(NamedTuple):
 
 
 def read_mutants(path: Path, only: str) -> list[Mutant]:
-    """Read the list, refusing what is no longer in the files.
+    """Read the list, and check that every expression is still in its file.
 
     Raises:
         ValueError: an expression is not in its file exactly once.
     """
-    mutants = [Mutant(**one) for one in tomllib.loads(path.read_text())["mutant"]]
-    for one in mutants:
-        found = (ROOT / "jaxlangnav" / one.file).read_text().count(one.before)
-        if found != 1:
+    mutants = [Mutant(**entry) for entry in tomllib.loads(path.read_text())["mutant"]]
+    for entry in mutants:
+        count = (ROOT / "jaxlangnav" / entry.file).read_text().count(entry.before)
+        if count != 1:
             raise ValueError(
-                f"{one.name}: its expression is {found} times in {one.file}, but must be once: "
+                f"{entry.name}: its expression is {count} times in {entry.file}, but must be once: "
                 f"mend it in {path.name}"
             )
-    return [one for one in mutants if only in one.name]
+    return [entry for entry in mutants if only in entry.name]
 
 
-def copy_tree(to: Path) -> None:
-    """Copy what git tracks of the working tree, and share the cache of compiled programs."""
-    listed = subprocess.run(
+def copy_tree(folder: Path) -> None:
+    """Copy the tracked files of the working tree, and share the compilation cache."""
+    output = subprocess.run(
         ["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True
     )
-    for name in filter(None, listed.stdout.split("\0")):
-        target = to / name
+    for name in filter(None, output.stdout.split("\0")):
+        target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, target)
     cache = ROOT / ".pytest_cache" / "jax"
     cache.mkdir(parents=True, exist_ok=True)
-    (to / ".pytest_cache").mkdir()
-    (to / ".pytest_cache" / "jax").symlink_to(cache.resolve())
+    (folder / ".pytest_cache").mkdir()
+    (folder / ".pytest_cache" / "jax").symlink_to(cache.resolve())
 
 
 def is_killed(mutant: Mutant, tree: Path) -> bool:
@@ -70,36 +70,36 @@ def is_killed(mutant: Mutant, tree: Path) -> bool:
         ValueError: the tests cannot be run.
     """
     path = tree / "jaxlangnav" / mutant.file
-    sound = path.read_text()
-    path.write_text(sound.replace(mutant.before, mutant.after))
+    original = path.read_text()
+    path.write_text(original.replace(mutant.before, mutant.after))
     tests = [f"tests/test_{name}.py" for name in mutant.tests]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", *tests]
     try:
-        done = subprocess.run(command, cwd=tree, capture_output=True, text=True)
+        result = subprocess.run(command, cwd=tree, capture_output=True, text=True)
     finally:
-        path.write_text(sound)
+        path.write_text(original)
     # 0: all passed; 1: one failed; anything else: they did not run.
-    if done.returncode not in (0, 1):
-        raise ValueError(f"{mutant.name}: the tests did not run:\n{done.stdout[-2000:]}")
-    return done.returncode == 1
+    if result.returncode not in (0, 1):
+        raise ValueError(f"{mutant.name}: the tests did not run:\n{result.stdout[-2000:]}")
+    return result.returncode == 1
 
 
 def main() -> int:
-    """Run the mutants and print which live."""
+    """Run the mutants and print which survive."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", default="", help="run those whose name has this in it")
     mutants = read_mutants(Path(__file__).with_suffix(".toml"), parser.parse_args().only)
-    living = []
+    survivors = []
     with tempfile.TemporaryDirectory() as folder:
         copy_tree(Path(folder))
-        for one in mutants:
+        for case in mutants:
             begin = time.perf_counter()
-            died = is_killed(one, Path(folder))
-            living += [] if died else [one.name]
+            died = is_killed(case, Path(folder))
+            survivors += [] if died else [case.name]
             seconds = time.perf_counter() - begin
-            print(f"{'killed' if died else 'LIVES ':6}  {one.name:48} {seconds:4.0f} s", flush=True)
-    print(f"{len(mutants) - len(living)} of {len(mutants)} killed")
-    return 1 if living else 0
+            print(f"{'killed' if died else 'LIVES '}  {case.name:48} {seconds:4.0f} s", flush=True)
+    print(f"{len(mutants) - len(survivors)} of {len(mutants)} killed")
+    return 1 if survivors else 0
 
 
 if __name__ == "__main__":

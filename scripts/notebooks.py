@@ -1,4 +1,4 @@
-"""Notebooks: run the sources in ``notebooks/*.py`` and write the ``.ipynb`` beside them.
+"""Run the sources in ``notebooks/*.py`` and write the executed ``.ipynb`` files.
 
     python scripts/notebooks.py                     # run those that are old
     python scripts/notebooks.py --all               # run all of them
@@ -26,8 +26,8 @@ import nbformat
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 MAX_BYTES = 1_500_000
 """Largest executed notebook; the repository is to stay lean."""
-_SECONDS = 600
-_COLORS = 255
+_TIMEOUT = 600
+_NUM_COLORS = 255
 
 
 def sources(folder: Path = FOLDER) -> list[Path]:
@@ -42,13 +42,13 @@ def cells(path: Path) -> list[tuple[str, str]]:
 
 
 def is_current(path: Path) -> bool:
-    """Tell whether a source's notebook has the same cells, run by an engine of today's results."""
+    """Test whether a source's notebook has the same cells, run by the current engine."""
     pair = path.with_suffix(".ipynb")
     return pair.exists() and cells(pair) == cells(path) and ages.is_current(pair)
 
 
 def lacking(path: Path) -> str:
-    """Say why a source cannot be run here; "" where it can: robots need an extra and EGL."""
+    """Describe why a source cannot be run here, else "": robots need an extra and EGL."""
     if "check_libraries()" not in path.read_text("utf-8"):
         return ""
     from jaxlangnav.robots.libraries import check_libraries
@@ -66,12 +66,12 @@ def reduce_picture(picture: str) -> str:
 
     image = Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB")
     out = io.BytesIO()
-    image.quantize(_COLORS, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
+    image.quantize(_NUM_COLORS, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
     return base64.b64encode(out.getvalue()).decode("ascii")
 
 
 def tidy(notebook: Any) -> None:
-    """Drop what differs from run to run and shows nothing; reduce the pictures."""
+    """Remove metadata that varies between runs, and reduce the pictures."""
     notebook.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
         "language_info": {"name": "python"},
@@ -80,7 +80,7 @@ def tidy(notebook: Any) -> None:
     for index, cell in enumerate(notebook.cells):
         cell["id"], cell["metadata"] = f"cell-{index:02d}", {}
         if "outputs" in cell:
-            cell["outputs"] = [one for one in cell["outputs"] if not _is_alarm(one)]
+            cell["outputs"] = [item for item in cell["outputs"] if not _is_alarm(item)]
         for output in cell.get("outputs", ()):
             data = output.get("data", {})
             if "image/png" in data:
@@ -90,7 +90,7 @@ def tidy(notebook: Any) -> None:
 
 
 def _is_alarm(output: Any) -> bool:
-    """Tell whether XLA complains of a slow compilation, as it does on a busy machine."""
+    """Test whether an output is XLA's warning of a slow compilation."""
     return output.get("name") == "stderr" and "slow_operation_alarm" in output["text"]
 
 
@@ -111,7 +111,7 @@ def build(path: Path) -> Path:
     notebook = jupytext.read(path)
     resources = {"metadata": {"path": str(path.parent)}}
     client = nbclient.NotebookClient(
-        notebook, timeout=_SECONDS, kernel_name="python3", resources=resources, record_timing=False
+        notebook, timeout=_TIMEOUT, kernel_name="python3", resources=resources, record_timing=False
     )
     client.execute()
     tidy(notebook)
@@ -125,7 +125,7 @@ def build(path: Path) -> Path:
 
 
 def main() -> int:
-    """Run what the command line asks for."""
+    """Run the notebooks given on the command line."""
     parser = argparse.ArgumentParser(description="Run the notebooks and write them with pictures.")
     parser.add_argument("names", nargs="*", help="notebooks; all by default")
     parser.add_argument("--all", action="store_true", help="also those that are not old")

@@ -1,7 +1,7 @@
-"""Write docs/results.md from a folder of results: python scripts/results_page.py results COMMIT.
+"""Generate docs/results.md from a folder of results: python scripts/results_page.py results COMMIT.
 
 The folder is what ``jaxlangnav reproduce all --out results`` has written; COMMIT says of which
-state of the code. What stands in the page from ``HAND`` on is written by hand and kept.
+state of the code. What stands in the page from ``HANDWRITTEN_MARK`` on is written by hand and kept.
 """
 
 import json
@@ -13,13 +13,13 @@ from typing import Any
 
 import ages
 
-from jaxlangnav.experiments.paper import describe_falls
+from jaxlangnav.experiments.paper import describe_success_drops
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.experiments.unknowns import UNKNOWNS
 
 ROOT = ages.ROOT
 PAGE = ROOT / "docs" / "results.md"
-HAND = "<!-- What follows is written by hand; scripts/results_page.py keeps it. -->"
+HANDWRITTEN_MARK = "<!-- What follows is written by hand; scripts/results_page.py keeps it. -->"
 PICTURES = ("table2", "calibration", "figure5", "unknowns")
 SHOWN = ("informed", "faithful", "known")
 """Policies of the short table of Figure 5."""
@@ -33,20 +33,20 @@ def read(folder: Path, name: str) -> dict[str, Any]:
 
 
 def range_table(document: dict[str, Any]) -> str:
-    """Write success and distance by range, for the policies that use the sentence."""
-    found: dict[tuple[str, float], dict[str, str]] = {}
+    """Format success and distance by range, for the policies of ``SHOWN``."""
+    cells_by_key: dict[tuple[str, float], dict[str, str]] = {}
     for row in document["rows"]:
-        said = f"{row['success_rate']:.0f} % · {row['distance_mean']:.1f} m"
-        found.setdefault((row["relation"], row["range"]), {})[row["policy"]] = said
+        text = f"{row['success_rate']:.0f} % · {row['distance_mean']:.1f} m"
+        cells_by_key.setdefault((row["relation"], row["range"]), {})[row["policy"]] = text
     rows = [
-        [relation, f"{reach:g}", *(cells.get(name, "") for name in SHOWN)]
-        for (relation, reach), cells in found.items()
+        [relation, f"{sensing_range:g}", *(cells.get(name, "") for name in SHOWN)]
+        for (relation, sensing_range), cells in cells_by_key.items()
     ]
     return Table(headings=["command", "range m", *SHOWN], rows=rows).markdown().rstrip()
 
 
 def shorten(table2: str) -> str:
-    """Take the first columns of Table 2, of the policies that the page shows."""
+    """Select the first columns of Table 2, for the policies that the page shows."""
     rows = [
         line.split("|")[1 : COLUMNS + 1]
         for line in re.findall(r"(?m)^\|.*\|$", table2.partition("\n\n")[0])
@@ -56,15 +56,15 @@ def shorten(table2: str) -> str:
 
 
 def time_line(document: dict[str, Any]) -> str:
-    """Say where a cycle's time goes."""
-    whole = document["cycle_us"]
+    """Format the run time of the parts of a decision cycle."""
+    total = document["cycle_us"]
     parts = sorted(document["parts_us"].items(), key=lambda part: -part[1])
-    shares = ", ".join(f"{name} {100 * spent / whole:.0f} %" for name, spent in parts)
-    return f"{whole:.0f} µs of CPU: {shares}."
+    shares = ", ".join(f"{name} {100 * micros / total:.0f} %" for name, micros in parts)
+    return f"{total:.0f} µs of CPU: {shares}."
 
 
 def unknowns_section(document: dict[str, Any]) -> str:
-    """Write what the paper leaves open, and what of it explains its figures."""
+    """Format the section on the paper's unreported parameters."""
     rows = len(document["paper"])
     lines = "\n".join(f"- {line}" for line in UNKNOWNS.notes(document)[:rows])
     return f"""## What would explain the paper's figures
@@ -79,7 +79,7 @@ expected objects, detection, time-out, direction of the goal. `unknowns.md` has 
 
 
 def page(folder: Path, commit: str, kept: str) -> str:
-    """Write the page of a commit's results; ``kept`` is the part that is written by hand."""
+    """Format the page of a commit's results; ``kept``: its handwritten part."""
     table2, figure5 = read(folder, "table2"), read(folder, "figure5")
     unknowns = read(folder, "unknowns")
     body = (folder / "table2.md").read_text("utf-8").split("\n", 2)[2].strip()
@@ -122,7 +122,7 @@ the command, and half are not the one that was drawn at random.
 {range_table(figure5)}
 
 `known` drives to the goal itself, so others may end below it. All policies stand in the figure.
-{describe_falls(figure5)} The printed figure
+{describe_success_drops(figure5)} The printed figure
 states no numbers; where Table 2 prints a row of the same world, command and range, it is drawn.
 
 ## Figures 1 and 4
@@ -143,9 +143,9 @@ One decision cycle of one episode in a batch (`jaxlangnav reproduce time`):
 
 
 def write(folder: Path, commit: str) -> None:
-    """Write the page, copy its pictures and keep which engine made them."""
+    """Write the page, copy its pictures and record the engine that made them."""
     old = PAGE.read_text("utf-8")
-    PAGE.write_text(page(folder, commit, old[old.index(HAND) :]), "utf-8")
+    PAGE.write_text(page(folder, commit, old[old.index(HANDWRITTEN_MARK) :]), "utf-8")
     for name in PICTURES:
         shutil.copy(folder / f"{name}.png", ROOT / "docs" / f"{name}.png")
     ages.record(PAGE)

@@ -15,15 +15,15 @@ from jaxlangnav.experiments.calibration import (
     GoalDensity,
     Reliability,
     Tally,
-    _draw_unseen,
-    _goal_region,
     _has_type,
+    _hpd_level,
     _reliability,
+    _sample_unseen,
     empty_tally,
     matched_object,
     scores,
 )
-from jaxlangnav.experiments.judging import TALLIED, bin_sums, curve, pooled
+from jaxlangnav.experiments.judging import TALLY_PROGRAM, bin_sums, pool_bins, reliability_curve
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import navigator_config
@@ -128,7 +128,7 @@ def density(**changes: Any) -> GoalDensity:
     return replace(GoalDensity(**leaves), **changes)
 
 
-RANK = jax.jit(_goal_region)
+RANK = jax.jit(_hpd_level)
 
 
 def test_rank_within_a_seen_object_is_that_of_its_gaussian() -> None:
@@ -173,7 +173,7 @@ def ranks(scale: float, seed: int) -> np.ndarray:
             hypotheses=places[:64].T * scale,
             hypothesis_mass=jnp.full(64, 0.5 / 64),
         )
-        return _goal_region(belief, truth)[0]
+        return _hpd_level(belief, truth)[0]
 
     return np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), 4000)))
 
@@ -197,7 +197,7 @@ SQUARE = jnp.array([0.0, 16.0, 0.0, 16.0])
 def test_places_drawn_are_of_the_law_of_what_is_unseen() -> None:
     log_miss = -np.random.default_rng(4).exponential(1.0, (8, 8)).astype(np.float32)
     coverage = replace(unexplored(SQUARE, 8), log_miss=jnp.asarray(log_miss))
-    x, y = (np.asarray(one) for one in _draw_unseen(jax.random.key(0), coverage, 40_000))
+    x, y = (np.asarray(one) for one in _sample_unseen(jax.random.key(0), coverage, 40_000))
     count = np.histogram2d(y, x, bins=8, range=[[0, 16], [0, 16]])[0]
     expected = np.exp(log_miss) / np.exp(log_miss).sum() * x.size
     assert count.sum() == x.size
@@ -213,7 +213,7 @@ def test_every_step_of_an_episode_is_judged_once() -> None:
     sentences = ground_sentences([SENTENCES["behind"]])
     tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 40, 5))
     given: Any = {"params": default_params(), "config": navigator_config("informed", 16)}
-    results, found = run_tasks(tasks, sentences.instructions, program=TALLIED, **given)
+    results, found = run_tasks(tasks, sentences.instructions, program=TALLY_PROGRAM, **given)
     np.testing.assert_array_equal(found.steps.sum(axis=1), results.steps)
     assert results.is_success.mean() > 0.8
 
@@ -234,7 +234,7 @@ def tally_of(events: np.ndarray, outcome: np.ndarray, probability: float, at: in
 
 def test_a_curve_by_hand() -> None:
     bins = bin_sums(tally_of(np.array([2, 1, 0]), np.array([1, 1, 0]), 0.65, at=6))["planner"]
-    mean, rate, low, high, number = curve(bins)
+    mean, rate, low, high, number = reliability_curve(bins)
     assert mean == pytest.approx([0.65])
     assert rate == pytest.approx([2 / 3])
     assert number == pytest.approx([3])
@@ -251,7 +251,7 @@ def test_intervals_hold_what_they_promise() -> None:
     for _ in range(200):
         outcome = (rng.random(60) < 0.7).astype(float)
         found = bin_sums(tally_of(np.full(60, 10), 10 * outcome, 0.7, at=7))["planner"]
-        _, _, low, high, _ = curve(found)
+        _, _, low, high, _ = reliability_curve(found)
         held += low[0] <= 0.7 <= high[0]
     # Five standard errors of 200 draws at 0.95 are 0.077.
     assert 0.873 <= held / 200 <= 1.0
@@ -261,8 +261,8 @@ def test_rows_are_pooled() -> None:
     one = bin_sums(tally_of(np.array([2, 1]), np.array([1, 1]), 0.65, at=6))["planner"]
     two = bin_sums(tally_of(np.array([3]), np.array([0]), 0.65, at=6))["planner"]
     both = bin_sums(tally_of(np.array([2, 1, 3]), np.array([1, 1, 0]), 0.65, at=6))["planner"]
-    sums = pooled([one, two])
+    sums = pool_bins([one, two])
     assert {name: list(values) for name, values in sums.items()} == {
         name: pytest.approx(values) for name, values in both.items()
     }
-    assert curve(sums)[1] == pytest.approx([2 / 6])
+    assert reliability_curve(sums)[1] == pytest.approx([2 / 6])

@@ -146,7 +146,7 @@ def test_a_table_and_a_sweep_are_the_same_episodes() -> None:
 
 def test_an_arm_sets_its_worlds_and_keeps_their_keys() -> None:
     drawn = GRID.draw(PLACES)
-    arm = Arm(policy="known", labels={}, sensor={"noise": 0.5}, worlds=lambda tasks: tasks)
+    arm = Arm(policy="known", labels={}, sensor={"noise": 0.5}, transform=lambda tasks: tasks)
     tasks = arm.tasks(drawn)
     assert tasks.key is drawn.key
     np.testing.assert_allclose(tasks.sensor.noise, 0.5)

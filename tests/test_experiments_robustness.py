@@ -13,12 +13,12 @@ import pytest
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments import conversation, unknowns
 from jaxlangnav.experiments.conversation import CONVERSATION, ROWS, _run_row
-from jaxlangnav.experiments.dialogue import sentence_with
+from jaxlangnav.experiments.dialogue import ground_dialogue
 from jaxlangnav.experiments.experiment import Grid, Options
 from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed_targets
 from jaxlangnav.experiments.rows import PRINTED as SPECS, RowSpec, printed_rows
-from jaxlangnav.experiments.scenarios import SAID, SCENARIOS
-from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _turned
+from jaxlangnav.experiments.scenarios import COMMANDS, SCENARIOS
+from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _rotated
 from jaxlangnav.navigator import check
 from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.viz import sweep as picture
@@ -35,8 +35,8 @@ def row(scenario: str, policy: str = "informed", **other: Any) -> dict[str, Any]
         "scenario": scenario, "policy": policy, "success_rate": 99.0, "success_ci": [95.0, 100.0],
         "distance_mean": 20.0, "distance_sd": 5.0, "known_distance_mean": 8.0, "episodes": 100,
         "elsewhere": 1, "not_found": 0, "asks": 0, "other_ends": 0, "timeouts": 0, "ece": 0.02,
-        "ece_floor": 0.03, "overflow_episodes": 0, "is_told": spec.is_told, "target": spec.target,
-        "longest": spec.longest, "is_met": None, "is_calibrated": None, "invalid_worlds": 0,
+        "ece_floor": 0.03, "overflow_episodes": 0, "is_told": spec.is_exact, "target": spec.target,
+        "longest": spec.max_distance, "is_met": None, "is_calibrated": None, "invalid_worlds": 0,
     } | other  # fmt: skip
 
 
@@ -51,7 +51,7 @@ def document(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def test_there_are_thirty_and_more_each_with_a_name_of_its_own() -> None:
     assert len(SCENARIOS) >= 30
     assert len(BY_NAME) == len(SCENARIOS)
-    assert {one.relation for one in SCENARIOS} == set(SAID)
+    assert {one.relation for one in SCENARIOS} == set(COMMANDS)
 
 
 @pytest.mark.parametrize("name", BY_NAME)
@@ -60,11 +60,11 @@ def test_truth_and_what_is_told_differ_only_where_it_says_so(name: str) -> None:
     cell = spec.setting(seed=0)
     assert cell.assumed_sensor is not None
     pairs = zip(*map(dataclasses.astuple, (cell.sensor, cell.assumed_sensor)), strict=True)
-    if spec.is_told:
+    if spec.is_exact:
         assert all(float(true) == float(told) for true, told in pairs)
         assert float(cell.motion.odometry_noise) == np.float32(0.02)
         assert not spec.place.get("num_haunted", 0)
-    assert bool(spec.described()["told"]) != spec.is_told
+    assert bool(spec.described()["told"]) != spec.is_exact
 
 
 @pytest.mark.parametrize("name", [one.name for one in SCENARIOS if one.numbers])
@@ -207,9 +207,9 @@ def test_every_row_has_a_person_and_pairs_with_its_worlds() -> None:
 
 
 def test_what_is_stated_is_joined_once_for_all() -> None:
-    said = sentence_with("go to the hydrant", conversation._TRUTH, conversation._FALSEHOOD)
+    said = ground_dialogue("go to the hydrant", conversation._TRUE_TEXT, conversation._FALSE_TEXT)
     shape = said.instruction.readings.relation.shape[1:]
-    for joined in (said.truth, said.falsehood):
+    for joined in (said.true_statement, said.false_statement):
         assert joined.instruction.readings.relation.shape == shape
         assert (np.asarray(joined.instruction.readings.relation) >= 0).any()
     assert (np.asarray(said.instruction.readings.relation) < 0).all()
@@ -272,7 +272,7 @@ def test_each_variation_sets_one_thing_and_the_first_one_none() -> None:
 def test_only_sizes_compile_anew() -> None:
     """What is static: particles and blocks by the config, the time-out by itself."""
     configs = {one.unknown + one.value: one.arm(OPTIONS).config for one in VARIATIONS}
-    first = configs[unknowns.OURS]
+    first = configs[unknowns.BASELINE_LABEL]
     other = {name: config for name, config in configs.items() if config != first}
     assert set(other) == {"particles÷ 4", "particles× 4", "frontier spacingdoubled",
                           "frontier spacinghalved"}  # fmt: skip
@@ -282,7 +282,7 @@ def test_only_sizes_compile_anew() -> None:
 
 def test_worlds_are_turned_as_a_whole() -> None:
     tasks = drawn(RowSpec(world="2H2C", range=3.0, relation="behind"), episodes=64, seed=5)
-    after = _turned(tasks, 5)
+    after = _rotated(tasks, 5)
     old, new = tasks.scenario, after.scenario
     before = np.asarray(old.object_x) + 1j * np.asarray(old.object_y)
     now = np.asarray(new.object_x) + 1j * np.asarray(new.object_y)

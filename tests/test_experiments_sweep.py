@@ -403,7 +403,7 @@ def test_what_fits_fits_and_one_more_does_not(monkeypatch: pytest.MonkeyPatch) -
     each, fixed = 10 << 20, 100 << 20
     sizes.check_count("things", 90, each=each, fixed=fixed)
     with pytest.raises(ValueError, match=r"things is 91 with wings, .* 1,010 MiB .*: at most 90 "):
-        sizes.check_count("things", 91, each=each, fixed=fixed, beside="wings")
+        sizes.check_count("things", 91, each=each, fixed=fixed, context="wings")
     with pytest.raises(ValueError, match="not even one fits"):
         sizes.check_count("things", 1, each=each, fixed=10 * fixed)
     with pytest.raises(ValueError, match=r"things is 1\.0·10\^30, which takes .* MiB"):

@@ -20,8 +20,8 @@ from jaxlangnav.experiments import paper
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.metrics import _sign_flip, compare, summarize
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, deviations, printed_rows
-from jaxlangnav.experiments.table import Section, Table, _render_report, write_report
-from jaxlangnav.experiments.table1 import _accuracy, _on_new_words, draw_splits, evaluate, table_1
+from jaxlangnav.experiments.table import Section, Table, _report_html, write_report
+from jaxlangnav.experiments.table1 import _accuracy, _oov_accuracy, draw_splits, evaluate, table_1
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.messages import Status
 from jaxlangnav.training.scoring import Scores, score_annotations, score_behaviors
@@ -122,7 +122,7 @@ def test_falls_are_found() -> None:
         row(range=3.0, success_rate=78.0, success_ci=[73.0, 83.0]),
         row(range=5.0, success_rate=60.0, success_ci=[55.0, 65.0]),
     ]
-    found = paper._falls(rows[::-1])
+    found = paper._success_drops(rows[::-1])
     assert [(one["range"], one["from"], one["to"]) for one in found] == [(5.0, 78.0, 60.0)]
 
 
@@ -214,7 +214,7 @@ def picture(tmp_path: Path) -> Path:
 
 
 def read(*sections: Section, title: str = "Ours & theirs", **made: str) -> Page:
-    return Page(_render_report(title, sections, made=made))
+    return Page(_report_html(title, sections, facts=made))
 
 
 def test_pictures_stand_in_the_page_and_nothing_is_fetched(picture: Path) -> None:
@@ -230,14 +230,14 @@ def test_pictures_stand_in_the_page_and_nothing_is_fetched(picture: Path) -> Non
     images = [link for link in page.links if link.startswith("data:image/svg+xml;base64,")]
     assert len(images) == 2
     assert base64.b64decode(images[0].split(",")[1]).decode() == SVG
-    text = _render_report("x", [Section(title="One", pictures=[(picture, "a")])], made={})
+    text = _report_html("x", [Section(title="One", pictures=[(picture, "a")])], facts={})
     assert not re.search(r"https?://|@import|url\(|<script", text)
 
 
 def test_tables_and_how_they_were_made(picture: Path) -> None:
     table = Table(headings=["World", "paper"], rows=[["1H1C", "93.9"], ["2H<1C", "54.4"]])
     made = {"command": "jaxlangnav reproduce table2", "nothing": ""}
-    page = read(Section(title="T", lead="words", tables=[table], notes=["noise 2 %"], made=made))
+    page = read(Section(title="T", lead="words", tables=[table], notes=["noise 2 %"], facts=made))
     assert page.cells == ["World", "paper", "1H1C", "93.9", "2H<1C", "54.4"]
     for part in ("words", "noise 2 %", "jaxlangnav reproduce table2"):
         assert part in page.text
@@ -247,17 +247,17 @@ def test_tables_and_how_they_were_made(picture: Path) -> None:
 
 def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
     evil = '</title><script>alert("x")</script>'
-    page = _render_report(evil, [Section(title=evil, lead=evil, notes=[evil])], made={"a": evil})
+    page = _report_html(evil, [Section(title=evil, lead=evil, notes=[evil])], facts={"a": evil})
     assert "<script" not in page
-    path = write_report("t", [], tmp_path / "new" / "report.html", made={})
+    path = write_report("t", [], tmp_path / "new" / "report.html", facts={})
     assert path.read_text("utf-8").startswith("<!doctype html>")
     with pytest.raises(ValueError, match="is no picture"):
-        write_report("t", [Section(title="", pictures=[(Path("a.pdf"), "")])], path, made={})
+        write_report("t", [Section(title="", pictures=[(Path("a.pdf"), "")])], path, facts={})
 
 
 def test_text_that_names_a_place_of_the_page_stays_text() -> None:
     part = Section(title="__MADE__ <i>", lead="__CONTENTS__ \x1b[2J", notes=["__PARTS__"])
-    text = _render_report("__PARTS__ <b>", [part], made={"command": "__TITLE__ \u202e"})
+    text = _report_html("__PARTS__ <b>", [part], facts={"command": "__TITLE__ \u202e"})
     page = Page(text)
     assert text.count("<section") == 1
     assert "__PARTS__ <b>" in page.text
@@ -348,7 +348,7 @@ def test_new_words_are_those_of_no_training_sentence():
     # Without the first and the third nobody has said "go" or "cone"; "boxes" is the lemma "box".
     held_out = np.array([[True, False, True, False], [True, False, False, True]])
     scores = [Scores(np.array(right), np.ones(2), np.zeros(2)) for right in ([1, 0], [1, 1])]
-    found = _on_new_words("annotation", instructions, scores, held_out)
+    found = _oov_accuracy("annotation", instructions, scores, held_out)
     assert found == {"accuracy_mean": 50.0, "share": 0.5}
 
 

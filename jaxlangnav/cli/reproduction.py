@@ -59,7 +59,7 @@ GRIDS: dict[str, Callable[[Settings], tuple[Experiment, Options]]] = {
     "robustness": lambda settings: (
         robustness.ROBUSTNESS,
         dataclasses.replace(
-            settings.options, params=apply(robustness.numbers(), settings.values, "params")
+            settings.options, params=apply(robustness.default_params(), settings.values, "params")
         ),
     ),
 }
@@ -92,7 +92,7 @@ def _episode_study(name: str, settings: Settings) -> Study:
     return Study(
         **{field.name: getattr(experiment, field.name) for field in dataclasses.fields(Report)},
         run=run,
-        made=lambda document: {
+        facts=lambda document: {
             "episodes": f"{document['episodes']} a row and arm, seed {document['seed']}, "
             f"{document['num_particles']} particles",
             "models": f"SHA-256 {document['models_sha256']}",
@@ -194,7 +194,7 @@ def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
 
     Several hydrants without a relation form their own curve: the command is ambiguous.
     """
-    from jaxlangnav.experiments.judging import curve, pooled
+    from jaxlangnav.experiments.judging import pool_bins, reliability_curve
 
     panels: dict[str, dict[str, list[Any]]] = {}
     for row in document["rows"]:
@@ -204,7 +204,7 @@ def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
             name = _AMBIGUOUS_CURVE if is_ambiguous else _CURVE_NAMES[row["relation"] or "null"]
             panels.setdefault(row["policy"], {}).setdefault(name, []).append(reliability["planner"])
     return {
-        policy: {name: curve(pooled(rows)) for name, rows in curves.items()}
+        policy: {name: reliability_curve(pool_bins(rows)) for name, rows in curves.items()}
         for policy, curves in panels.items()
     }
 
@@ -220,7 +220,7 @@ STUDIES = {
             "The corpora differ: the paper's 39 instructions were never published, ours ship "
             "in the package. The commands of Table 2 are in neither.",
         ],
-        made=lambda document: {"seed": str(document["seed"])},
+        facts=lambda document: {"seed": str(document["seed"])},
     ),
     "fig1": FIGURE_1,
     "fig3": FACTOR_GRAPH,
@@ -295,7 +295,7 @@ def run_all(settings: Settings, output: Output) -> Document:
             "the paper": _PAPER,
         }
         title = "Following commands in unknown places: ours beside the paper's"
-        path = write_report(title, sections, settings.args.out / "report.html", made=facts)
+        path = write_report(title, sections, settings.args.out / "report.html", facts=facts)
         documents["report"] = str(path)
         output.say(f"Wrote {path}")
     return documents

@@ -60,7 +60,7 @@ class Study(Report):
     """An experiment of ``reproduce``: its function and its section of the report."""
 
     run: Callable[[Settings, Output], StudyResult]  # runs it and prints its results
-    made: Callable[[Document], Mapping[str, str]] = lambda _: {}
+    facts: Callable[[Document], Mapping[str, str]] = lambda _: {}
     """Further facts about the run."""
 
     def section(self, document: Document, command: str) -> Section:
@@ -75,9 +75,9 @@ class Study(Report):
             pictures=[(path, f"{self.title}: figure") for path in files if path.suffix == ".svg"],
             tables=self.tables(document),
             notes=self.notes(document),
-            made={
+            facts={
                 "command": command,
-                **self.made(document),
+                **self.facts(document),
                 "wall time": duration,
                 "files": ", ".join(path.name for path in files),
             },
@@ -149,7 +149,7 @@ def _figure(
         run=run,
         tables=lambda document: [moments_table(document["moments"])],
         notes=lambda _: _FIGURE_NOTES,
-        made=lambda doc: {
+        facts=lambda doc: {
             "episode": f"world {doc['world']}, policy {doc['policy']}, seed {doc['seed']}, "
             f"{doc['num_particles']} particles, sensing range {doc['range']:g} m",
         },

@@ -32,7 +32,7 @@ _MIN_VARIANCE = 1e-4
 """Square metres; lower bound of the variance of an object's position."""
 _LOG_FLOOR = 1e-12  # per square metre
 NUM_BINS = 10
-SAME_DISTANCE = 0.75
+MATCH_RADIUS = 0.75
 """Metres within which an observed object matches the true one, if none is nearer."""
 STAGES = (0, 5, 10, 15, 20, 30)  # first decision cycle of each stage with separate scores
 _KEY_INDEX = 78
@@ -51,16 +51,16 @@ class GoalDensity:
     hypothesis_mass: Array  # f32[H]
 
 
-def _goal_region(density: GoalDensity, truth: Array) -> tuple[Array, Array]:
-    """Compute the mass of higher density than the truth, f32[2], and the truth's log-density."""
-    #     below = Σ_h m_h [f₋ₕ(x_h) > t] + Σ_o m_o (1 − (t − b_o) / p_o),    t = f(truth)
+def _hpd_level(density: GoalDensity, truth: Array) -> tuple[Array, Array]:
+    """Compute the credible level of the smallest HPD region with ``truth``, f32[2]; log-density."""
+    #     level = Σ_h m_h [f₋ₕ(x_h) > t] + Σ_o m_o (1 − (t − b_o) / p_o),    t = f(truth)
     # with f the mixture of Gaussians about observed objects (peak m_o / 2π s_o = p_o over the
     # background b_o) and of kernels about hypotheses. A hypothesis is one sample, and is left out
     # of the density at its position (f₋ₕ), as are its copies: so if the truth is one more sample
-    # of the same distribution, ``below`` is uniform between 0 and 1.
+    # of the same distribution, ``level`` is uniform between 0 and 1.
     total = jnp.sum(density.object_mass) + jnp.sum(density.hypothesis_mass)
     scale = 1.0 / jnp.maximum(total, 1e-9)
-    seen, open_mass = density.object_mass * scale, density.hypothesis_mass * scale
+    mass_o, mass_h = density.object_mass * scale, density.hypothesis_mass * scale
     variance = jnp.maximum(density.object_variance, _MIN_VARIANCE)
 
     def kernels(centers: Array, variance: Array, points: Array) -> Array:
@@ -70,17 +70,17 @@ def _goal_region(density: GoalDensity, truth: Array) -> tuple[Array, Array]:
     hypotheses = functools.partial(kernels, density.hypotheses, jnp.float32(BANDWIDTH**2))
     objects = functools.partial(kernels, density.objects, variance[None])
     point = truth[:, None]
-    at_truth = (hypotheses(point) @ open_mass + objects(point) @ seen)[0]
+    at_truth = (hypotheses(point) @ mass_h + objects(point) @ mass_o)[0]
     kde = hypotheses(density.hypotheses)
     is_copy = kde > (1.0 - 1e-6) / (2.0 * jnp.pi * BANDWIDTH**2)
-    at_hypotheses = jnp.where(is_copy, 0.0, kde) @ open_mass + objects(density.hypotheses) @ seen
-    is_self = jnp.eye(seen.shape[0], dtype=bool)
-    background = jnp.where(is_self, 0.0, objects(density.objects)) @ seen
-    background = hypotheses(density.objects) @ open_mass + background
-    peak = seen / (2.0 * jnp.pi * variance)
-    fraction = 1.0 - jnp.clip((at_truth - background) / jnp.maximum(peak, 1e-20), 0.0, 1.0)
-    below = jnp.sum(jnp.where(at_hypotheses > at_truth, open_mass, 0.0)) + jnp.sum(seen * fraction)
-    return below, jnp.log(jnp.maximum(at_truth, _LOG_FLOOR))
+    at_hypotheses = jnp.where(is_copy, 0.0, kde) @ mass_h + objects(density.hypotheses) @ mass_o
+    is_self = jnp.eye(mass_o.shape[0], dtype=bool)
+    background = jnp.where(is_self, 0.0, objects(density.objects)) @ mass_o
+    background = hypotheses(density.objects) @ mass_h + background
+    peak = mass_o / (2.0 * jnp.pi * variance)
+    outside = 1.0 - jnp.clip((at_truth - background) / jnp.maximum(peak, 1e-20), 0.0, 1.0)
+    level = jnp.sum(jnp.where(at_hypotheses > at_truth, mass_h, 0.0)) + jnp.sum(mass_o * outside)
+    return level, jnp.log(jnp.maximum(at_truth, _LOG_FLOOR))
 
 
 @pytree
@@ -115,7 +115,7 @@ def empty_tally() -> Tally:
     )
 
 
-def _density(goals: Goals, variance: Array) -> GoalDensity:
+def _goal_density(goals: Goals, variance: Array) -> GoalDensity:
     """Collect observed objects and a subset of the particles' hypotheses."""
     count = goals.hypothesis_x.shape[0]
     idx = np.linspace(0, count - 1, min(count, _MAX_POINTS)).astype(int)
@@ -130,16 +130,16 @@ def _density(goals: Goals, variance: Array) -> GoalDensity:
     )
 
 
-def _draw_unseen(key: Array, coverage: Coverage, count: int) -> tuple[Array, Array]:
+def _sample_unseen(key: Array, coverage: Coverage, count: int) -> tuple[Array, Array]:
     """Sample positions independently, in proportion to the probability of being unseen."""
     num_cells = coverage.log_miss.shape[-1]
-    size_x, size_y = cell_size(coverage)
+    width, height = cell_size(coverage)
     uniform = jax.random.uniform(key, (3, count))
     cumulative = jnp.cumsum(jnp.exp(coverage.log_miss).reshape(-1))
     cell = jnp.sum(cumulative[:, None] <= uniform[:1] * cumulative[-1], axis=0)
     cell = jnp.minimum(cell, num_cells**2 - 1)
-    x = coverage.area[0] + (cell % num_cells + uniform[1]) * size_x
-    y = coverage.area[2] + (cell // num_cells + uniform[2]) * size_y
+    x = coverage.area[0] + (cell % num_cells + uniform[1]) * width
+    y = coverage.area[2] + (cell // num_cells + uniform[2]) * height
     return x, y
 
 
@@ -150,7 +150,7 @@ def _resample_free(key: Array, goals: Goals, belief: ParticleBelief, readings: R
     contain the truth in 94 % of cases. An unseen object's position is distributed as in the
     coverage map.
     """
-    drawn_x, drawn_y = _draw_unseen(key, belief.coverage, goals.hypothesis_x.shape[0])
+    drawn_x, drawn_y = _sample_unseen(key, belief.coverage, goals.hypothesis_x.shape[0])
     reading = belief.particles.reading
     is_free = (readings.relation[:, 0] == NONE) & (readings.figure[:, 0] != NONE)
     is_free = is_free[reading] & (jnp.sum(readings.figure != NONE, axis=1) == 1)[reading]
@@ -204,7 +204,7 @@ def matched_object(distance: Array, is_event: Array) -> Array:
     beside the goal, or a duplicate of it in the map, is not the goal.
     """
     distances = jnp.where(is_event, distance, jnp.inf)
-    return (jnp.arange(distances.shape[0]) == jnp.argmin(distances)) & (distances < SAME_DISTANCE)
+    return (jnp.arange(distances.shape[0]) == jnp.argmin(distances)) & (distances < MATCH_RADIUS)
 
 
 def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
@@ -219,16 +219,16 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
     variance = jnp.sum(relative * jnp.exp(belief.log_weight)[None, :], axis=1)
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, progress.steps), _KEY_INDEX)
     resampled = _resample_free(key, goals, belief, progress.navigator.instruction.readings)
-    below, _ = _goal_region(_density(resampled, variance), truth)
-    _, log_density = _goal_region(_density(goals, variance), truth)
+    level, _ = _hpd_level(_goal_density(resampled, variance), truth)
+    _, log_density = _hpd_level(_goal_density(goals, variance), truth)
     # Events: observed objects of the goal's type. The last entry is the robot.
     is_event = _has_type(belief, scenario.object_type[scenario.goal_index])
     distance = jnp.hypot(goals.object_x[:-1] - truth[0], goals.object_y[:-1] - truth[1])
     outcome = matched_object(distance, is_event).astype(jnp.float32)
-    bin_index = jnp.clip(below * NUM_BINS, 0, NUM_BINS - 1).astype(jnp.int32)
-    step = Tally(
+    bin_index = jnp.clip(level * NUM_BINS, 0, NUM_BINS - 1).astype(jnp.int32)
+    sums = Tally(
         steps=jnp.float32(1.0),
-        covered=(below <= 0.9).astype(jnp.float32),
+        covered=(level <= 0.9).astype(jnp.float32),
         rank=(bin_index == jnp.arange(NUM_BINS)).astype(jnp.float32),
         negative_log_likelihood=-log_density,
         planner=_reliability(goals.object_mass[:-1], outcome, is_event),
@@ -236,7 +236,7 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
     )
     stage = jnp.sum(progress.steps >= jnp.asarray(STAGES)) - 1
     is_stage = (jnp.arange(len(STAGES)) == stage).astype(jnp.float32)
-    return jax.tree.map(lambda leaf: is_stage.reshape(-1, *(1,) * leaf.ndim) * leaf[None], step)
+    return jax.tree.map(lambda leaf: is_stage.reshape(-1, *(1,) * leaf.ndim) * leaf[None], sums)
 
 
 def _bin_errors(events: Reliability) -> tuple[float | None, float | None, float | None]:
@@ -260,8 +260,8 @@ def scores(tally: Tally, stage: int | None = None) -> dict[str, float | None]:
     standard error ``coverage90_se``, ``nll`` in nats, ``calibration_events``,
     ``calibration_steps``.
     """
-    span = slice(None) if stage is None else slice(stage, stage + 1)
-    sums = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64)[:, span], tally)
+    stages = slice(None) if stage is None else slice(stage, stage + 1)
+    sums = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64)[:, stages], tally)
     steps, covered = sums.steps.sum(axis=1), sums.covered.sum(axis=1)
     count = max(1.0, float(steps.sum()))
     rate = float(covered.sum()) / count

@@ -1,4 +1,4 @@
-"""Value of dialogue: episodes with a simulated person who corrects, answers, states and errs.
+"""Value of dialogue: success and distance with a simulated, possibly erring speaker.
 
 Runs in the worlds of Table 2; the paper leaves dialogue to future work.
 """
@@ -10,7 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.dialogue import converse, sentence_with
+from jaxlangnav.experiments.dialogue import ground_dialogue, run_dialogues
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import OnProgress
@@ -21,12 +21,12 @@ from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import params_of
 
-_NULL, _BEHIND = "go to the hydrant", "go to the hydrant behind the cone"
-_TRUTH, _FALSEHOOD = "the hydrant is behind the cone", "the hydrant is in front of the cone"
+_NULL_TEXT, _BEHIND_TEXT = "go to the hydrant", "go to the hydrant behind the cone"
+_TRUE_TEXT, _FALSE_TEXT = "the hydrant is behind the cone", "the hydrant is in front of the cone"
 _SILENT: dict[str, Any] = {"num_corrections": 0, "answers": False}
 _ANSWERS: dict[str, Any] = {"num_corrections": 0}
-COST = 0.1  # default cost of a question
-COSTS = (0.02, 0.05, 0.2, 0.4)  # costs of the rows that vary it
+_COST = 0.1  # default cost of a question, in units of success
+_VARIED_COSTS = (0.02, 0.05, 0.2, 0.4)
 _NOTE = (
     "Corrected way: metres from the first correction to the end over those straight from there to "
     "where the robot may stop, of the successes that were corrected, where the goal had been seen "
@@ -42,22 +42,22 @@ class Dialogue:
     name: str
     world: str = "2H1C"
     relation: str = "null"
-    text: str = _NULL
+    text: str = _NULL_TEXT
     person: dict[str, Any]
     cost: float = math.inf
-    sees: float = 3.0  # sensing range, metres
+    sensing_range: float = 3.0  # metres
 
 
 ROWS = (
     Dialogue(name="nothing more", person=_SILENT),
     Dialogue(name="one correction", person={}),
-    Dialogue(name="one correction, sees 12 m", person={}, sees=12.0),
+    Dialogue(name="one correction, sees 12 m", person={}, sensing_range=12.0),
     Dialogue(name="one correction, errs in 10 %", person={"error_rate": 0.1}),
-    Dialogue(name="questions", person=_ANSWERS, cost=COST),
-    Dialogue(name="questions, errs in 10 %", person=_ANSWERS | {"error_rate": 0.1}, cost=COST),
-    *(Dialogue(name="questions", person=_ANSWERS, cost=cost) for cost in COSTS),
-    Dialogue(name="questions", world="1H1C", person=_ANSWERS, cost=COST),
-    Dialogue(name="questions", world="1H2C", person=_ANSWERS, cost=COST),
+    Dialogue(name="questions", person=_ANSWERS, cost=_COST),
+    Dialogue(name="questions, errs in 10 %", person=_ANSWERS | {"error_rate": 0.1}, cost=_COST),
+    *(Dialogue(name="questions", person=_ANSWERS, cost=cost) for cost in _VARIED_COSTS),
+    Dialogue(name="questions", world="1H1C", person=_ANSWERS, cost=_COST),
+    Dialogue(name="questions", world="1H2C", person=_ANSWERS, cost=_COST),
     Dialogue(name="nothing more", relation="behind", person=_SILENT),
     Dialogue(name="stated at step 4", relation="behind", person=_SILENT | {"states_at": 4}),
     Dialogue(
@@ -65,18 +65,18 @@ ROWS = (
         relation="behind",
         person=_SILENT | {"states_at": 4, "error_rate": 0.1},
     ),
-    Dialogue(name="said at first", relation="behind", text=_BEHIND, person=_SILENT),
+    Dialogue(name="said at first", relation="behind", text=_BEHIND_TEXT, person=_SILENT),
 )
 """All rows; those with the same world and relation share their worlds."""
 
 
 def _run_row(row: Dialogue, options: Options, on_progress: OnProgress | None = None) -> Row:
-    cell_args = row.world, row.relation, 0, row.sees, options.episodes, options.seed
+    cell_args = row.world, row.relation, 0, row.sensing_range, options.episodes, options.seed
     params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))
-    result = converse(
+    result = run_dialogues(
         make_tasks(cell(*cell_args)),
-        sentence_with(row.text, _TRUTH, _FALSEHOOD),
+        ground_dialogue(row.text, _TRUE_TEXT, _FALSE_TEXT),
         params_of(**row.person),
         params=replace(params, planner=planner),
         config=navigator_config("informed", options.num_particles),
@@ -89,10 +89,10 @@ def _run_row(row: Dialogue, options: Options, on_progress: OnProgress | None = N
     cost = row.cost if math.isfinite(row.cost) else None
     is_corrected = (np.asarray(result.num_corrections) > 0) & is_success
     ratios: Row = {}
-    for name, is_known in (("seen", result.is_known), ("unseen", ~result.is_known)):
-        selected = is_corrected & is_known
-        straight = float(np.sum(result.straight[selected]))
-        ratio = float(np.sum(result.walked[selected])) / straight if straight else None
+    for name, group in (("seen", result.has_seen_goal), ("unseen", ~result.has_seen_goal)):
+        selected = is_corrected & group
+        shortest = float(np.sum(result.shortest[selected]))
+        ratio = float(np.sum(result.walked[selected])) / shortest if shortest else None
         ratios |= {f"corrected_way_{name}": ratio, f"corrected_{name}": int(np.sum(selected))}
     rate = 100.0 * float(np.mean(is_success))
     return {

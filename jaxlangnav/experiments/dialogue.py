@@ -1,4 +1,4 @@
-"""Batched episodes with a simulated person who corrects, answers and states.
+"""Batched episodes with a simulated speaker who corrects, answers and makes statements.
 
 The person (``world.person``) observes the robot's reported state and speaks before its decisions,
 through ``speech_acts``; statements are grounded once for all lanes.
@@ -28,7 +28,7 @@ from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
 _KEY_INDEX = 31
 """Folded twice into an episode's key for the person; steps fold it only once."""
-LEAST_SHARE = 0.01  # goal probability below which an object is no candidate
+MIN_CANDIDATE_MASS = 0.01  # goal probability from which on an object is a candidate
 
 
 @pytree
@@ -37,30 +37,30 @@ class Sentence:
 
     instruction: Instruction  # leaves [1, …], with room for more
     words: Words
-    truth: Merged
-    falsehood: Merged
+    true_statement: Merged
+    false_statement: Merged
 
 
 @pytree
-class Exchange:
-    """Result of an episode with a person."""
+class DialogueResult:
+    """Result of an episode with a simulated speaker."""
 
     result: EpisodeResult
-    num_questions: Array  # i32[] answered
+    num_questions: Array  # i32[] answered questions
     num_corrections: Array  # i32[]
-    walked: Array  # f32[] metres from the first correction to the end; NaN without one
-    straight: Array  # f32[] metres straight from there to where the robot may stop
-    is_known: Array  # bool[] the robot had seen the goal by then
+    walked: Array  # f32[] metres travelled after the first correction; NaN without one
+    shortest: Array  # f32[] straight-line metres from there to where the robot may stop
+    has_seen_goal: Array  # bool[] the map had the goal by then
 
 
 @pytree
-class _Lane:
+class _State:
     progress: EpisodeState
     person: Person
-    is_done: Array  # bool[] the robot is at an end, and the person has nothing more to say
-    said_at: Array  # f32[] metres walked at the first correction; NaN before it
-    straight: Array  # f32[] metres straight from there to where it may stop
-    is_known: Array  # bool[] it had seen the goal by then
+    is_done: Array  # bool[] the task has ended, and the person says nothing more
+    corrected_at: Array  # f32[] metres travelled at the first correction; NaN before it
+    shortest: Array  # f32[] straight-line metres from there to where it may stop
+    has_seen_goal: Array  # bool[] the map had the goal by then
 
 
 @pytree
@@ -72,91 +72,91 @@ class _Params:
     sentence: Sentence
 
 
-def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
-    """Ground a command, and merge it with a statement that is true in its worlds and a false."""
+def ground_dialogue(text: str, true_text: str, false_text: str) -> Sentence:
+    """Ground a command, alone and merged with a true and with a false statement."""
     model = load_shipped()
     command = understand(text, model)
-    given = replace(command.instruction, readings=widen(command.instruction.readings, Capacity()))
-    words = first_words(given, command.spoken)
+    padded = replace(command.instruction, readings=widen(command.instruction.readings, Capacity()))
+    words = first_words(padded, command.spoken)
 
-    def merged(statement: str) -> Merged:
-        statement_read = understand(statement, model)
-        args = statement_read.instruction, statement_read.spoken
-        return join(given.readings, words, *args, is_new_task=False, is_asked=False)
+    def merge(statement: str) -> Merged:
+        understood = understand(statement, model)
+        reading = understood.instruction, understood.spoken
+        return join(padded.readings, words, *reading, is_new_task=False, is_asked=False)
 
     return Sentence(
-        instruction=jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], given),
+        instruction=jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], padded),
         words=words,
-        truth=merged(truth),
-        falsehood=merged(falsehood),
+        true_statement=merge(true_text),
+        false_statement=merge(false_text),
     )
 
 
-def _hear(state: NavigatorState, spoken: Array, slot: Array, sentence: Sentence) -> NavigatorState:
+def _apply(state: NavigatorState, spoken: Array, slot: Array, sentence: Sentence) -> NavigatorState:
     pose, candidates = state.belief.last_pose, state.talk.candidate > 0.0
-    bits = jnp.left_shift(1, jnp.arange(candidates.shape[0]))
-    outcomes = {
+    bitmask = jnp.left_shift(1, jnp.arange(candidates.shape[0]))
+    next_states = {
         Says.OTHER: speech_acts.correct(state),
         Says.THIS: speech_acts.choose(state, slot),
-        Says.NONE_OF_THEM: speech_acts.rule_out(state, jnp.sum(jnp.where(candidates, bits, 0))),
-        Says.TRUTH: speech_acts.tell(state, sentence.truth, pose, how=How.INFORM),
-        Says.FALSEHOOD: speech_acts.tell(state, sentence.falsehood, pose, how=How.INFORM),
+        Says.NONE_OF_THEM: speech_acts.rule_out(state, jnp.sum(jnp.where(candidates, bitmask, 0))),
+        Says.TRUTH: speech_acts.tell(state, sentence.true_statement, pose, how=How.INFORM),
+        Says.FALSEHOOD: speech_acts.tell(state, sentence.false_statement, pose, how=How.INFORM),
     }
-    for act, updated in outcomes.items():
+    for act, updated in next_states.items():
         state = jax.tree.map(functools.partial(jnp.where, spoken == act), updated, state)
     return state
 
 
-def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
+def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _State:
     progress = episode.begin(task, sentence.instruction, config=config)
     navigator = progress.navigator
     talk = replace(navigator.talk, words=sentence.words)
     nan, false = jnp.float32(jnp.nan), jnp.asarray(False)
-    lane = _Lane(
+    lane = _State(
         progress=replace(progress, navigator=replace(navigator, talk=talk)),
         person=unspoken(),
         is_done=false,
-        said_at=nan,
-        straight=nan,
-        is_known=false,
+        corrected_at=nan,
+        shortest=nan,
+        has_seen_goal=false,
     )
     return strong(lane)
 
 
-def _advance(lane: _Lane, *, params: _Params, config: NavigatorConfig) -> tuple[_Lane, None]:
-    """Let the person speak, run one decision cycle, and determine whether both are done."""
+def _advance(lane: _State, *, params: _Params, config: NavigatorConfig) -> tuple[_State, None]:
+    """Apply the person's speech act, run one decision cycle, and check whether both are done."""
     progress, scenario = lane.progress, lane.progress.task.scenario
     person, spoken, slot = speak(progress, lane.person, params=params.person)
-    is_first = (spoken == Says.OTHER) & jnp.isnan(lane.said_at)
-    left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
+    is_first_correction = (spoken == Says.OTHER) & jnp.isnan(lane.corrected_at)
+    shortest = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
     state = progress.navigator
-    # Whether the map has an object where the goal truly is.
+    # Whether the map has an object at the true goal.
     view, weight = _robot_view(state, progress.steps), jnp.exp(state.belief.log_weight)[None]
     is_object = jnp.sum(weight * (state.belief.particles.object_type != NONE), axis=1) > 0.5
     distance = jnp.hypot(view.x - scenario.goal[0], view.y - scenario.goal[1])
     has_seen_goal = jnp.any(is_object & (distance <= SUCCESS_RADIUS))
-    progress = replace(progress, navigator=_hear(state, spoken, slot, params.sentence))
+    progress = replace(progress, navigator=_apply(state, spoken, slot, params.sentence))
     after, _ = episode.advance(progress, params=params.navigator, config=config)
     is_waiting = speak(after, person, params=params.person)[0].intends
-    lane = _Lane(
+    lane = _State(
         progress=after,
         person=person,
         is_done=after.navigator.is_done & ~is_waiting,
-        said_at=jnp.where(is_first, progress.world.distance, lane.said_at),
-        straight=jnp.where(is_first, left, lane.straight),
-        is_known=jnp.where(is_first, has_seen_goal, lane.is_known),
+        corrected_at=jnp.where(is_first_correction, progress.world.distance, lane.corrected_at),
+        shortest=jnp.where(is_first_correction, shortest, lane.shortest),
+        has_seen_goal=jnp.where(is_first_correction, has_seen_goal, lane.has_seen_goal),
     )
     return strong(lane), None
 
 
-def _finish(lane: _Lane) -> Exchange:
-    return Exchange(
+def _finish(lane: _State) -> DialogueResult:
+    return DialogueResult(
         result=episode.finish(lane.progress),
         num_questions=lane.person.num_answers,
         num_corrections=lane.person.num_corrections,
-        walked=lane.progress.world.distance - lane.said_at,
-        straight=lane.straight,
-        is_known=lane.is_known,
+        walked=lane.progress.world.distance - lane.corrected_at,
+        shortest=lane.shortest,
+        has_seen_goal=lane.has_seen_goal,
     )
 
 
@@ -169,7 +169,7 @@ _PROGRAM = EpisodeProgram(
 )
 
 
-def converse(
+def run_dialogues(
     tasks: Task,
     sentence: Sentence,
     person: PersonParams,
@@ -177,8 +177,8 @@ def converse(
     params: NavigatorParams,
     config: NavigatorConfig,
     on_progress: OnProgress | None = None,
-) -> Exchange:
-    """Run episodes with a person; returns NumPy arrays, leaves [E, …], in the tasks' order."""
+) -> DialogueResult:
+    """Run episodes with a simulated speaker; NumPy arrays, leaves [E, …], in the tasks' order."""
     all_params = _Params(navigator=params, person=person, sentence=sentence)
     return run_tasks(
         tasks, sentence, params=all_params, config=config, on_progress=on_progress, program=_PROGRAM
@@ -188,14 +188,14 @@ def converse(
 def speak(
     progress: EpisodeState, person: Person, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
-    """Sample the person's speech before a decision: person, ``Says`` and slot, i32[] each."""
+    """Sample the person's speech act before a decision: person, ``Says`` and slot, i32[] each."""
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _KEY_INDEX), _KEY_INDEX)
     view = _robot_view(progress.navigator, progress.steps)
     return say(key, person, view, progress.task.scenario, params=params)
 
 
 def _robot_view(state: NavigatorState, step: Array) -> RobotView:
-    """Build the robot's state as shown to the person before decision ``step``, i32[]."""
+    """Build the person's view of the robot's state before decision ``step``, i32[]."""
     # A robot that ended without a goal approaches nothing.
     particles = state.belief.particles
     num_slots = particles.object_type.shape[0]
@@ -210,7 +210,7 @@ def _robot_view(state: NavigatorState, step: Array) -> RobotView:
         step=step,
         aimed=jnp.where(is_approaching, state.talk.approached, NONE),
         is_asking=state.status == Status.WHICH_ONE,
-        is_candidate=state.talk.candidate >= LEAST_SHARE,
+        is_candidate=state.talk.candidate >= MIN_CANDIDATE_MASS,
         x=mean(particles.mean_x),
         y=mean(particles.mean_y),
     )

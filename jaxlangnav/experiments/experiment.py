@@ -124,12 +124,12 @@ def run_grid(
 
     ``instructions``: leaves [I, …], as the settings number them.
     """
-    drawn = grid.draw(np.arange(len(grid.settings) * grid.episodes))
+    all_tasks = grid.draw(np.arange(len(grid.settings) * grid.episodes))
     for arm in grid.arms:
-        tasks = arm.tasks(drawn)
+        tasks = arm.tasks(all_tasks)
         results, tally = _run_arm(grid, arm, tasks, instructions, on_progress)
-        given = {"known_distances": known_distances(tasks), "tally": tally}
-        yield ArmResults(grid=grid, arm=arm, results=results, **given)
+        extra = {"known_distances": known_distances(tasks), "tally": tally}
+        yield ArmResults(grid=grid, arm=arm, results=results, **extra)
 
 
 def _run_arm(
@@ -139,15 +139,15 @@ def _run_arm(
     groups: dict[tuple[Any, ...], list[np.ndarray]] = {}
     ids, limit = np.arange(grid.episodes), arm.tallied if arm.config is not None else 0
     for i, setting in enumerate(grid.settings):
-        changed = () if arm.config is None else tuple(sorted(setting.overrides.items()))
-        for tallied, part in ((True, ids[:limit]), (False, ids[limit:])):
-            if len(part):
-                groups.setdefault((tallied, changed), []).append(i * len(ids) + part)
+        overrides = () if arm.config is None else tuple(sorted(setting.overrides.items()))
+        for tallied, ids_part in ((True, ids[:limit]), (False, ids[limit:])):
+            if len(ids_part):
+                groups.setdefault((tallied, overrides), []).append(i * len(ids) + ids_part)
     parts: list[tuple[np.ndarray, EpisodeResult, Tally | None]] = []
-    for (tallied, changed), listed in groups.items():
-        indices, varied = np.concatenate(listed), arm.with_overrides(dict(changed))
+    for (tallied, overrides), chunks in groups.items():
+        indices, variant = np.concatenate(chunks), arm.with_overrides(dict(overrides))
         inputs = take_tasks(tasks, indices), instructions
-        parts.append((indices, *varied.run(*inputs, with_tally=tallied, on_progress=on_progress)))
+        parts.append((indices, *variant.run(*inputs, with_tally=tallied, on_progress=on_progress)))
 
     def merge(chunks: list[tuple[np.ndarray, Any]]) -> Any:
         ordered = np.argsort(np.concatenate([indices for indices, _ in chunks]))
@@ -177,10 +177,10 @@ class Options:
 
 
 def _policy_arms(options: Options) -> list[Arm]:
-    numbers: dict[str, Any] = {
+    kwargs: dict[str, Any] = {
         name: getattr(options, name) for name in ("num_particles", "params", "motion")
     }
-    return [policy_arm(policy, **numbers) for policy in check_policies(options.policies)]
+    return [policy_arm(policy, **kwargs) for policy in check_policies(options.policies)]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -215,8 +215,8 @@ class Experiment(Report):
         refuse_below(1, episodes=options.episodes)
         # Tasks and columns are laid out in parts and then put together: for a moment twice.
         episode_bytes = 2 * rows * (task_bytes() + len(arms) * (result_bytes() + _LABEL_BYTES))
-        beside = f"{rows} rows run {len(arms)} times"
-        check_count("episodes", options.episodes, each=episode_bytes, beside=beside)
+        context = f"{rows} rows run {len(arms)} times"
+        check_count("episodes", options.episodes, each=episode_bytes, context=context)
         for arm in arms:
             if arm.config is not None and arm.params is not None:
                 check_engine(arm.config)

@@ -1,4 +1,4 @@
-"""Episodes with calibration measured at every step, and reliability curves (``calibration``)."""
+"""Episode program with calibration sums at every step, and reliability curves."""
 
 import operator
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,24 +16,24 @@ from jaxlangnav.pytree import pytree
 
 
 @pytree
-class _Tallied:
+class _State:
     """State of an episode, with the calibration sums of its steps so far."""
 
     progress: EpisodeState
     tally: Tally
 
 
-def _advance_tallied(
-    state: _Tallied, *, params: NavigatorParams, config: NavigatorConfig
-) -> tuple[_Tallied, None]:
+def _advance_and_tally(
+    state: _State, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[_State, None]:
     after, info = advance(state.progress, params=params, config=config)
     step = tally_step(state.progress, info, after)
-    return _Tallied(progress=after, tally=jax.tree.map(operator.add, state.tally, step)), None
+    return _State(progress=after, tally=jax.tree.map(operator.add, state.tally, step)), None
 
 
-TALLIED = EpisodeProgram(
-    begin=lambda *args, config: _Tallied(progress=begin(*args, config=config), tally=empty_tally()),
-    advance=_advance_tallied,
+TALLY_PROGRAM = EpisodeProgram(
+    begin=lambda *args, config: _State(progress=begin(*args, config=config), tally=empty_tally()),
+    advance=_advance_and_tally,
     finish=lambda state: (finish(state.progress), state.tally),
     progress=operator.attrgetter("progress"),
 )
@@ -67,13 +67,13 @@ def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
     return {"planner": totals(tally.planner), "map": totals(tally.map)}
 
 
-def pooled(parts: Iterable[Bins]) -> dict[str, np.ndarray]:
+def pool_bins(parts: Iterable[Bins]) -> dict[str, np.ndarray]:
     """Add the bins of several rows of a table, at least one: f64[B] by name."""
     bins = list(parts)
     return {name: np.sum([part[name] for part in bins], axis=0) for name in bins[0]}
 
 
-def curve(bins: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
+def reliability_curve(bins: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
     """Compute a reliability curve from sums by bin.
 
     For each nonempty bin: mean probability, observed frequency, lower and upper end of its 95 %

@@ -32,7 +32,7 @@ _AXIS = "episodes"  # the mesh's only axis
 
 _programs: dict[Any, Any] = {}
 _programs_lock = threading.Lock()
-_AHEAD = 2  # jobs submitted per thread, so that no thread waits for the consumer
+_JOBS_PER_THREAD = 2  # pending jobs, so that no thread waits for the consumer
 Job = TypeVar("Job")
 Out = TypeVar("Out")
 OnProgress = Callable[[int], None]  # called with the number of episodes just finished
@@ -118,8 +118,8 @@ def run_round(
     inputs = [(item.tasks, item.params, jnp.int32(item.count)) for item in padded]
     stacked = strong(jax.tree.map(lambda *leaves: jnp.stack(leaves), *inputs))
     tasks, params, count = jax.device_put(stacked, NamedSharding(mesh(), PartitionSpec(_AXIS)))
-    everywhere = NamedSharding(mesh(), PartitionSpec())
-    args = (tasks, jax.device_put(strong(instructions), everywhere), params, count)
+    replicated = NamedSharding(mesh(), PartitionSpec())
+    args = (tasks, jax.device_put(strong(instructions), replicated), params, count)
     avals = tuple(jax.typeof(leaf) for leaf in jax.tree.leaves(args))
     key = (config, max_steps, program, LANES, mesh(), avals)
     # Compiled once for these shapes, whichever thread asks first.
@@ -137,9 +137,9 @@ def _sharded(config: NavigatorConfig, max_steps: int, program: EpisodeProgram) -
     """Map the program of one device over the mesh (``shard_map``)."""
 
     def on_one_device(tasks: Task, instructions: Any, params: Any, count: jax.Array) -> Any:
-        own, values, size = jax.tree.map(lambda leaf: leaf[0], (tasks, params, count))
+        batch, values, size = jax.tree.map(lambda leaf: leaf[0], (tasks, params, count))
         sizes: dict[str, Any] = {"config": config, "num_lanes": LANES, "max_steps": max_steps}
-        results = run_batch(own, instructions, params=values, count=size, course=program, **sizes)
+        results = run_batch(batch, instructions, params=values, count=size, course=program, **sizes)
         return jax.tree.map(lambda leaf: leaf[None], results)
 
     split = PartitionSpec(_AXIS)
@@ -154,7 +154,7 @@ def _sharded(config: NavigatorConfig, max_steps: int, program: EpisodeProgram) -
     )
 
 
-def _pieces(num_episodes: int, capacity: int, threads: int) -> list[tuple[int, int]]:
+def _split_episodes(num_episodes: int, capacity: int, threads: int) -> list[tuple[int, int]]:
     """Split episodes into pieces of similar size, so that all threads finish together."""
     num_pieces = max(1, -(-num_episodes // capacity))
     if num_episodes >= 2 * LANES * threads:
@@ -170,7 +170,7 @@ def run_ahead(call: Callable[[Job], Out], jobs: Iterable[Job], threads: int) -> 
         try:
             for job in jobs:
                 running.append(pool.submit(call, job))
-                if len(running) >= _AHEAD * threads:
+                if len(running) >= _JOBS_PER_THREAD * threads:
                     yield running.popleft().result()
             while running:
                 yield running.popleft().result()
@@ -198,7 +198,7 @@ def run_tasks(
     """
     num_tasks, devices = tasks.instruction_index.shape[0], mesh().size
     threads = num_threads or concurrent_calls()
-    pieces = _pieces(num_tasks, CHUNK, threads * devices)
+    pieces = _split_episodes(num_tasks, CHUNK, threads * devices)
     rounds = [pieces[start : start + devices] for start in range(0, len(pieces), devices)]
 
     def run(slices: list[tuple[int, int]]) -> list[Any]:

@@ -23,7 +23,7 @@ from jaxlangnav.world.simulator import SUCCESS_RADIUS
 SENSING_RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)  # metres, as in the paper
 CALIBRATION_EPISODES = 32
 """Episodes of a row in which calibration is measured at every step."""
-EXTRA = (
+EXTRA_ROWS = (
     ("2H2C", 3.0, "null"),
     ("2H2C", 3.0, "behind"),
     ("2H2C", 5.0, "nearest"),
@@ -68,7 +68,7 @@ _COLUMNS: TableColumns = (
     ("Brier", _format_score("brier", ".3f")),
     ("90 % region", _format_score("coverage90", ".0f")),
 )
-_SCREEN: TableColumns = (
+_NARROW: TableColumns = (
     ("\nWorld", "{world}"),
     ("\nm", "{range:g}"),
     ("\nRelation", lambda row: row["relation"] or "null"),
@@ -103,8 +103,8 @@ def _with_paper(document: Document) -> list[Row]:
     return rows
 
 
-def least_distance(bound: Mapping[str, Any]) -> float:
-    """Compute the minimal mean distance, metres, of a success: straight, 1.5 m short."""
+def min_distance(bound: Mapping[str, Any]) -> float:
+    """Compute the lower bound of a success's mean distance, metres: straight, 1.5 m short."""
     return max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
@@ -114,17 +114,17 @@ def results_table(document: Document, *, fold: str = "") -> Table:
     lines: list[list[Sequence[str]]] = [[], []]
     for key, group in itertools.groupby(_with_paper(document), key=row_key):
         rows = list(group)
-        for target, columns, distance in zip(lines, (_COLUMNS, _SCREEN), (6, 7), strict=True):
+        for target, columns, distance in zip(lines, (_COLUMNS, _NARROW), (6, 7), strict=True):
             target += Table.of(rows, columns).rows
             if limit_row := limits.get(key):
                 # Bounds for every policy; the distance is in its column.
                 (labels,) = Table.of([limit_row], ROW_COLUMNS).rows
                 line = [*labels, "limit", f"≤ {limit_row['success']:.0f}"]
                 line += [""] * (len(columns) - len(line))
-                line[distance] = f"≥ {least_distance(limit_row):.2f}"
+                line[distance] = f"≥ {min_distance(limit_row):.2f}"
                 target.append(line)
     is_faint = [line[3] == "limit" for line in lines[0]]
-    narrow = dataclasses.replace(Table.of([], _SCREEN), rows=lines[1])
+    narrow = dataclasses.replace(Table.of([], _NARROW), rows=lines[1])
     wide = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), faint=is_faint, fold=fold, screen=narrow)
     return dataclasses.replace(wide, rows=lines[0])
 
@@ -192,9 +192,9 @@ def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
         "states no numbers; where Table 2 prints a row of the same world, command and range, it is "
         "drawn.",
         specs=tuple(specs),
-        extras=lambda rows, _: {"bounds": bound_rows(specs), "falls": _falls(rows)},
+        extras=lambda rows, _: {"bounds": bound_rows(specs), "falls": _success_drops(rows)},
         tables=lambda document: _tables(document, fold="All numbers"),
-        notes=lambda document: [describe_falls(document), *caption(document)],
+        notes=lambda document: [describe_success_drops(document), *caption(document)],
     )
 
 
@@ -213,28 +213,28 @@ def _tables(document: Document, *, fold: str = "") -> list[Table]:
     return [results_table(document, fold=fold), *([Table.of(rows, _DEVIATIONS)] if rows else [])]
 
 
-def _falls(rows: Sequence[Row]) -> list[Row]:
+def _success_drops(rows: Sequence[Row]) -> list[Row]:
     """Find significant drops of success with range: disjoint intervals of neighbours."""
     names = ("world", "relation", "policy")
     curves: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         curves.setdefault(tuple(row[name] for name in names), []).append(row)
-    falls = []
+    drops = []
     for curve in curves.values():
         ordered = sorted(curve, key=lambda row: row["range"])
         for before, after in itertools.pairwise(ordered):
             if after["success_ci"][1] < before["success_ci"][0]:
                 rates = {"from": before["success_rate"], "to": after["success_rate"]}
-                falls.append({name: after[name] for name in (*names, "range")} | rates)
-    return falls
+                drops.append({name: after[name] for name in (*names, "range")} | rates)
+    return drops
 
 
-def describe_falls(document: Document) -> str:
+def describe_success_drops(document: Document) -> str:
     """Describe where success drops with range, or that it does not."""
     lines = [
-        f"{fall['policy']}, {fall['world']} {fall['relation']}: success falls from "
-        f"{fall['from']:.1f} % to {fall['to']:.1f} % at {fall['range']:g} m."
-        for fall in _falls(document["rows"])
+        f"{drop['policy']}, {drop['world']} {drop['relation']}: success falls from "
+        f"{drop['from']:.1f} % to {drop['to']:.1f} % at {drop['range']:g} m."
+        for drop in _success_drops(document["rows"])
     ]
     return "\n".join(lines) or "Success nowhere falls beyond its intervals as the range grows."
 
@@ -245,7 +245,7 @@ def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
     radii = sorted(set(ranges))
     specs = tuple(
         RowSpec(world=world, range=radius, relation=relation)
-        for world, printed_range, relation in [*printed, *(EXTRA if extra else ())]
+        for world, printed_range, relation in [*printed, *(EXTRA_ROWS if extra else ())]
         for radius in radii or [printed_range]
     )
     has_curves = len(radii) > 1
@@ -259,7 +259,7 @@ def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
         extras=lambda *_: {"bounds": bound_rows(specs)},
         tables=_tables,
         notes=lambda document: [
-            *([describe_falls(document)] if has_curves else []),
+            *([describe_success_drops(document)] if has_curves else []),
             *caption(document),
         ],
     )

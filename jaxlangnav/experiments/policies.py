@@ -15,7 +15,7 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.episode.lanes import EPISODE, EpisodeProgram
 from jaxlangnav.experiments.baselines import BASELINES
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import TALLIED
+from jaxlangnav.experiments.judging import TALLY_PROGRAM
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.tasks import Overrides
 from jaxlangnav.grounding.instruction import Instruction
@@ -90,11 +90,11 @@ class Arm:
     tallied: int = 0
     """Number of episodes of a setting, the first ones, in which calibration is measured at every
     step; none of a baseline's."""
-    worlds: Callable[[Task], Task] | None = None  # transforms its worlds
+    transform: Callable[[Task], Task] | None = None  # of the worlds
 
     @property
     def program(self) -> EpisodeProgram:
-        """Program that lanes run where calibration is not measured."""
+        """Episode program without calibration sums."""
         return BASELINES.get(self.policy, EPISODE)
 
     def tasks(self, tasks: Task) -> Task:
@@ -105,13 +105,13 @@ class Arm:
         if self.motion is not None:
             batch = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), self.motion)
             tasks = replace(tasks, motion=batch)
-        return tasks if self.worlds is None else self.worlds(tasks)
+        return tasks if self.transform is None else self.transform(tasks)
 
-    def with_overrides(self, numbers: Overrides) -> "Arm":
+    def with_overrides(self, values: Overrides) -> "Arm":
         """Replace parameters of the navigator by name, if it has any; no recompilation."""
-        if self.params is None or not numbers:
+        if self.params is None or not values:
             return self
-        return dataclasses.replace(self, params=with_numbers(numbers, params=self.params))
+        return dataclasses.replace(self, params=with_numbers(values, params=self.params))
 
     def run(
         self,
@@ -135,7 +135,7 @@ class Arm:
             on_progress=on_progress,
             num_threads=num_threads,
             max_steps=self.max_steps,
-            program=TALLIED if with_tally else self.program,
+            program=TALLY_PROGRAM if with_tally else self.program,
         )
         return results if with_tally else (results, None)
 
@@ -183,7 +183,7 @@ def run_policy(
         instructions: leaves [I, …].
         num_particles: P, of the navigator's policies.
         on_progress: called with the number of episodes just finished.
-        num_threads: pieces under way at once; the number of usable cores by default.
+        num_threads: concurrent calls; the number of usable cores by default.
 
     Returns:
         Results as NumPy arrays, leaves [E, …], in the order of the tasks.

@@ -16,7 +16,7 @@ from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.policies import POLICY_NAMES, Arm, check_policies
 from jaxlangnav.experiments.rows import RowSpec
-from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
+from jaxlangnav.experiments.scenarios import COMMANDS, SCENARIOS, PlaceSpec
 from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorParams
@@ -30,13 +30,13 @@ ECE_TARGET = 0.05
 _EXCLUDED = "arc"  # the baseline that knows the distribution of Table 2's worlds
 
 
-def numbers() -> NavigatorParams:
-    """Return the navigator's default parameters for real environments."""
+def default_params() -> NavigatorParams:
+    """Return the default parameters of the navigator for real environments."""
     return Navigator.pretrained().params
 
 
 def _arms(options: Options) -> list[Arm]:
-    """Build the arms of all policies except the one that knows the distribution of other worlds."""
+    """Build the arms of all policies except ``arc``, which uses Table 2's world distribution."""
     names = [name for name in check_policies(options.policies) if name != _EXCLUDED]
     if not names:
         rest = ", ".join(name for name in POLICY_NAMES if name != _EXCLUDED)
@@ -70,7 +70,7 @@ def _measure(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
         "overflow_episodes": int((np.asarray(results.overflow)[valid] > 0).sum()),
     }
     assert isinstance(spec, PlaceSpec)
-    entries |= {"is_told": spec.is_told, "target": None, "is_met": None, "is_calibrated": None}
+    entries |= {"is_told": spec.is_exact, "target": None, "is_met": None, "is_calibrated": None}
     if spec.ending == "not_found":
         num_correct, count = row["not_found"], row["episodes"]
         lower, upper = wilson_interval(num_correct, count)
@@ -81,10 +81,10 @@ def _measure(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
     if row["policy"] != "informed":
         return entries
     if spec.target is not None:
-        is_within = spec.longest is None or row["distance_mean"] <= spec.longest
+        is_within = spec.max_distance is None or row["distance_mean"] <= spec.max_distance
         is_met = row["success_rate"] >= spec.target and is_within
-        entries |= {"target": spec.target, "longest": spec.longest, "is_met": is_met}
-    if spec.is_told and row["ece"] is not None:
+        entries |= {"target": spec.target, "longest": spec.max_distance, "is_met": is_met}
+    if spec.is_exact and row["ece"] is not None:
         entries["is_calibrated"] = row["ece"] <= ECE_TARGET
     return entries
 
@@ -107,13 +107,13 @@ def _describe_missed(document: Document) -> list[str]:
     if "informed" not in document["policies"]:
         return []
     lines = []
-    for what, fmt in (("success", ".1f"), ("ece", ".3f")):
+    for metric, spec in (("success", ".1f"), ("ece", ".3f")):
         items = []
-        for entry in (entry for entry in document["missed"] if entry["what"] == what):
+        for entry in (entry for entry in document["missed"] if entry["what"] == metric):
             suffix = "; {distance:.1f} m, at most {longest:g}" if entry.get("longest") else ""
-            target = f"{entry['is']:{fmt}}, target {entry['target']:g}{suffix.format_map(entry)}"
+            target = f"{entry['is']:{spec}}, target {entry['target']:g}{suffix.format_map(entry)}"
             items.append(f"{entry['scenario']} ({target})")
-        lines.append(f"Targets of informed missed, {what}: {'; '.join(items) or 'none'}.")
+        lines.append(f"Targets of informed missed, {metric}: {'; '.join(items) or 'none'}.")
     return lines
 
 
@@ -152,14 +152,14 @@ _RESULT_COLUMNS: TableColumns = (
      lambda row: "" if row["ece"] is None else f"{row['ece']:.3f} ({row['ece_floor']:.3f})"),
     ("Overflow", "{overflow_episodes}"),
 )  # fmt: skip
-_SCREEN_COLUMNS = [_RESULT_COLUMNS[at] for at in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
+_SCREEN_COLUMNS = [_RESULT_COLUMNS[i] for i in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
 """Columns for the terminal."""
 _SCENARIO_COLUMNS: TableColumns = (
     ("Scenario", "{scenario}"),
     ("What it is", "{what}"),
     ("Said", "{said}"),
     ("Sensors in truth", "{truth}"),
-    ("Belief is told otherwise", lambda one: one["told"] or "no"),
+    ("Belief is told otherwise", lambda row: row["told"] or "no"),
     ("Numbers of things told", "{numbers}"),
 )
 
@@ -181,14 +181,14 @@ ROBUSTNESS = Experiment(
     "to 60 m: none of it is of the law of Table 2's worlds. A run succeeds if the robot itself "
     "says stop within 1.5 m of the goal; where there is none, if it says that it is not found.",
     specs=SCENARIOS,
-    sentences=SAID,
+    sentences=COMMANDS,
     arms=_arms,
     measure=_measure,
     extras=lambda rows, _: {
-        "scenarios": [one.described() for one in SCENARIOS],
+        "scenarios": [spec.described() for spec in SCENARIOS],
         "missed": _missed_targets(rows),
     },
     tables=_tables,
     notes=_notes,
 )
-"""The public suite; its arms have the capacities of ``Navigator.pretrained``."""
+"""The robustness suite; its arms have the capacities of ``Navigator.pretrained``."""

@@ -52,7 +52,7 @@ class RowSpec:
         )
 
 
-PRINTED = tuple(RowSpec.of(one) for one in TABLE_2)  # the rows of Table 2, in the paper's order
+PRINTED = tuple(RowSpec.of(row) for row in TABLE_2)  # the rows of Table 2, in the paper's order
 
 
 def printed_rows(printed: Sequence[TableRow]) -> list[Row]:

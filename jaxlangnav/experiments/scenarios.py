@@ -18,7 +18,7 @@ from jaxlangnav.messages import SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.places import place_law
 
-SAID = {
+COMMANDS = {
     "behind": "go to the hydrant behind the cone",
     "front": "go to the hydrant in front of the cone",
     "null": "go to the hydrant",
@@ -33,7 +33,7 @@ class PlaceSpec(RowSpec):
     """A scenario: world distribution, command, true sensor models, and those the filter assumes."""
 
     name: str
-    what: str  # for people
+    what: str  # description for people
     world: str = "place"
     range: float = 3.0
     relation: str = "behind"
@@ -47,17 +47,17 @@ class PlaceSpec(RowSpec):
     motion: _Values = dataclasses.field(default_factory=dict)
     """Fields of the true motion model; the filter always assumes the default one."""
     target: float | None = None  # required success of ``informed``, percent
-    longest: float | None = None  # maximal mean distance, metres
+    max_distance: float | None = None  # limit of the mean distance, metres
     ending: str = "arrived"  # correct one: "arrived", or "not_found" if there is no goal
 
     @property
-    def is_told(self) -> bool:
+    def is_exact(self) -> bool:
         """Whether the filter assumes true sensors, sentence and, if relevant, number of objects.
 
         The number of objects is relevant where several may fit the sentence.
         """
-        is_exact = not (self.assumed or self.motion or self.place.get("num_haunted"))
-        return self._has_true_sentence and is_exact and self._has_counts
+        is_true = not (self.assumed or self.motion or self.place.get("num_haunted"))
+        return self._has_true_sentence and is_true and self._has_counts
 
     @property
     def _has_counts(self) -> bool:
@@ -88,11 +88,11 @@ class PlaceSpec(RowSpec):
         return {
             "scenario": self.name,
             "what": self.what,
-            "said": SAID[self.relation],
+            "said": COMMANDS[self.relation],
             "truth": ", ".join([f"range {self.range:g} m", *actual]),
             "told": ", ".join(assumed),
             "numbers": ", ".join(f"{name} {value:g}" for name, value in self.numbers.items()),
-            "is_told": self.is_told,
+            "is_told": self.is_exact,
         }
 
     def setting(
@@ -104,7 +104,7 @@ class PlaceSpec(RowSpec):
         return Cell(
             world=self.world,
             relation=self.relation,
-            instruction_index=list(SAID).index(self.relation),
+            instruction_index=list(COMMANDS).index(self.relation),
             sensor=default_sensor(self.range, **self.truth),
             motion=replace(default_motion(), **motion),
             seed=seed,
@@ -131,7 +131,7 @@ def _format(name: str, value: float) -> str:
     return f"{verbs[name]} {100.0 * value:g} %"
 
 
-def _case(name: str, what: str, **fields: Any) -> PlaceSpec:
+def _scenario(name: str, what: str, **fields: Any) -> PlaceSpec:
     return PlaceSpec(name=name, what=what, **fields)
 
 
@@ -144,76 +144,76 @@ def _counts(expected: float) -> _Values:
     return {"concentration": expected, "clumping": 0.0, "misleading": 0.01}
 
 
-_GHOSTS_2, _GHOSTS_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
+_FP_2, _FP_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
 """Of each of two types, hydrants and cones: one false detection per 50 and per 10 scans."""
-_WRONG, _MISSES = {"mislabelled": 0.1}, {"detection_probability": 0.6}
+_LABELS, _MISSES = {"mislabelled": 0.1}, {"detection_probability": 0.6}
 _FRONT, _PAIRS_2, _PAIRS_4 = {"side": -1.0, "said": -1.0}, {"num_pairs": 2}, {"num_pairs": 4}
 _FALSE: dict[str, Any] = {
     "what": "the hydrant is in front of the cone", "place": {"side": -1.0}, "target": 99.0,
-    "longest": 45.0,
+    "max_distance": 45.0,
 }  # fmt: skip
-_ONLY = {**_counts(0.02), "misleading": 0.001, "absent": 0.0}
+_EXACTLY_ONE = {**_counts(0.02), "misleading": 0.001, "absent": 0.0}
 """Exactly one such object exists."""
-_HAUNTED = {"num_haunted": 4, "haunt_probability": 0.2}
+_FIXED = {"num_haunted": 4, "haunt_probability": 0.2}
 _CROWD = {"num_bystanders": 56, "num_pairs": 1}
 _ALL: dict[str, Any] = {
     "what": "14 bystanders and one more pair",
     "place": {"num_bystanders": 14, "num_pairs": 1},
-    "truth": {"detection_probability": 0.8, "mislabelled": 0.05, **_GHOSTS_2},
+    "truth": {"detection_probability": 0.8, "mislabelled": 0.05, **_FP_2},
 }
 _MORE_2, _MORE_4 = "two more hydrants and cones", "four more hydrants and cones"
-_MIDDLE, _SIX, _THINGS = "the start in the middle", "six bystanders", "things of other types"
-_INVENTED = "false detections, anew each look"
+_MIDDLE, _SIX, _OTHERS = "the start in the middle", "six bystanders", "things of other types"
+_CLUTTER = "false detections, anew each look"
 
 SCENARIOS = (
-    _case("plain", "one pair, ahead and beside, 14 × 18 m"),
-    _case("all round", "the start in the middle of 20 × 20 m", place=_square(10.0)),
-    _case("in front", "the goal is before its cone", relation="front", place=_FRONT),
-    _case("in front, told", "that there is no other is told", relation="front", place=_FRONT,
+    _scenario("plain", "one pair, ahead and beside, 14 × 18 m"),
+    _scenario("all round", "the start in the middle of 20 × 20 m", place=_square(10.0)),
+    _scenario("in front", "the goal is before its cone", relation="front", place=_FRONT),
+    _scenario("in front, told", "that there is no other is told", relation="front", place=_FRONT,
           numbers=_counts(0.02)),
-    _case("far sight", "a detector of 7 m", range=7.0),
-    _case("2 more pairs", _MORE_2, place=_PAIRS_2, target=98.0),
-    _case("2 more pairs, 5 m", _MORE_2, range=5.0, place=_PAIRS_2, target=98.0),
-    _case("4 more pairs", _MORE_4, place=_PAIRS_4),
-    _case("2 more pairs, told", "how many is told", place=_PAIRS_2, numbers=_counts(2.0)),
-    _case("2 more pairs, 5 m, told", "how many is told", range=5.0, place=_PAIRS_2,
+    _scenario("far sight", "a detector of 7 m", range=7.0),
+    _scenario("2 more pairs", _MORE_2, place=_PAIRS_2, target=98.0),
+    _scenario("2 more pairs, 5 m", _MORE_2, range=5.0, place=_PAIRS_2, target=98.0),
+    _scenario("4 more pairs", _MORE_4, place=_PAIRS_4),
+    _scenario("2 more pairs, told", "how many is told", place=_PAIRS_2, numbers=_counts(2.0)),
+    _scenario("2 more pairs, 5 m, told", "how many is told", range=5.0, place=_PAIRS_2,
           numbers=_counts(2.0)),
-    _case("4 more pairs, told", "how many is told", place=_PAIRS_4, numbers=_counts(4.0)),
+    _scenario("4 more pairs, told", "how many is told", place=_PAIRS_4, numbers=_counts(4.0)),
     PlaceSpec(name="false sentence", **_FALSE),
     PlaceSpec(name="false sentence, 5 m", range=5.0, **_FALSE),
-    _case("empty sentence", "nothing is said of where", relation="null"),
-    _case("empty sentence, told", "that there is one, and no other, is told", relation="null",
-          numbers=_ONLY),
-    _case("no cone", "the landmark is not there", place={"has_cone": False}),
-    _case("no hydrant", "there is no goal: to be told so is right", place={"has_goal": False},
+    _scenario("empty sentence", "nothing is said of where", relation="null"),
+    _scenario("empty sentence, told", "that there is one, and no other, is told", relation="null",
+          numbers=_EXACTLY_ONE),
+    _scenario("no cone", "the landmark is not there", place={"has_cone": False}),
+    _scenario("no hydrant", "there is no goal: to be told so is right", place={"has_goal": False},
           ending="not_found"),
-    _case("14 bystanders", _THINGS, place={"num_bystanders": 14}, target=99.5),
-    _case("30 bystanders", _THINGS, place={"num_bystanders": 30}),
-    _case("crowd of 60", "56 bystanders and one more pair", place=_CROWD),
-    _case("crowd of 60, told", "how many is told", place=_CROWD, numbers=_counts(1.0)),
-    _case("ghosts 2 %", _INVENTED, truth=_GHOSTS_2, target=99.0),
-    _case("ghosts 10 %", _INVENTED, truth=_GHOSTS_10, target=97.0),
-    _case("ghosts 10 %, not told", _INVENTED, truth=_GHOSTS_10, assumed={"false_detections": 0.0}),
-    _case("ghosts at 4 places", "seen there in 20 % of looks", truth=_GHOSTS_2, place=_HAUNTED),
-    _case("labels 10 % wrong", _SIX, truth=_WRONG, place={"num_bystanders": 6}, target=96.0),
-    _case("labels 10 %, not told", _SIX, truth=_WRONG, assumed={"mislabelled": 0.0},
+    _scenario("14 bystanders", _OTHERS, place={"num_bystanders": 14}, target=99.5),
+    _scenario("30 bystanders", _OTHERS, place={"num_bystanders": 30}),
+    _scenario("crowd of 60", "56 bystanders and one more pair", place=_CROWD),
+    _scenario("crowd of 60, told", "how many is told", place=_CROWD, numbers=_counts(1.0)),
+    _scenario("ghosts 2 %", _CLUTTER, truth=_FP_2, target=99.0),
+    _scenario("ghosts 10 %", _CLUTTER, truth=_FP_10, target=97.0),
+    _scenario("ghosts 10 %, not told", _CLUTTER, truth=_FP_10, assumed={"false_detections": 0.0}),
+    _scenario("ghosts at 4 places", "seen there in 20 % of looks", truth=_FP_2, place=_FIXED),
+    _scenario("labels 10 % wrong", _SIX, truth=_LABELS, place={"num_bystanders": 6}, target=96.0),
+    _scenario("labels 10 %, not told", _SIX, truth=_LABELS, assumed={"mislabelled": 0.0},
           place={"num_bystanders": 6}),
-    _case("misses 20 %", "", truth={"detection_probability": 0.8}),
-    _case("misses 40 %", "", truth=_MISSES),
-    _case("misses 40 %, not told", "", truth=_MISSES, assumed={"detection_probability": 0.95}),
-    _case("misses 40 %, ghosts 10 %", _INVENTED, truth={**_MISSES, **_GHOSTS_10}, target=95.0),
-    _case("noise 0.3 m", "", truth={"noise": 0.3}),
-    _case("noise 0.3 m, not told", "", truth={"noise": 0.3}, assumed={"noise": 0.1}),
-    _case("odometry 5 %", "", motion={"odometry_noise": 0.05}),
-    _case("odometry 10 %", "", motion={"odometry_noise": 0.1}),
-    _case("view 120°", "", truth={"field_of_view": math.radians(120.0)}),
-    _case("view 90°", "", truth={"field_of_view": math.radians(90.0)}),
-    _case("8 × 8 m", _MIDDLE, place=_square(4.0)),
-    _case("25 × 25 m", _MIDDLE, place=_square(12.5)),
-    _case("40 × 40 m, 5 m", _MIDDLE, range=5.0, place=_square(20.0)),
-    _case("40 × 40 m, 5 m, empty", "nothing is said of where", range=5.0, relation="null",
+    _scenario("misses 20 %", "", truth={"detection_probability": 0.8}),
+    _scenario("misses 40 %", "", truth=_MISSES),
+    _scenario("misses 40 %, not told", "", truth=_MISSES, assumed={"detection_probability": 0.95}),
+    _scenario("misses 40 %, ghosts 10 %", _CLUTTER, truth={**_MISSES, **_FP_10}, target=95.0),
+    _scenario("noise 0.3 m", "", truth={"noise": 0.3}),
+    _scenario("noise 0.3 m, not told", "", truth={"noise": 0.3}, assumed={"noise": 0.1}),
+    _scenario("odometry 5 %", "", motion={"odometry_noise": 0.05}),
+    _scenario("odometry 10 %", "", motion={"odometry_noise": 0.1}),
+    _scenario("view 120°", "", truth={"field_of_view": math.radians(120.0)}),
+    _scenario("view 90°", "", truth={"field_of_view": math.radians(90.0)}),
+    _scenario("8 × 8 m", _MIDDLE, place=_square(4.0)),
+    _scenario("25 × 25 m", _MIDDLE, place=_square(12.5)),
+    _scenario("40 × 40 m, 5 m", _MIDDLE, range=5.0, place=_square(20.0)),
+    _scenario("40 × 40 m, 5 m, empty", "nothing is said of where", range=5.0, relation="null",
           place=_square(20.0)),
-    _case("60 × 60 m, 5 m", _MIDDLE, range=5.0, place=_square(30.0)),
+    _scenario("60 × 60 m, 5 m", _MIDDLE, range=5.0, place=_square(30.0)),
     PlaceSpec(name="all at once", **_ALL),
     PlaceSpec(name="all at once, told", numbers=_counts(1.0), **_ALL),
 )  # fmt: skip

@@ -151,7 +151,7 @@ def lock(folder: Path, part: Part, *, on_note: Note) -> Iterator[bool]:
     owner = {"host": socket.gethostname(), "pid": os.getpid(), "since": now}
     try:
         os.truncate(handle, os.pwrite(handle, json.dumps(owner).encode(), 0))
-        _refuse_overlaps(folder, part, on_note)
+        _check_overlaps(folder, part, on_note)
         yield True
     finally:
         path.unlink(missing_ok=True)
@@ -184,7 +184,7 @@ def _acquire(path: Path, on_note: Note, *, flags: int = os.O_RDWR | os.O_CREAT) 
     return handle
 
 
-def _refuse_overlaps(folder: Path, part: Part, on_note: Note) -> None:
+def _check_overlaps(folder: Path, part: Part, on_note: Note) -> None:
     """Raise if a running process holds an overlapping part; remove stale locks."""
     for path in folder.iterdir():
         match = _LOCK_NAME.fullmatch(path.name)

@@ -76,20 +76,20 @@ def readable_count(number: int) -> str:
     return f"{number:,}" if number < 10**15 else f"{digits[0]}.{digits[1]}·10^{len(digits) - 1}"
 
 
-def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str = "") -> None:
+def check_count(name: str, count: int, *, each: int, fixed: int = 0, context: str = "") -> None:
     """Raise ``ValueError`` if ``count`` items do not fit into memory; it says how many would.
 
-    ``name``: what is counted; ``beside``: what else determines the size; ``each``: bytes of one,
+    ``name``: what is counted; ``context``: the other sizes; ``each``: bytes of one,
     ``fixed``: bytes independent of the count.
     """
     limit, need = _memory(), fixed + count * each
     if need <= limit:
         return
-    fit = max(0, (limit - fixed) // each)
-    remedy = f"at most {fit:,} fit" if fit else "lower the other sizes: not even one fits"
-    with_it = f" with {beside}" if beside else ""
+    max_n = max(0, (limit - fixed) // each)
+    remedy = f"at most {max_n:,} fit" if max_n else "lower the other sizes: not even one fits"
+    suffix = f" with {context}" if context else ""
     raise ValueError(
-        f"{name} is {readable_count(count)}{with_it}, which takes {readable_count(need >> 20)} "
+        f"{name} is {readable_count(count)}{suffix}, which takes {readable_count(need >> 20)} "
         f"MiB of memory, but there are {readable_count(limit >> 20)}: {remedy}"
     )
 
@@ -105,19 +105,19 @@ def check_recording(config: NavigatorConfig, max_steps: int) -> None:
     """Raise ``ValueError`` if a recorded episode of ``max_steps`` does not fit into memory."""
     _check_lanes(config, 1)
     count, (fixed, each) = config.map.num_particles, _episode_bytes(config)
-    step, beside = fixed + count * each, f"{count:,} particles"
-    check_count("max steps", max_steps, each=step, fixed=int(SCRATCH * step), beside=beside)
+    step, context = fixed + count * each, f"{count:,} particles"
+    check_count("max steps", max_steps, each=step, fixed=int(SCRATCH * step), context=context)
 
 
 def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
     """Raise ``ValueError`` if ``lanes`` concurrent episodes do not fit into memory."""
     sizes = config.map
     objects, cells = readable_count(sizes.num_objects), readable_count(sizes.num_cells)
-    beside = f"{objects} objects and {cells} cells a side"
+    context = f"{objects} objects and {cells} cells a side"
     if max(sizes.num_objects, sizes.num_cells, config.planner.num_visited) >= _INDEX_LIMIT:
-        raise ValueError(f"the sizes are too large for any memory: {beside}")
+        raise ValueError(f"the sizes are too large for any memory: {context}")
     fixed, each = (int(SCRATCH * lanes * size) for size in _episode_bytes(config))
-    check_count("particles", sizes.num_particles, each=each, fixed=fixed, beside=beside)
+    check_count("particles", sizes.num_particles, each=each, fixed=fixed, context=context)
 
 
 def _episode_shapes(config: NavigatorConfig) -> Any:

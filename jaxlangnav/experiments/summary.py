@@ -53,8 +53,8 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
         for name in table.column_names[: table.column_names.index("episode")]
         if name not in result_names and name not in _PAIR_COLUMNS
     ]
-    arm_names = [name for name in names if _is_of_arm(name)]
-    setting_names = [name for name in names if not _is_of_arm(name)]
+    arm_names = [name for name in names if _is_arm_column(name)]
+    setting_names = [name for name in names if not _is_arm_column(name)]
     rows, comparisons = list[Row](), list[Row]()
     for setting, setting_table in _group(table, setting_names):
         arms = _group(setting_table, arm_names)
@@ -72,8 +72,8 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
     }
 
 
-def _is_of_arm(name: str) -> bool:
-    """Tell whether a label column belongs to arms rather than to settings."""
+def _is_arm_column(name: str) -> bool:
+    """Test whether a label column belongs to arms rather than to settings."""
     return name in _ARM_COLUMNS or name.startswith(("map.", "planner."))
 
 

@@ -44,8 +44,8 @@ _IDENTITY = ("settings", "jaxlangnav", "libraries", "models_sha256", "device")
 """Manifest entries that files of one sweep must share; the number of devices is excluded."""
 _FILE = re.compile(r"episodes-(\d{6,})\.parquet")
 _TEMPORARY = re.compile(r"\.episodes-(\d{6,})\..*")
-_LARGEST_MANIFEST = 16 << 20
-"""Bytes of a manifest; it holds the configuration, of a million bytes at most, written out."""
+_MAX_MANIFEST_BYTES = 16 << 20
+"""Limit of a manifest's size; the configuration in it may have a million bytes."""
 _REMEDY = "restore it, or run the sweep in another folder"
 
 
@@ -64,12 +64,12 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{folder} holds no sweep: there is no {MANIFEST}")
     document: dict[str, Any] = {}
     try:
-        document = parse_json(read_text(path, at_most=_LARGEST_MANIFEST))
+        document = parse_json(read_text(path, at_most=_MAX_MANIFEST_BYTES))
         name, files = document["settings"]["name"], document["settings"]["files"]
-        is_sound = isinstance(name, str) and name_fault(name) is None and type(files) is int
+        is_valid = isinstance(name, str) and name_fault(name) is None and type(files) is int
     except (ValueError, KeyError, TypeError):
-        is_sound = False
-    if not is_sound:
+        is_valid = False
+    if not is_valid:
         raise ValueError(f"{path} is not the manifest of a sweep, or is damaged: {_REMEDY}")
     return document
 
@@ -84,38 +84,38 @@ def identity(document: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()
 
 
-def _claim_folder(
+def _open_folder(
     folder: Path, plan: SweepPlan, indices: Sequence[int], models: Any, *, is_resumed: bool
 ) -> str:
     """Write the manifest, or check that the existing one is of this sweep; return its identity."""
     sizes = {"chunk": CHUNK, "lanes": LANES, "files": plan.num_files}
     sizes["rows"] = plan.episodes_of("1/1")
     settings = plan.config.document() | sizes
-    own = json.loads(json.dumps(manifest(settings, models=models)))
+    expected_manifest = json.loads(json.dumps(manifest(settings, models=models)))
     path = folder / MANIFEST
     # In this order because other processes may be writing the manifest at the same time.
     has_episodes = any(True for _ in episode_files(folder))
     if not path.exists():
         if has_episodes:
             raise ValueError(f"{folder} holds episodes without a manifest: choose another folder")
-        write_once(json_text(own).encode(), path)
+        write_once(json_text(expected_manifest).encode(), path)
     # Read back in any case: of several sweeps that start here at once, one has written it.
-    theirs = read_manifest(folder)
+    existing = read_manifest(folder)
     for key in _IDENTITY:
-        found, expected = _without_count(theirs.get(key)), _without_count(own[key])
+        found, expected = _without_count(existing.get(key)), _without_count(expected_manifest[key])
         if found != expected:
             difference = _difference(found, expected, key)
             raise ValueError(f"{folder} holds another sweep ({difference}): choose another folder")
     if not is_resumed and any(index in indices for index, _ in episode_files(folder)):
         raise ValueError(f"{folder} already holds episodes of this sweep: add --resume")
-    return identity(own)
+    return identity(expected_manifest)
 
 
 def _valid_files(
     folder: Path, plan: SweepPlan, indices: Sequence[int], sweep: str, on_note: Note
 ) -> set[int]:
     """Find the indices of those of our files that exist and are valid."""
-    kept = set()
+    valid = set()
     for index, path in sorted(episode_files(folder)):
         if index not in indices:
             continue
@@ -126,8 +126,8 @@ def _valid_files(
                 raise ValueError(f"{path}: is a folder where a file belongs: remove it") from None
             on_note(f"note: {path} {fault}; it is made again")
             continue
-        kept.add(index)
-    return kept
+        valid.add(index)
+    return valid
 
 
 def _without_count(value: Any) -> Any:
@@ -187,7 +187,7 @@ def run_sweep(
     with CompileClock() as clock:
         sentences = ground_sentences([command.text for command in config.commands])
         with lock(folder, parse_shard(shard), on_note=note) as is_locked:
-            sweep = _claim_folder(folder, plan, indices, sentences.models, is_resumed=resume)
+            sweep = _open_folder(folder, plan, indices, sentences.models, is_resumed=resume)
             if is_locked:
                 # Temporary files of killed writers; nobody else writes those of this shard.
                 for path in folder.iterdir():
@@ -196,8 +196,8 @@ def run_sweep(
             kept = _valid_files(folder, plan, indices, sweep, note)
             num_kept = sum(map(plan.size, kept))
             advance(num_kept)
-            run_files = functools.partial(_make_files, plan, folder, sweep, sentences)
-            batches = _rounds((i for i in indices if i not in kept), plan.program_key, mesh().size)
+            run_files = functools.partial(_run_files, plan, folder, sweep, sentences)
+            batches = _batches((i for i in indices if i not in kept), plan.program_key, mesh().size)
             for done in run_ahead(run_files, batches, num_threads or concurrent_calls()):
                 advance(done)
     return {
@@ -213,7 +213,7 @@ def run_sweep(
     }
 
 
-def _rounds(
+def _batches(
     files: Iterable[int], program_key: Callable[[int], tuple[str, int | None]], devices: int
 ) -> Iterator[list[int]]:
     """Group file indices into rounds of one program, one file per device."""
@@ -226,7 +226,7 @@ def _rounds(
     yield from groups.values()
 
 
-def _make_files(
+def _run_files(
     plan: SweepPlan, folder: Path, sweep: str, sentences: GroundedSentences, files: list[int]
 ) -> int:
     """Run the episodes of a round, write its files and return the number of episodes."""

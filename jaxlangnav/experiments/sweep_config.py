@@ -128,7 +128,7 @@ def read_config(
 def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> SweepConfig:
     """Validate a configuration as ``read_config``; world files are relative to ``folder``."""
     raw = convert(table, _SweepSchema)
-    sequences = {name: tuple(_listed(value)) for name, value in msgspec.structs.asdict(raw).items()}
+    sequences = {name: tuple(_as_list(item)) for name, item in msgspec.structs.asdict(raw).items()}
     custom, hashes = _open_worlds(sequences["worlds"], folder)
     fields: dict[str, Any] = {
         item: getattr(raw, item) for item in ("name", "episodes", "environments")
@@ -136,7 +136,7 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
     fields |= {name: sequences[name] for name in ("seeds", "worlds", "particles")}
     config = SweepConfig(
         **fields,
-        commands=tuple(map(_command, sequences["commands"])),
+        commands=tuple(map(_parse_command, sequences["commands"])),
         ranges=tuple(LENGTH.read(item, "ranges") for item in sequences["ranges"]),
         policies=check_policies(sequences["policies"]),
         params={name: _params(getattr(raw, name), name) for name in FIELDS},
@@ -159,12 +159,12 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
     return config
 
 
-def _listed(value: Any) -> list[Any]:
+def _as_list(value: Any) -> list[Any]:
     """Wrap a single value in a list."""
     return value if isinstance(value, list) else [value]
 
 
-def _command(entry: str | Command) -> Command:
+def _parse_command(entry: str | Command) -> Command:
     """Read a command: the name of one of Table 2's, a sentence, or a table with its relation."""
     if isinstance(entry, Command):
         check_relation(entry.relation)
@@ -218,7 +218,7 @@ def _params(table: Mapping[str, Any], name: str) -> Choices:
     for key, value in table.items():
         if key not in FIELDS[name]:
             raise ValueError(f"{name}.{unknown_key(key, FIELDS[name])}")
-        values = _listed(value)
+        values = _as_list(value)
         if not values:
             raise ValueError(f"{name}.{key} is empty: the grid would be empty")
         choices[key] = tuple(FIELDS[name][key].read(value, f"{name}.{key}") for value in values)

@@ -142,8 +142,8 @@ def make_plan(config: SweepConfig) -> SweepPlan:
     plan = SweepPlan(config=config)
     arms, settings = len(plan.grid.arms), len(plan.grid.settings)
     if plan.num_files > MAX_FILES:
-        fit = MAX_FILES // arms * CHUNK // settings
-        remedy = f"at most {fit:,} episodes a cell fit" if fit else "not even one a cell fits"
+        max_n = MAX_FILES // arms * CHUNK // settings
+        remedy = f"at most {max_n:,} episodes a cell fit" if max_n else "not even one a cell fits"
         raise ValueError(
             f"the sweep has {readable_count(arms * settings)} cells times "
             f"{readable_count(config.episodes)} episodes, "
@@ -160,8 +160,8 @@ def make_plan(config: SweepConfig) -> SweepPlan:
                 _params({name: sorted(values)[end] for name, values in axes}) for end in (0, -1)
             )
             check(lower, policy=SHIPPED[policy])
-            unclumped = replace(upper.map, clumping=lower.map.clumping)
-            check(replace(upper, map=unclumped), policy=SHIPPED[policy])
+            map_params = replace(upper.map, clumping=lower.map.clumping)
+            check(replace(upper, map=map_params), policy=SHIPPED[policy])
     return plan
 
 

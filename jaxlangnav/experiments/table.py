@@ -142,17 +142,17 @@ class Section:
     """SVG or PNG files, each with its alternative text."""
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
-    made: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    facts: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """Provenance: command, episodes, seconds, files."""
 
 
-def _render_report(title: str, sections: Sequence[Section], *, made: Mapping[str, str]) -> str:
+def _report_html(title: str, sections: Sequence[Section], *, facts: Mapping[str, str]) -> str:
     numbered = list(enumerate(sections, start=1))
     links = [f'<a href="#part{index}">{_html_text(part.title)}</a>' for index, part in numbered]
     template = resources.files("jaxlangnav.experiments") / "report.html"
     fields = {
         "__TITLE__": _html_text(title),
-        "__MADE__": _definition_list(made),
+        "__MADE__": _definition_list(facts),
         "__CONTENTS__": "\n".join(f"<li>{link}</li>" for link in links),
         "__PARTS__": "\n".join(_section(*link) for link in numbered),
     }
@@ -162,10 +162,10 @@ def _render_report(title: str, sections: Sequence[Section], *, made: Mapping[str
 
 
 def write_report(
-    title: str, sections: Sequence[Section], path: Path, *, made: Mapping[str, str]
+    title: str, sections: Sequence[Section], path: Path, *, facts: Mapping[str, str]
 ) -> Path:
-    """Write the HTML report atomically; ``made``: its provenance. Pictures are SVG or PNG."""
-    return write_text(_render_report(title, sections, made=made), path)
+    """Write the HTML report atomically; ``facts``: its provenance. Pictures are SVG or PNG."""
+    return write_text(_report_html(title, sections, facts=facts), path)
 
 
 def _section(index: int, part: Section) -> str:
@@ -180,17 +180,17 @@ def _section(index: int, part: Section) -> str:
     if part.notes:
         notes = "".join(f"<li>{_html_text(note)}</li>" for note in part.notes)
         parts.append(f'<ul class="notes">{notes}</ul>')
-    if part.made:
+    if part.facts:
         head = "<summary>How this was made</summary>"
-        parts.append(f"<details open>{head}{_definition_list(part.made)}</details>")
+        parts.append(f"<details open>{head}{_definition_list(part.facts)}</details>")
     return "\n".join([*parts, "</section>"])
 
 
-def _definition_list(made: Mapping[str, str]) -> str:
-    """Format provenance as an HTML definition list."""
+def _definition_list(entries: Mapping[str, str]) -> str:
+    """Format names and values as an HTML definition list."""
     rows = "".join(
         f"<dt>{_html_text(name)}</dt><dd>{_html_text(value)}</dd>"
-        for name, value in made.items()
+        for name, value in entries.items()
         if value
     )
     return f"<dl>{rows}</dl>"

@@ -172,7 +172,7 @@ def evaluate(
     for name in MODELS:
         seconds = _inference_seconds(name, fitted, test_sentences, type_names, beams[0])
         first_scores = results[name].by_width[beams[0]]
-        new_words = _on_new_words(name, instructions, first_scores, held_out)
+        new_words = _oov_accuracy(name, instructions, first_scores, held_out)
         document[name] = _row(fitted[name], results[name], seconds) | {"new_words": new_words}
     return document | {"paper": TABLE_1, "corpus": CORPUS, "seed": seed}
 
@@ -186,7 +186,7 @@ def _check(splits: int, beams: Sequence[int]) -> None:
         raise ValueError(f"beam width is {readable_count(width)}, but must be {_MAX_WIDTH} or less")
 
 
-def _on_new_words(
+def _oov_accuracy(
     name: str,
     instructions: Sequence[LabelledInstruction],
     scores: Sequence[Scores],

@@ -145,7 +145,7 @@ def _draw(shared: dict[str, Any], *ids: ArrayLike) -> Task:
 
 
 @cached_jit(static_argnames=("count",))
-def _first(tasks: Task, *, count: int) -> Task:
+def _take_first(tasks: Task, *, count: int) -> Task:
     """Select the first tasks: one program for all leaves."""
     return jax.tree.map(lambda leaf: leaf[:count], tasks)
 
@@ -159,7 +159,7 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, episodes: np.ndarray) -
     """
     if len({cell.place is None for cell in cells}) > 1:
         raise ValueError("places and templates cannot be drawn at once: they differ in size")
-    shared = [_describe(cell) for cell in cells]
+    shared = [_shared_fields(cell) for cell in cells]
     stacked = jax.tree.map(lambda *leaves: np.stack([*map(np.asarray, leaves)]), *shared)
     seeds = np.array([cell.seed for cell in cells], np.uint32)
     world_hashes = np.array([zlib.crc32(cell.world.encode()) for cell in cells], np.uint32)
@@ -173,10 +173,10 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, episodes: np.ndarray) -
         part = jax.tree.map(lambda leaf, i=i: leaf[index[i]], stacked)
         ids = episodes[i].astype(np.uint32), world_ids[i].astype(np.uint32)
         parts.append(_draw(part, seeds[index[i]], world_hashes[index[i]], *ids))
-    return _first(concatenate(parts) if len(parts) > 1 else parts[0], count=len(index))
+    return _take_first(concatenate(parts) if len(parts) > 1 else parts[0], count=len(index))
 
 
-def _describe(cell: Cell) -> dict[str, Any]:
+def _shared_fields(cell: Cell) -> dict[str, Any]:
     """Collect the fields that all tasks of a cell share; leaves are single values."""
     common = {name: getattr(cell, name) for name in ("sensor", "motion", "assumed_sensor")}
     common["instruction_index"] = np.int32(cell.instruction_index)

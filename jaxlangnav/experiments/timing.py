@@ -98,15 +98,15 @@ def measure_parts(
     batch = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
     progress = jax.vmap(lambda task: begin(task, instructions, config=config))(batch)
 
-    def compiled(part: Callable[[EpisodeState], Any]) -> Any:
+    def compile_part(part: Callable[[EpisodeState], Any]) -> Any:
         return jax.jit(jax.vmap(part)).lower(progress).compile()
 
-    cycle = compiled(lambda one: advance(one, params=params, config=config)[0])
+    run_cycle = compile_part(lambda state: advance(state, params=params, config=config)[0])
     for _ in range(_STEPS):
-        progress = cycle(progress)
-    cycle_seconds = _lane_seconds(cycle, progress, repetitions)
+        progress = run_cycle(progress)
+    cycle_seconds = _lane_seconds(run_cycle, progress, repetitions)
     sensor_seconds, filter_seconds, behavior_seconds = (
-        _lane_seconds(compiled(part), progress, repetitions)
+        _lane_seconds(compile_part(part), progress, repetitions)
         for part in (observe, sense_and_filter, infer_behavior)
     )
     return {

@@ -38,7 +38,7 @@ from jaxlangnav.world.scenario import OBJECT_BEARING_MAX
 from jaxlangnav.world.templates import TABLE_2
 
 _POLICY = "faithful"
-OURS = "as in all our tables"
+BASELINE_LABEL = "as in all our tables"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class Variation:
     num_blocks: int = PlannerConfig().num_blocks
     """Blocks per side of the area, each with at most one frontier node."""
     max_steps: int = MAX_STEPS
-    is_turned: bool = False  # whether each world is rotated about the start by a random angle
+    is_rotated: bool = False  # whether each world is rotated about the start by a random angle
 
     def arm(self, options: Options) -> Arm:
         """Build the arm of this variation, with the options' values where not varied."""
@@ -68,9 +68,9 @@ class Variation:
         assert arm.config is not None
         planner = dataclasses.replace(arm.config.planner, num_blocks=self.num_blocks)
         config = dataclasses.replace(arm.config, planner=planner)
-        worlds = functools.partial(_turned, seed=options.seed) if self.is_turned else None
+        transform = functools.partial(_rotated, seed=options.seed) if self.is_rotated else None
         return dataclasses.replace(
-            arm, config=config, sensor=self.sensor, max_steps=self.max_steps, worlds=worlds
+            arm, config=config, sensor=self.sensor, max_steps=self.max_steps, transform=transform
         )
 
 
@@ -86,10 +86,10 @@ _VALUES: dict[str, dict[str, dict[str, Any]]] = {
     "reach": {f"{x:g} m": {"params": {"reach": x}} for x in (0.8, 1.45)},
     "detection": {"50 %": {"sensor": {"detection_probability": 0.5}}},
     "time-out": {"480 steps": {"max_steps": 4 * MAX_STEPS}},
-    "direction of the goal": {"any": {"is_turned": True}},
+    "direction of the goal": {"any": {"is_rotated": True}},
 }
 VARIATIONS = (
-    Variation(unknown=OURS, value=""),
+    Variation(unknown=BASELINE_LABEL, value=""),
     *(
         Variation(unknown=unknown, value=value, **setting)
         for unknown, values in _VALUES.items()
@@ -100,7 +100,7 @@ VARIATIONS = (
 ``jaxlangnav sweep``."""
 
 
-def _turned(tasks: Task, seed: int) -> Task:
+def _rotated(tasks: Task, seed: int) -> Task:
     """Rotate each world about the start by a random angle, uniform over the circle."""
     # Relations between objects as seen from the start are preserved: what was behind a cone still
     # is. The operating area becomes the square [-D, D]² around the start. A world with an object
@@ -112,7 +112,7 @@ def _turned(tasks: Task, seed: int) -> Task:
     goal_x, goal_y = rotated(scenario.goal[:, :1], scenario.goal[:, 1:], angle[:, None])
     depth = scenario.area[:, 1:2]
     is_inside = (jnp.maximum(jnp.abs(x), jnp.abs(y)) <= depth) | ~scenario.is_object
-    turned = replace(
+    rotated_scenario = replace(
         scenario,
         object_x=x,
         object_y=y,
@@ -120,7 +120,7 @@ def _turned(tasks: Task, seed: int) -> Task:
         area=jnp.concatenate([-depth, depth, -depth, depth], axis=1),
         is_valid=scenario.is_valid & jnp.all(is_inside, axis=1),
     )
-    return replace(tasks, scenario=turned)
+    return replace(tasks, scenario=rotated_scenario)
 
 
 def _measure(row: Row, spec: RowSpec, _: EpisodeResult) -> Row:
@@ -174,7 +174,7 @@ def row_name(row: Mapping[str, Any]) -> str:
     return f"{row['world']} {row['relation'] or 'null'}"
 
 
-def _matrix(document: Document) -> Table:
+def _variation_table(document: Document) -> Table:
     """Build a table of variations (lines) by rows of Table 2 (columns), the paper's line first."""
     paper, rows, trials = document["paper"], document["rows"], document["variations"]
     printed = [f"{row['success_rate']:.1f} · {row['distance_mean']:.1f}" for row in paper]
@@ -234,12 +234,12 @@ UNKNOWNS = Experiment(
     lead="The rows of Table 2 for faithful, the paper's method, with one thing set otherwise at a "
     "time that the paper does not print. Which of them brings our figures to the paper's?",
     specs=PRINTED,
-    arms=lambda options: [one.arm(options) for one in VARIATIONS],
+    arms=lambda options: [variation.arm(options) for variation in VARIATIONS],
     measure=_measure,
     extras=_extras,
-    tables=lambda document: [_matrix(document)],
+    tables=lambda document: [_variation_table(document)],
     notes=lambda document: [
-        *(f"{row_name(one)}: {_explain(one)}" for one in document["explained"]),
+        *(f"{row_name(row)}: {_explain(row)}" for row in document["explained"]),
         *_conditions(document),
     ],
 )

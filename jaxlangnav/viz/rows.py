@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.experiments.paper import least_distance
+from jaxlangnav.experiments.paper import min_distance
 from jaxlangnav.experiments.table import Row
 from jaxlangnav.viz import style
 from jaxlangnav.viz.sentences import percent
@@ -86,7 +86,7 @@ def _rows_figure(
         for name, bound in bounds.items():
             span = [names.index(name) - 0.46, names.index(name) + 0.46]
             line_style = {"color": style.INK, "linewidth": 1.0, "linestyle": ":", "zorder": 1}
-            for axes, value in ((rates, bound["success"]), (distances, least_distance(bound))):
+            for axes, value in ((rates, bound["success"]), (distances, min_distance(bound))):
                 axes.plot([value, value], span, label=LIMIT_NAME, **line_style)
         distances.set_xlim(left=0)
         style.title(figure, title, subtitle)

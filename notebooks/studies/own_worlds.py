@@ -22,7 +22,7 @@ from jax import Array
 
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import TALLIED
+from jaxlangnav.experiments.judging import TALLY_PROGRAM
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, Cell, GroundedSentences, cell, concatenate
@@ -326,6 +326,6 @@ def judge_own_worlds(
             params=numbers,
             config=navigator_config(policy, num_particles),
             max_steps=max_steps,
-            program=TALLIED,
+            program=TALLY_PROGRAM,
         )
     return found
