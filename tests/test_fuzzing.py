@@ -65,7 +65,7 @@ def test_an_error_of_a_library_is_no_refusal() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limit", "is_busy"), [("SECONDS_PER_RUN", True), ("SECONDS_WAITED", False)]
+    ("limit", "is_busy"), [("MAX_CPU_SECONDS", True), ("MAX_WALL_SECONDS", False)]
 )
 def test_a_run_that_hangs_is_a_failure(limit, is_busy, monkeypatch):
     monkeypatch.setattr(f"fuzz.{limit}", 0.05)
