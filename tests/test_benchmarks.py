@@ -31,7 +31,7 @@ def scripts() -> Iterator[None]:
 
 def kalman(drive) -> np.ndarray:
     """Filter a drive exactly, f64[L + 1, 2]: landmarks, then the robot; metres."""
-    scenario = importlib.import_module("slam_scenario")
+    scenario = load("slam_scenario")
     number = len(scenario.LANDMARKS)
     covariance = np.diag([1e8] * number + [1e-8])
     mean = np.zeros((number + 1, 2))
@@ -46,40 +46,40 @@ def kalman(drive) -> np.ndarray:
     return mean
 
 
-def test_fastslam_loop_is_near_the_exact_filter() -> None:
-    scenario = importlib.import_module("slam_scenario")
-    loop = importlib.import_module("fastslam_loop")
-    drive = scenario.drive(6, 0)
-    robot, landmarks = loop.run(drive, 300, seed=1)
-    exact = kalman(drive)
-    # 300 sampled ways of six noisy steps, 0.05 m each: their mean strays by a few centimetres.
-    np.testing.assert_allclose(robot, exact[-1], atol=0.05)
-    np.testing.assert_allclose(landmarks, exact[:-1], atol=0.05)
+def load(name: str) -> ModuleType:
+    return importlib.import_module(name)
 
 
-def test_our_step_is_the_exact_filter() -> None:
-    scenario = importlib.import_module("slam_scenario")
-    ours = importlib.import_module("fastslam")
-    drive = scenario.drive(6, 0)
-    robot, landmarks = ours.estimate(ours.run_core(*ours.arrays(drive, 0)))
-    exact = kalman(drive)
-    # The package starts with a robot known to a centimetre, the exact filter to a tenth of one.
-    np.testing.assert_allclose(robot, exact[-1], atol=0.005)
-    np.testing.assert_allclose(landmarks, exact[:-1], atol=0.005)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*deprecated:DeprecationWarning")
-def test_dynamax_is_near_the_exact_filter() -> None:
+def by_dynamax(drive) -> tuple[np.ndarray, np.ndarray]:
     pytest.importorskip("dynamax")
-    scenario = importlib.import_module("slam_scenario")
-    rival = importlib.import_module("dynamax_filter")
-    drive = scenario.drive(6, 0)
+    rival = load("dynamax_filter")
     with jax.numpy_rank_promotion("allow"):
-        robot, landmarks = rival.estimate(rival.prepare(drive, 50, 0)())
+        return rival.estimate(rival.prepare(drive, 50, 0)())
+
+
+def by_ours(drive) -> tuple[np.ndarray, np.ndarray]:
+    ours = load("fastslam")
+    return ours.estimate(ours.run_core(*ours.arrays(drive, 0)))
+
+
+@pytest.mark.parametrize(
+    ("estimate", "error"),
+    [
+        # 300 sampled ways of six noisy steps, 0.05 m each: their mean strays by centimetres.
+        (lambda drive: load("fastslam_loop").run(drive, 300, seed=1), 0.05),
+        # The package starts with a robot known to a centimetre, the exact one to a tenth of it.
+        (by_ours, 0.005),
+        pytest.param(by_dynamax, 0.05, marks=pytest.mark.slow),
+    ],
+    ids=["loop", "ours", "dynamax"],
+)
+@pytest.mark.filterwarnings("ignore:.*deprecated:DeprecationWarning")
+def test_filters_are_near_the_exact_one(estimate, error: float) -> None:
+    drive = load("slam_scenario").drive(6, 0)
+    robot, landmarks = estimate(drive)
     exact = kalman(drive)
-    np.testing.assert_allclose(robot, exact[-1], atol=0.05)
-    np.testing.assert_allclose(landmarks, exact[:-1], atol=0.05)
+    np.testing.assert_allclose(robot, exact[-1], atol=error)
+    np.testing.assert_allclose(landmarks, exact[:-1], atol=error)
 
 
 def test_entries_judge_themselves() -> None:

@@ -44,16 +44,23 @@ def ended(run) -> Status:
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["no, the other one", "no", "not that one, the one by the cone", "go to the other hydrant"],
+    ("text", "kind", "end"),
+    [
+        ("no, the other one", Kind.CORRECTION, FAR_HYDRANT),
+        ("no", Kind.CORRECTION, FAR_HYDRANT),
+        ("not that one, the one by the cone", Kind.CORRECTION, FAR_HYDRANT),
+        ("go to the other hydrant", Kind.COMMAND, FAR_HYDRANT),
+        ("I meant the car", Kind.CORRECTION, ONE_CAR),
+        ("the hydrant is near the cone", Kind.STATEMENT, FAR_HYDRANT),
+    ],
 )
-def test_another_one_is_found(robot, text: str) -> None:
+def test_another_one_is_found(robot, text: str, kind: Kind, end: int) -> None:
     run = set_out(robot)
     assert int(run.state.talk.approached) == 0
     heard, after = tell(robot, run, text)
-    assert heard.kind == (Kind.COMMAND if text.startswith("go") else Kind.CORRECTION)
-    assert heard.ruled_out == (0,)
-    arrives(after, FAR_HYDRANT)
+    assert heard.kind == kind
+    assert (heard.ruled_out == (0,)) == ("other" in text or text.startswith("no"))
+    arrives(after, end)
 
 
 def test_an_arrival_is_corrected_until_there_is_no_other(robot) -> None:
@@ -65,12 +72,6 @@ def test_an_arrival_is_corrected_until_there_is_no_other(robot) -> None:
     assert ended(none) == Status.NOT_FOUND
     mass = np.asarray([info.goals.object_mass for info in none.infos])
     assert mass[:, [0, 2]].max() == 0.0
-
-
-def test_what_was_meant_takes_the_place_of_the_task(robot) -> None:
-    heard, after = tell(robot, set_out(robot), "I meant the car")
-    assert heard.kind == Kind.CORRECTION
-    assert away(after, ONE_CAR) < 1.5
 
 
 @pytest.mark.parametrize("text", ["no, the other one", "no", "closer", "go to the other hydrant"])
@@ -111,11 +112,6 @@ def test_a_statement_changes_no_task(robot) -> None:
     jax.tree.map(np.testing.assert_array_equal, before, after)
     _, after = tell(robot, run, "the hydrant is behind the car")
     arrives(after, ONE_CAR)
-
-
-def test_a_statement_says_which_one_is_meant(robot) -> None:
-    _, after = tell(robot, set_out(robot), "the hydrant is near the cone")
-    arrives(after, FAR_HYDRANT)
 
 
 def test_an_ended_robot_that_is_informed_stays_where_it_is(robot) -> None:

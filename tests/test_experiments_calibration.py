@@ -1,5 +1,6 @@
 """Judging beliefs: right beliefs are found right, wrong ones wrong, by how much they are."""
 
+import functools
 from typing import Any
 
 import jax
@@ -112,7 +113,8 @@ def test_object_is_of_the_type_that_most_of_the_belief_has_it_of() -> None:
     kinds = np.asarray(belief.particles.object_type).copy()
     kinds[1], kinds[1, 0], kinds[2, :20] = by_hand.HYDRANT, by_hand.CONE, by_hand.HYDRANT
     particles = replace(belief.particles, object_type=jnp.asarray(kinds))
-    is_event = _has_type(replace(belief, particles=particles), jnp.int32(by_hand.HYDRANT))
+    seen = replace(belief, particles=particles)
+    is_event = jax.jit(_has_type)(seen, jnp.int32(by_hand.HYDRANT))
     np.testing.assert_array_equal(is_event[:3], [False, True, False])
 
 
@@ -158,24 +160,26 @@ def test_copies_of_a_hypothesis_do_not_make_it_denser_at_its_own_place() -> None
     assert float(log_density) == pytest.approx(-np.log(2 * np.pi * BANDWIDTH**2), abs=1e-5)
 
 
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(0, None))
+def rank(key: jax.Array, scale: float) -> jax.Array:
+    """Rank a truth of a mixed law: half the time a seen object, half the time a wide law."""
+    place_key, lot_key, near_key = jax.random.split(key, 3)
+    places = jax.random.normal(place_key, (65, 2)) * jnp.array([[6.0, 2.0]])
+    near = jnp.array([20.0, 0.0]) + 0.3 * jax.random.normal(near_key, (2,))
+    truth = jnp.where(jax.random.bernoulli(lot_key), near, places[64])
+    belief = density(
+        objects=jnp.array([[20.0, 0.0], [0.0, 0.0]]),
+        object_mass=jnp.array([0.5, 0.0]),
+        object_variance=jnp.stack([(0.3 * scale) ** 2, jnp.float32(1.0)]),
+        hypotheses=places[:64].T * scale,
+        hypothesis_mass=jnp.full(64, 0.5 / 64),
+    )
+    return _hpd_level(belief, truth)[0]
+
+
 def ranks(scale: float, seed: int) -> np.ndarray:
-    """Rank truths of a mixed law: half the time a seen object, half the time a wide law."""
-
-    def one(key: jax.Array) -> jax.Array:
-        place_key, lot_key, near_key = jax.random.split(key, 3)
-        places = jax.random.normal(place_key, (65, 2)) * jnp.array([[6.0, 2.0]])
-        near = jnp.array([20.0, 0.0]) + 0.3 * jax.random.normal(near_key, (2,))
-        truth = jnp.where(jax.random.bernoulli(lot_key), near, places[64])
-        belief = density(
-            objects=jnp.array([[20.0, 0.0], [0.0, 0.0]]),
-            object_mass=jnp.array([0.5, 0.0]),
-            object_variance=jnp.array([(0.3 * scale) ** 2, 1.0]),
-            hypotheses=places[:64].T * scale,
-            hypothesis_mass=jnp.full(64, 0.5 / 64),
-        )
-        return _hpd_level(belief, truth)[0]
-
-    return np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), 4000)))
+    return np.asarray(rank(jax.random.split(jax.random.key(seed), 4000), jnp.float32(scale)))
 
 
 def test_ranks_are_uniform_for_a_truth_of_the_same_law() -> None:

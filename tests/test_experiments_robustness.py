@@ -305,15 +305,6 @@ def test_worlds_are_turned_as_a_whole() -> None:
     assert np.array_equal(np.asarray(after.sensor.range_max), np.asarray(tasks.sensor.range_max))
 
 
-def test_variations_share_worlds_and_keys() -> None:
-    tasks = drawn(SPECS[0], episodes=3, seed=1)
-    other = VARIATIONS[1].arm(OPTIONS).tasks(tasks)
-    assert other.key is tasks.key
-    assert other.scenario is tasks.scenario
-    assert np.asarray(other.sensor.field_of_view) == pytest.approx([np.pi] * 3)
-    assert np.asarray(other.sensor.noise) == pytest.approx(np.asarray(tasks.sensor.noise))
-
-
 def study() -> dict[str, Any]:
     """Two variations by hand: the second has the paper's own figures but for 1H1C null."""
     rows = []

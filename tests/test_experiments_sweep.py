@@ -183,9 +183,7 @@ odometry_noise = [0, "1 %", "4 %", "16 %"]
 """
 ROWS = 2 * 2 * 2 * 70 * 2 * 4
 SCRIPT = """
-import sys, jax
-jax.config.update("jax_compilation_cache_dir", sys.argv[3])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+import sys
 from jaxlangnav.experiments import sweep
 from jaxlangnav.experiments.sweep_config import read_config
 sweep.run_sweep(read_config(sys.argv[1]), sys.argv[2], num_threads=1)
@@ -205,19 +203,15 @@ def contents(folder: Path, of: str = "*") -> dict[str, bytes]:
 def run_and_kill(text: str, folder: Path, out: Path, pytestconfig: pytest.Config) -> int:
     """Start a sweep in a process of its own and kill it after its second file; files it left."""
     write(text, folder)
-    cache = str(Path(pytestconfig.rootpath) / ".pytest_cache" / "jax")
-    process = subprocess.Popen(
-        [sys.executable, "-c", SCRIPT, str(folder / "sweep.toml"), str(out), cache],
-        env=os.environ | {"JAX_PLATFORMS": "cpu"},
-    )
+    process = start(["-c", SCRIPT, str(folder / "sweep.toml"), str(out)], pytestconfig)
     deadline = time.monotonic() + 300
     try:
         while len(list(out.glob("episodes-*.parquet"))) < 2 and process.poll() is None:
             assert time.monotonic() < deadline
             time.sleep(0.002)
     finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.kill()
+        process.communicate()
     return len(list(out.glob("episodes-*.parquet")))
 
 

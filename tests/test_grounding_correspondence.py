@@ -25,9 +25,6 @@ from jaxlangnav.grounding.model import CorrespondenceModel, build_vocabulary
 from jaxlangnav.grounding.properties import Annotations, Behaviors
 from jaxlangnav.grounding.search import search, search_exactly
 from jaxlangnav.grounding.symbols import (
-    OBJECT,
-    REGION,
-    RELATION,
     AnnotationSpace,
     BehaviorSpace,
     SymbolDomain,
@@ -372,25 +369,6 @@ def test_what_cannot_be_proven_is_not():
 
 
 SENTENCE = "go to the hydrant behind the cone"
-
-
-def test_annotation_space_has_the_papers_size():
-    space = AnnotationSpace(8)
-    kinds = [symbol.kind for symbol in space.symbols]
-    assert [kinds.count(k) for k in (OBJECT, REGION, RELATION)] == [8, 54, 432]
-    assert space.size == len(space.symbols) == len(set(space.symbols)) == 494
-
-
-def test_behavior_space_has_the_papers_size():
-    space = BehaviorSpace(7)
-    noun, verb = (leaf_of(label) for label in ("NP", "VP"))
-    assert space.num_expressible(noun) == 7 + 49
-    assert space.num_expressible(verb) == 2 + 3 + 49 + 49
-    assert space.size == len(set(space.symbols)) == 56 + 103
-
-
-def leaf_of(label):
-    return Phrase(label=label, words=())
 
 
 @pytest.mark.parametrize(("text", "phrases"), [("go to the hydrant", 3), (SENTENCE, 6)])

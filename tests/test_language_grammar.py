@@ -19,7 +19,6 @@ from jaxlangnav.language.grammar import Grammar, NoParseError, load_grammar, rea
 from jaxlangnav.language.lexicon import USER_LEXICON, ing_form, load_lexicon, plural, read_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
-from jaxlangnav.language.spelling import edits
 from jaxlangnav.messages import ACTIONS, MODES, RELATIONS
 from jaxlangnav.relations import REGISTRY
 
@@ -150,12 +149,6 @@ def test_word_forms():
     assert [ing_form(w) for w in ("go", "move", "stop", "get", "head", "park", "be", "flee")] == [
         "going", "moving", "stopping", "getting", "heading", "parking", "being", "fleeing",
     ]  # fmt: skip
-
-
-def test_edits_are_at_distance_one():
-    found = edits("cat")
-    assert {"at", "act", "cut", "cart", "cats"} <= found
-    assert not {"dog", "c", "tac", "carts"} & found
 
 
 # ---------------------------------------------------------------- the exported grammar

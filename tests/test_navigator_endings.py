@@ -93,22 +93,16 @@ def test_cancelled_it_is_idle_without_a_fault_until_it_is_told(robot) -> None:
     assert Status(int(again.actions[-1].status)) == Status.ARRIVED
 
 
-def test_an_idle_robot_can_be_halted(robot) -> None:
-    run = go(robot, robot.start(TEXT, area=AREA), max_steps=1)
-    halted = robot.hear(robot.hear(run.state, "cancel"), "freeze")
-    _, action, _ = next(advance(robot, run, 1, halted))
-    assert_stands(action, Status.HALTED)
-    _, action, _ = next(advance(robot, run, 1, robot.hear(halted, "resume")))
-    assert_stands(action, Status.IDLE)
-
-
-def test_an_arrival_is_remembered_through_a_halt(robot) -> None:
+@pytest.mark.parametrize("words", [["cancel", "freeze"], ["stop"]])
+def test_what_it_was_is_remembered_through_a_halt(robot, words: list[str]) -> None:
     run = go(robot, robot.start("find the cone", area=AREA))
-    halted = robot.hear(run.state, "stop")
+    halted = run.state
+    for text in words:
+        halted = robot.hear(halted, text)
     _, action, _ = next(advance(robot, run, 1, halted))
     assert_stands(action, Status.HALTED)
     _, action, _ = next(advance(robot, run, 1, robot.hear(halted, "go on")))
-    assert_stands(action, Status.ARRIVED)
+    assert_stands(action, Status.IDLE if "cancel" in words else Status.ARRIVED)
 
 
 def test_a_halt_with_more_that_is_not_understood_is_not_lost(robot, caplog) -> None:

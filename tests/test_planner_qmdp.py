@@ -104,15 +104,6 @@ def test_value_of_a_goal_beside_the_robot_itself(region: int) -> None:
     assert bool(goals.is_object[-1])
 
 
-def test_all_goal_mass_is_kept() -> None:
-    """γ → 1 gives the total goal mass at every node, however goals are gathered."""
-    belief, _, weight, _ = believe()
-    goal = np.random.default_rng(2).dirichlet(np.ones(7 * (SLOTS + M + 1) + 1), P)
-    goal = goal[:, :-1].reshape(P, 7, SLOTS + M + 1)
-    ours, _ = value_of(belief, behave(goal), jnp.float32(1.0 - 1e-7))
-    np.testing.assert_allclose(ours, (goal.sum((1, 2)) * weight).sum(), rtol=1e-4)
-
-
 def test_mass_within_reach() -> None:
     """A seen object that fits as well as any takes the whole goal, others only their share."""
     belief, places, weight, _ = believe()

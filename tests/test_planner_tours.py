@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import readings as by_hand
 from situations import nodes_at, seen_goal, situation
-from test_planner_policy import CONFIG, P, believe, random_places
+from test_planner_policy import CONFIG, DECIDE_ON, P, believe, random_places
 
 from jaxlangnav.messages import NONE, default_sensor
 from jaxlangnav.planner import prior, tours
 from jaxlangnav.planner.graph import OBJECT_NODE
-from jaxlangnav.planner.informed import decide_on
 from jaxlangnav.planner.latency import (
     NUM_STOPS,
     SIGHT_MARGIN,
@@ -78,7 +77,7 @@ def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * n
 def check_first_sight(lines: Tour, places: np.ndarray, *numbers: float) -> tuple:
     """Hold first sights, from (1, 0) within a radius and a view, against brute force."""
     x, y = jnp.asarray(places.T)
-    first, length = first_sight(lines, x, y, *jnp.array([1.0, 0.0, *numbers]))
+    first, length = FIRST_SIGHT(lines, x, y, *jnp.array([1.0, 0.0, *numbers]))
     first = np.where(np.asarray(first) >= 1e8, np.inf, first)
     for index, found in enumerate(first):
         expected = [brute_force(lines.x[index], lines.y[index], *one, *numbers) for one in places]
@@ -266,9 +265,6 @@ def test_with_nothing_left_to_find_it_settles_for_no_goal_that_is_none(goal: flo
     assert bool(decide(now, 0.2).is_stop)
 
 
-DECIDE_ON = jax.jit(decide_on)
-
-
 def decide(now: tours.Plan, goal: float) -> Decision:
     """Let the informed policy choose half a metre from an object, the goal with a probability."""
     shown = situation(
@@ -342,5 +338,5 @@ def test_a_cell_stands_for_what_of_it_has_been_looked_at_least() -> None:
     log_miss = np.full((24, 24), -3.0)
     log_miss[1, 0] = 0.0
     belief, part = believe(random_places(), is_hung=False, log_miss=log_miss), 10.0 / 24
-    found = search_map(belief, jnp.float32(0.0), jnp.float32(0.0))
+    found = SEARCH_MAP(belief, NOT, NOT)
     np.testing.assert_allclose([found.x[0], found.y[0]], [0.5 * part, 1.5 * part - 5.0], atol=1e-5)

@@ -314,6 +314,7 @@ def test_places_of_the_wrong_shape_are_refused() -> None:
         gating.check_place((0.0, 0.0), by_hand.AREA)
 
 
+@pytest.mark.slow
 def test_the_papers_step_has_no_components() -> None:
     """It takes the same sound look as ours, and every look for sound."""
     plain = jax.jit(functools.partial(semantic_filter.step, components=()))

@@ -1,5 +1,6 @@
 """The local server: who may ask it, what it refuses, episodes that are shown, heard and saved."""
 
+import base64
 import contextlib
 import http.client
 import json
@@ -9,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
@@ -218,10 +220,6 @@ def test_a_robot_that_has_arrived_is_sent_to_the_other_one(client: Client) -> No
 
 def reached(news: dict[str, Any]) -> tuple[float, float]:
     """Where the robot stands, as the page reads it."""
-    import base64
-
-    import numpy as np
-
     place = np.frombuffer(base64.b64decode(news["episode"]["arrays"]["position"]["data"]), "<f4")
     return float(place[-2]), float(place[-1])
 

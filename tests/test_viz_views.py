@@ -22,7 +22,7 @@ from jaxlangnav.language.parser import parse
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import style, terminal
 from jaxlangnav.viz.film import write_film
-from jaxlangnav.viz.graph import _phrase_beliefs, graph_figure
+from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.html import _render_html, page_data, write_html
 from jaxlangnav.viz.rrd import write_rrd
 
@@ -136,10 +136,6 @@ def test_the_paper_s_sentence(model):
     figure = graph_figure(parse(PAPER), model)
     said = " ".join(text.get_text() for text in figure.texts)
     assert all(one in said for one in ("2,964 factors", "5,934 random variables", PAPER))
-    # Phrases in reading order.
-    beliefs = _phrase_beliefs(parse(PAPER), model)
-    assert [one.phrase.label for one in beliefs] == ["VP", "PP", "NP", "NP", "PP", "NP"]
-    assert [one.parent for one in beliefs[:3]] == [None, (0,), (0, 0)]
 
 
 @pytest.mark.parametrize("number", [1, 3, 5])

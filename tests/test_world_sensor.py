@@ -39,14 +39,11 @@ def robot(x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> WorldState:
 
 def seen(observation: Observation) -> list[tuple[int, float, float]]:
     """List type, range and bearing of what was detected."""
-    slots = np.flatnonzero(observation.is_detection)
+    named = ("detection_type", "detection_range", "detection_bearing")
+    found = (np.asarray(getattr(observation, one))[observation.is_detection] for one in named)
     return [
-        (
-            int(observation.detection_type[slot]),
-            round(float(observation.detection_range[slot]), 4),
-            round(float(observation.detection_bearing[slot]), 4),
-        )
-        for slot in slots
+        (int(kind), round(float(far), 4), round(float(turn), 4))
+        for kind, far, turn in zip(*found, strict=True)
     ]
 
 
