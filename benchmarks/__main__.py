@@ -1,4 +1,4 @@
-"""Run every comparison, each in a process of its own, and join the records.
+"""Run every benchmark in its own process, and merge the results.
 
     python benchmarks [--quick] [--json]
 
@@ -22,7 +22,7 @@ BENCH = [sys.executable, "-m", "jaxlangnav", "bench"]
 
 
 def commands() -> list[list[str]]:
-    """List what is run: the package's bench, and the files here that are scripts."""
+    """List the commands: the package's bench, and the scripts of this folder."""
     scripts = [
         path
         for path in sorted(FOLDER.glob("*.py"))
@@ -32,7 +32,7 @@ def commands() -> list[list[str]]:
 
 
 def main() -> int:
-    """Run them and print one table, or one JSON document.
+    """Run all benchmarks, and print one table or one JSON document.
 
     Returns:
         The exit code.
@@ -41,23 +41,23 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="smaller sizes, fewer repetitions")
     parser.add_argument("--json", action="store_true", help="one JSON document: machine, entries")
     options = parser.parse_args()
-    joined: dict[str, Any] = {"machine": {}, "entries": []}
+    merged: dict[str, Any] = {"machine": {}, "entries": []}
     failed = []
     for command in commands():
         name = "jaxlangnav bench" if command is BENCH else Path(command[-1]).name
         print(f"running {name}", file=sys.stderr, flush=True)
         quick = ["--quick"] if options.quick else []
-        done = subprocess.run([*command, "--json", *quick], stdout=subprocess.PIPE, check=False)
-        if done.returncode:
+        result = subprocess.run([*command, "--json", *quick], stdout=subprocess.PIPE, check=False)
+        if result.returncode:
             failed.append(name)
             continue
-        document = json.loads(done.stdout)
-        joined["machine"] = document["machine"] | joined["machine"]
-        joined["entries"] += document["entries"]
+        document = json.loads(result.stdout)
+        merged["machine"] = document["machine"] | merged["machine"]
+        merged["entries"] += document["entries"]
     if options.json:
-        print(json.dumps(joined, indent=2, ensure_ascii=False))
-    elif joined["entries"]:
-        Console(width=140).print(render(joined))
+        print(json.dumps(merged, indent=2, ensure_ascii=False))
+    elif merged["entries"]:
+        Console(width=140).print(render(merged))
     for name in failed:
         print(f"{name} failed", file=sys.stderr)
     return 1 if failed else 0

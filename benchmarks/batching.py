@@ -1,4 +1,4 @@
-"""What each trick of ``numerics.batching`` is worth: with it, and written plainly.
+"""Benchmark each optimization of ``numerics.batching`` against plain code.
 
     python benchmarks/batching.py [--quick] [--json]
 
@@ -27,36 +27,36 @@ LANES, PARTICLES, OBJECTS = 32, 64, 8
 CALLS = 50
 """Calls in one measurement."""
 Program = Callable[[Any], Any]
-Trick = tuple[Program, Program, Any]
-"""With the trick, without it, and what both are given."""
+Case = tuple[Program, Program, Any]
+"""Optimized program, plain program, and their input."""
 
 
-def batch_axes_last() -> Trick:
+def batch_axes_last() -> Case:
     """Eight updates of small Gaussians, particles last, or batched by ``vmap``."""
-    number, size = LANES * PARTICLES, OBJECTS + 1
-    root = np.random.default_rng(0).normal(size=(number, size, size)).astype(np.float32)
+    count, size = LANES * PARTICLES, OBJECTS + 1
+    root = np.random.default_rng(0).normal(size=(count, size, size)).astype(np.float32)
     covariance = root @ root.transpose(0, 2, 1) + np.eye(size, dtype=np.float32)
     moments = gaussian.Moments(
         jnp.asarray(covariance.transpose(1, 2, 0)),
-        jnp.zeros((size, number)),
-        jnp.zeros((size, number)),
+        jnp.zeros((size, count)),
+        jnp.zeros((size, count)),
     )
     edges = [(index, OBJECTS) for index in range(OBJECTS)]
 
     def update(moments: gaussian.Moments) -> gaussian.Moments:
         shape = (OBJECTS, *moments.mean_x.shape[1:])
-        offset, used = jnp.ones(shape), jnp.ones(shape, bool)
+        offset, is_used = jnp.ones(shape), jnp.ones(shape, bool)
         return gaussian.condition_offsets(
-            moments, edges, used, offset, offset, jnp.full(shape, 0.01)
+            moments, edges, is_used, offset, offset, jnp.full(shape, 0.01)
         )
 
     return update, jax.vmap(update, in_axes=-1, out_axes=-1), moments
 
 
-def rows() -> Trick:
+def rows() -> Case:
     """One row of twenty leaves in a loop over four, each added up."""
-    random = np.random.default_rng(1)
-    leaves = [jnp.asarray(random.normal(size=(4, 3, 256)), jnp.float32) for _ in range(20)]
+    rng = np.random.default_rng(1)
+    leaves = [jnp.asarray(rng.normal(size=(4, 3, 256)), jnp.float32) for _ in range(20)]
 
     def looped(row: Callable[[Any, Any], Any]) -> Program:
         def run(leaves: Any) -> Any:
@@ -73,23 +73,23 @@ def rows() -> Trick:
     )
 
 
-def short_tables() -> Trick:
+def short_tables() -> Case:
     """One of nine candidates for each particle, of four tables."""
-    random = np.random.default_rng(2)
-    number = LANES * PARTICLES
-    tables = jnp.asarray(random.normal(size=(4, OBJECTS + 1, number)), jnp.float32)
-    index = jnp.asarray(random.integers(OBJECTS + 1, size=number), jnp.int32)
+    rng = np.random.default_rng(2)
+    count = LANES * PARTICLES
+    tables = jnp.asarray(rng.normal(size=(4, OBJECTS + 1, count)), jnp.float32)
+    index = jnp.asarray(rng.integers(OBJECTS + 1, size=count), jnp.int32)
 
-    def selected(given: Any) -> Any:
-        return [batching.lookup(table, given[1]) for table in given[0]]
+    def selected(inputs: Any) -> Any:
+        return [batching.lookup(table, inputs[1]) for table in inputs[0]]
 
-    def gathered(given: Any) -> Any:
-        return [jnp.take_along_axis(table, given[1][None], axis=0)[0] for table in given[0]]
+    def gathered(inputs: Any) -> Any:
+        return [jnp.take_along_axis(table, inputs[1][None], axis=0)[0] for table in inputs[0]]
 
     return selected, gathered, (tables, index)
 
 
-def worked_out_once() -> Trick:
+def worked_out_once() -> Case:
     """A chain of cheap steps that ten joined arrays read."""
 
     def read(keep: Program) -> Program:
@@ -105,7 +105,7 @@ def worked_out_once() -> Trick:
     return read(batching.materialize), read(lambda same: same), values
 
 
-def one_table() -> Trick:
+def one_table() -> Case:
     """Resample the particles of all lanes."""
     one = particle.empty(OBJECTS, 6, jnp.float32(0.0), jnp.float32(0.0))
     shape = (LANES, PARTICLES)
@@ -124,7 +124,7 @@ def one_table() -> Trick:
     return of_lanes(batching.take), of_lanes(plainly), (many, ancestors)
 
 
-def one_draw() -> Trick:
+def one_draw() -> Case:
     """Numbers for four keys of each lane."""
     keys = jax.random.split(jax.random.key(4), (LANES, 4))
 
@@ -142,37 +142,37 @@ def one_draw() -> Trick:
 TRICKS = (batch_axes_last, rows, short_tables, worked_out_once, one_table, one_draw)
 
 
-def compiled(program: Program, given: Any) -> tuple[Program, float]:
-    """Compile a program: CPU seconds."""
+def compile_program(program: Program, inputs: Any) -> tuple[Program, float]:
+    """Compile a program, and measure the CPU seconds it takes."""
     begin = time.process_time()
-    ready = jax.jit(program).lower(given).compile()
+    compiled = jax.jit(program).lower(inputs).compile()
     seconds = time.process_time() - begin
-    jax.block_until_ready(ready(given))
-    return ready, seconds
+    jax.block_until_ready(compiled(inputs))
+    return compiled, seconds
 
 
-def repeated(program: Program, given: Any) -> list[Any]:
-    """Call a program as often as one measurement asks for."""
-    return [program(given) for _ in range(CALLS)]
+def call_repeatedly(program: Program, inputs: Any) -> list[Any]:
+    """Call a program ``CALLS`` times."""
+    return [program(inputs) for _ in range(CALLS)]
 
 
 def entries(*, is_quick: bool = False) -> list[Measurement]:
-    """Measure every trick, with it and without it in turn."""
-    repetitions, found = 5 if is_quick else 25, []
+    """Measure every case, optimized and plain alternately."""
+    repetitions, table = 5 if is_quick else 25, []
     for trick in TRICKS:
         *programs, given = trick()
-        ready = [compiled(program, given) for program in programs]
-        costs: list[list[float]] = [[], []]
+        compiled = [compile_program(program, given) for program in programs]
+        samples: list[list[float]] = [[], []]
         for _ in range(repetitions):
-            for own, (program, _) in zip(costs, ready, strict=True):
-                cost = measure(functools.partial(repeated, program, given), 1)
-                own.append(cost.cpu / CALLS)
-        ours, plain = (1e6 * float(np.median(own)) for own in costs)
+            for cpu_times, (program, _) in zip(samples, compiled, strict=True):
+                cost = measure(functools.partial(call_repeatedly, program, given), 1)
+                cpu_times.append(cost.cpu / CALLS)
+        ours, plain = (1e6 * float(np.median(cpu_times)) for cpu_times in samples)
         name = trick.__name__.replace("_", " ")
-        found.append(entry(name, ours, "µs CPU", baseline=plain, ratio=plain / ours))
-        (_, ours), (_, plain) = ready
-        found.append(entry(f"{name}, compiled", ours, "s CPU", baseline=plain, ratio=plain / ours))
-    return found
+        table.append(entry(name, ours, "µs CPU", baseline=plain, ratio=plain / ours))
+        (_, ours), (_, plain) = compiled
+        table.append(entry(f"{name}, compiled", ours, "s CPU", baseline=plain, ratio=plain / ours))
+    return table
 
 
 if __name__ == "__main__":

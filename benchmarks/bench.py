@@ -1,4 +1,4 @@
-"""Speed of the engine, as ratios against baselines measured in the same run (section 4.2's runs).
+"""Benchmarks of the navigator, as ratios to baselines measured in the same run (section 4.2).
 
 On a CPU costs are CPU seconds, all threads counted, so that other work on the machine disturbs
 them little; rates are by the clock on the wall. Every figure is the median of several repetitions
@@ -50,18 +50,18 @@ __all__ = ["Workbench", "render", "run_bench", "set_up", "stages"]
 MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(SENSING_RANGES) * 100
 """Episodes of the paper's simulations: templates, commands, ranges, runs."""
 _PATIENCE = 10.0
-"""Seconds after which a measurement is not repeated."""
+"""Seconds after which no measurement is repeated."""
 Tell = Callable[[str, int], None]
 Stage = tuple[str, Callable[[], list[Measurement]]]
-"""What is measured, in words, and how."""
+"""Description of a measurement, and its function."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Workbench:
-    """What all measurements share."""
+    """Inputs shared by all measurements."""
 
     tasks: Task
-    """Episodes of the paper's grid, mixed; as many as the largest batch."""
+    """Shuffled episodes of the paper's grid, as many as the largest batch."""
     instructions: Instruction
     params: NavigatorParams
     repetitions: int
@@ -89,7 +89,7 @@ def run_bench(bench: Workbench, *, on_progress: Tell | None = None) -> dict[str,
 
 
 def stages(bench: Workbench) -> list[Stage]:
-    """List what is measured, in order."""
+    """List the measurements in order."""
     counts = (DEFAULT_PARTICLES,) if bench.is_quick else (64, 256, 1000)
     loops = [
         (f"the full loop, {count} particles", functools.partial(_full_loop, bench, count))
@@ -104,25 +104,25 @@ def stages(bench: Workbench) -> list[Stage]:
 
 
 def set_up(*, is_quick: bool = False) -> Workbench:
-    """Draw the episodes that all measurements run.
+    """Sample the episodes that all measurements run.
 
     Args:
         is_quick: the default particle count only, smaller batches, fewer repetitions.
 
     Returns:
-        What all measurements share.
+        The inputs of all measurements.
     """
     largest = 256 if is_quick else 512
     grid = list(itertools.product(TEMPLATE_NAMES, SENTENCES, SENSING_RANGES))
-    number = -(-largest // len(grid))
+    count = -(-largest // len(grid))
     order = list(SENTENCES)
     cells = [
-        cell(world, relation, order.index(relation), reach, number, 4242)
-        for world, relation, reach in grid
+        cell(world, relation, order.index(relation), sensing_range, count, 4242)
+        for world, relation, sensing_range in grid
     ]
-    mixed = np.random.default_rng(0).permutation(number * len(grid))[:largest]
+    shuffled = np.random.default_rng(0).permutation(count * len(grid))[:largest]
     return Workbench(
-        tasks=take_tasks(concatenate([make_tasks(one) for one in cells]), mixed),
+        tasks=take_tasks(concatenate([make_tasks(item) for item in cells]), shuffled),
         instructions=ground_sentences(list(SENTENCES.values())).instructions,
         params=default_params(),
         repetitions=1 if is_quick else 3,
@@ -148,7 +148,7 @@ def _full_loop(bench: Workbench, particles: int) -> list[Measurement]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Batch:
-    """A batch as it was measured."""
+    """Measured cost of a batch."""
 
     size: int
     """Episodes."""
@@ -163,13 +163,13 @@ class _Batch:
 def _measure_batch(
     bench: Workbench, particles: int, size: int, *, repetitions: int, num_threads: int | None = None
 ) -> _Batch:
-    """Run the first episodes of the bench through the program of every experiment."""
+    """Measure the first episodes of the bench with ``run_tasks``."""
     tasks = take_tasks(bench.tasks, np.arange(size))
     config = navigator_config(POLICY, particles)
-    found: list[EpisodeResult] = []
+    results: list[EpisodeResult] = []
 
-    def work() -> None:
-        found.append(
+    def call() -> None:
+        results.append(
             run_tasks(
                 tasks,
                 bench.instructions,
@@ -179,24 +179,24 @@ def _measure_batch(
             )
         )
 
-    cost = measure(work, repetitions, patience=_PATIENCE)
-    return _Batch(size=size, steps=int(np.sum(found[0].steps)), cpu=cost.cpu, wall=cost.wall)
+    cost = measure(call, repetitions, patience=_PATIENCE)
+    return _Batch(size=size, steps=int(np.sum(results[0].steps)), cpu=cost.cpu, wall=cost.wall)
 
 
 def _monte_carlo(batch: _Batch) -> list[Measurement]:
-    """Say how long the paper's whole Monte Carlo takes at the rate of a batch."""
+    """Extrapolate the time of the paper's whole Monte Carlo from a batch."""
     name = f"the paper's {MONTE_CARLO} simulations"
     wall = MONTE_CARLO * batch.wall / batch.size
-    alone = MONTE_CARLO * batch.cpu / batch.size / usable_cores()
+    cpu = MONTE_CARLO * batch.cpu / batch.size / usable_cores()
     return [
         entry(f"{name}, at this rate", wall, "s", target=60.0, is_limit=True),
-        entry(f"{name}, CPU over threads", alone, "s", target=60.0, is_limit=True),
-        entry(f"{name}, CPU over threads, stretch", alone, "s", target=20.0, is_limit=True),
+        entry(f"{name}, CPU over threads", cpu, "s", target=60.0, is_limit=True),
+        entry(f"{name}, CPU over threads, stretch", cpu, "s", target=20.0, is_limit=True),
     ]
 
 
 def _against_twin(ours: float, particles: int) -> list[Measurement]:
-    """Set a cycle, ms CPU, against the NumPy twin's."""
+    """Compare a cycle, ms CPU, with the NumPy twin's."""
     looping, vectorised = (
         1e3 * _twin_seconds(particles, is_looping=is_looping) for is_looping in (True, False)
     )
@@ -214,73 +214,73 @@ def _twin_seconds(particles: int, *, is_looping: bool, steps: int = 12) -> float
     costs = []
     for seed in range(3):
         twin = numpy_twin.start(particles, seed=seed)
-        noise = np.random.default_rng(seed)
+        rng = np.random.default_rng(seed)
         robot = np.zeros(2)
         begin = time.process_time()
         for index in range(steps):
             move = np.array([0.7, 0.12]) if index else np.zeros(2)
             robot = robot + move
-            seen = [
-                (kind, *(np.array(place) - robot + noise.normal(0.0, 0.1, 2)))
+            detections = [
+                (kind, *(np.array(place) - robot + rng.normal(0.0, 0.1, 2)))
                 for kind, place in ((1, (6.0, 1.0)), (0, (8.0, 1.5)))
                 if np.hypot(*(np.array(place) - robot)) < 3.0
             ]
-            numpy_twin.step(twin, move, seen, 3.0, is_looping=is_looping)
+            numpy_twin.step(twin, move, detections, 3.0, is_looping=is_looping)
         costs.append((time.process_time() - begin) / steps)
     return statistics.median(costs)
 
 
 def _refilling(bench: Workbench) -> Measurement:
-    """Set refilled lanes against ``vmap`` of the loop over cycles, which waits for the slowest."""
-    number = bench.tasks.instruction_index.shape[0]
+    """Compare refilled lanes with ``vmap`` of the episode loop, which waits for the slowest."""
+    count = bench.tasks.instruction_index.shape[0]
     config = navigator_config(POLICY)
 
-    def waiting(many: Task) -> EpisodeResult:
-        def one(task: Task) -> EpisodeResult:
+    def run_all(tasks: Task) -> EpisodeResult:
+        def run_one(task: Task) -> EpisodeResult:
             return run(task, bench.instructions, params=bench.params, config=config)
 
-        return jax.vmap(one)(many)
+        return jax.vmap(run_one)(tasks)
 
-    program = jax.jit(waiting).lower(bench.tasks).compile()
+    program = jax.jit(run_all).lower(bench.tasks).compile()
     refilled = _measure_batch(
-        bench, DEFAULT_PARTICLES, number, repetitions=bench.repetitions, num_threads=1
+        bench, DEFAULT_PARTICLES, count, repetitions=bench.repetitions, num_threads=1
     )
-    ours = 1e3 * refilled.cpu / number
-    theirs = 1e3 * measure(lambda: program(bench.tasks), 1).cpu / number
-    name = f"refilled lanes against vmap of the loop, {number} episodes"
+    ours = 1e3 * refilled.cpu / count
+    theirs = 1e3 * measure(lambda: program(bench.tasks), 1).cpu / count
+    name = f"refilled lanes against vmap of the loop, {count} episodes"
     return entry(name, ours, "ms CPU an episode") | against(ours, theirs, 4.0)
 
 
 def _parts(bench: Workbench) -> list[Measurement]:
-    """Measure where a cycle's time goes."""
-    params, given = deployment_params(), (bench.tasks, bench.instructions)
-    config, number = deployment_config(POLICY, params=params), bench.repetitions
+    """Measure the run time of the parts of a cycle."""
+    params, inputs = deployment_params(), (bench.tasks, bench.instructions)
+    config, count = deployment_config(POLICY, params=params), bench.repetitions
     usual = navigator_config(POLICY)
-    parts = measure_parts(*given, params=bench.params, repetitions=number, config=usual)
-    large = measure_parts(*given, params=params, repetitions=number, config=config)
-    tables, pretrained = share_entries(parts), share_entries(large, ", as Navigator.pretrained")
+    parts = measure_parts(*inputs, params=bench.params, repetitions=count, config=usual)
+    large = measure_parts(*inputs, params=params, repetitions=count, config=config)
+    entries, pretrained = share_entries(parts), share_entries(large, ", as Navigator.pretrained")
     pretrained[0] |= {"target": 2500.0, "holds": pretrained[0]["value"] <= 2500.0}
-    return [*tables, *pretrained]
+    return [*entries, *pretrained]
 
 
 def share_entries(parts: dict[str, float], label: str = "") -> list[Measurement]:
-    """Turn the measured parts of a cycle into entries: the whole, then each one's share of it."""
-    (_, whole), *inner = parts.items()
+    """Build entries of a cycle's run time: the total, then the fraction of each part."""
+    (_, total), *rest = parts.items()
     return [
-        entry(f"one cycle of one lane{label}", 1e6 * whole, "µs CPU"),
-        *(entry(f"share of {name}{label}", 100.0 * one / whole, "%") for name, one in inner),
+        entry(f"one cycle of one lane{label}", 1e6 * total, "µs CPU"),
+        *(entry(f"share of {name}{label}", 100.0 * seconds / total, "%") for name, seconds in rest),
     ]
 
 
 def _compilation(bench: Workbench) -> list[Measurement]:
     """Measure compilation without the persistent cache, and count recompilations."""
     config = navigator_config(POLICY)
-    was_kept = jax.config.read("jax_enable_compilation_cache")
+    was_enabled = jax.config.read("jax_enable_compilation_cache")
     try:
         jax.config.update("jax_enable_compilation_cache", False)
         compilation_cache.reset_cache()
         begin, cpu = time.perf_counter(), time.process_time()
-        # Another program than any that is kept in memory.
+        # A program that is not in the in-memory cache.
         program = functools.partial(
             run_batch, config=config, num_lanes=LANES, max_steps=MAX_STEPS - 1
         )
@@ -289,7 +289,7 @@ def _compilation(bench: Workbench) -> list[Measurement]:
         lowered.compile()
         cold, cold_cpu = time.perf_counter() - begin, time.process_time() - cpu
     finally:
-        jax.config.update("jax_enable_compilation_cache", was_kept)
+        jax.config.update("jax_enable_compilation_cache", was_enabled)
         compilation_cache.reset_cache()
     return [
         entry("compilation of a batch, cold", cold, "s", target=30.0, is_limit=True),
@@ -306,12 +306,12 @@ def _compilation(bench: Workbench) -> list[Measurement]:
 
 
 def _recompilations(bench: Workbench) -> int:
-    """Count programs built while numbers vary; a single cycle stands for all."""
+    """Count recompilations while parameters vary, for a single cycle."""
     config = navigator_config(POLICY)
     count = 0
 
     @jax.jit
-    def one(task: Task, params: NavigatorParams) -> EpisodeResult:
+    def run_cycle(task: Task, params: NavigatorParams) -> EpisodeResult:
         nonlocal count
         count += 1
         return run(task, bench.instructions, params=params, config=config, max_steps=1)
@@ -321,5 +321,5 @@ def _recompilations(bench: Workbench) -> int:
         planner = replace(bench.params.planner, discount=jnp.float32(value))
         sensor = replace(first.sensor, range_max=jnp.float32(10.0 * value))
         params = replace(bench.params, planner=planner)
-        jax.block_until_ready(one(replace(first, sensor=sensor), params))
+        jax.block_until_ready(run_cycle(replace(first, sensor=sensor), params))
     return count - 1

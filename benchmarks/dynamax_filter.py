@@ -18,35 +18,35 @@ from slam_scenario import LANDMARKS, ODOMETRY_NOISE, SENSOR_NOISE, STEP, Drive
 NUM_LANDMARKS = len(LANDMARKS)
 _PLACES = 2 * NUM_LANDMARKS
 FAR = 10.0
-"""Standard deviation of a landmark before it is seen, metres."""
+"""Prior standard deviation of a landmark, metres."""
 
 
 def model() -> ParamsSLDS:
-    """Build the system."""
+    """Build the switching linear dynamical system."""
     size = _PLACES + 2
-    watch = np.zeros((_PLACES, size), np.float32)
-    watch[:, :_PLACES] = np.eye(_PLACES)
-    watch[0::2, _PLACES] = watch[1::2, _PLACES + 1] = -1.0
-    push = np.zeros((1, size, 2), np.float32)
-    push[0, _PLACES:] = np.eye(2)
-    start = np.full(size, FAR**2, np.float32)
-    start[_PLACES:] = 1e-4
-    walk = np.zeros(size, np.float32)
-    walk[_PLACES:] = (ODOMETRY_NOISE * STEP) ** 2
+    emission = np.zeros((_PLACES, size), np.float32)
+    emission[:, :_PLACES] = np.eye(_PLACES)
+    emission[0::2, _PLACES] = emission[1::2, _PLACES + 1] = -1.0
+    input_weights = np.zeros((1, size, 2), np.float32)
+    input_weights[0, _PLACES:] = np.eye(2)
+    initial_variance = np.full(size, FAR**2, np.float32)
+    initial_variance[_PLACES:] = 1e-4
+    process_variance = np.zeros(size, np.float32)
+    process_variance[_PLACES:] = (ODOMETRY_NOISE * STEP) ** 2
     gaussian = LGParamsSLDS(
         initial_mean=jnp.zeros(size),
-        initial_cov=jnp.diag(jnp.asarray(start)),
+        initial_cov=jnp.diag(jnp.asarray(initial_variance)),
         dynamics_weights=jnp.eye(size),
-        dynamics_cov=jnp.diag(jnp.asarray(walk)),
+        dynamics_cov=jnp.diag(jnp.asarray(process_variance)),
         dynamics_bias=None,
-        dynamics_input_weights=jnp.asarray(push),
-        emission_weights=jnp.asarray(watch),
+        dynamics_input_weights=jnp.asarray(input_weights),
+        emission_weights=jnp.asarray(emission),
         emission_cov=SENSOR_NOISE**2 * jnp.eye(_PLACES),
         emission_bias=None,
         emission_input_weights=jnp.zeros((1, _PLACES, 2)),
     )
-    alone = DiscreteParamsSLDS(jnp.ones(1), jnp.ones((1, 1)), jnp.ones((1, 1)))
-    return ParamsSLDS(alone, gaussian).initialize(1, size, _PLACES, 2)
+    discrete = DiscreteParamsSLDS(jnp.ones(1), jnp.ones((1, 1)), jnp.ones((1, 1)))
+    return ParamsSLDS(discrete, gaussian).initialize(1, size, _PLACES, 2)
 
 
 def prepare(drive: Drive, num_particles: int, seed: int) -> Callable[[], dict[str, jax.Array]]:
@@ -63,24 +63,24 @@ def prepare(drive: Drive, num_particles: int, seed: int) -> Callable[[], dict[st
     Returns:
         A function that runs the loop and gives what ``rbpfilter`` gives.
     """
-    loop = {}
+    captured = {}
 
-    def catch(step, start, steps):
-        loop.update(step=step, start=start, steps=steps)
+    def capture(step, start, steps):
+        captured.update(step=step, start=start, steps=steps)
         return None, None
 
     emissions = jnp.asarray(drive.offsets.reshape(len(drive.offsets), -1), jnp.float32)
     inputs = jnp.asarray(drive.odometry, jnp.float32)
-    only_scan = types.SimpleNamespace(scan=catch, cond=jax.lax.cond)
-    with mock.patch.object(inference, "lax", only_scan):
+    fake_lax = types.SimpleNamespace(scan=capture, cond=jax.lax.cond)
+    with mock.patch.object(inference, "lax", fake_lax):
         inference.rbpfilter(num_particles, model(), emissions, jax.random.PRNGKey(seed), inputs)
     # The step looks up lax when it is traced, after the patch has been taken back.
-    compiled = jax.jit(lambda start: jax.lax.scan(loop["step"], start, loop["steps"])[1])
-    return lambda: compiled(loop["start"])
+    compiled = jax.jit(lambda start: jax.lax.scan(captured["step"], start, captured["steps"])[1])
+    return lambda: compiled(captured["start"])
 
 
 def estimate(filtered: dict[str, jax.Array]) -> tuple[np.ndarray, np.ndarray]:
-    """Average over the particles at the end.
+    """Compute the weighted mean over the final particles.
 
     Args:
         filtered: of ``prepare``'s function.

@@ -1,4 +1,4 @@
-"""The filter step alone: ours against FastSLAM 1.0 as a NumPy loop and against dynamax.
+"""Benchmark of the filter step against FastSLAM 1.0 as a NumPy loop and against dynamax.
 
     python benchmarks/fastslam.py [--quick] [--json]
 
@@ -37,10 +37,10 @@ from jaxlangnav.semantic_map.particle import SemanticMap
 
 NUM_PARTICLES = 1000
 NUM_LANDMARKS = len(LANDMARKS)
-AS_GOOD = 0.99
-"""Errors that differ by less than a hundredth count as equal."""
+ERROR_RATIO = 0.99
+"""Target of error ratios: differences below 1 % count as equal."""
 _LOG_NEW = -60.0
-"""Log density of something new: so little that it is chosen only where nothing else can be."""
+"""Log density of a new object: so low that it is chosen only if nothing else is possible."""
 
 Estimate = tuple[np.ndarray, np.ndarray]
 """Mean position of the robot f64[2] and of the landmarks f64[L, 2], metres."""
@@ -49,14 +49,14 @@ Estimate = tuple[np.ndarray, np.ndarray]
 def core_step(
     carry: tuple[SemanticMap, Array], inputs: tuple[Array, Array, Array]
 ) -> tuple[tuple[SemanticMap, Array], None]:
-    """Run one step of the Gaussian core: move, ground, condition, weigh, resample."""
+    """Run one Rao-Blackwellized filter step: predict, associate, update, weigh, resample."""
     particles, log_weight = carry
     key, odometry, offsets = inputs
     associate_key, resample_key = jax.random.split(key)
-    number = log_weight.shape[0]
+    num_particles = log_weight.shape[0]
     sensor = default_sensor(noise=SENSOR_NOISE)
-    spread = jnp.float32((ODOMETRY_NOISE * STEP) ** 2)
-    particles = motion.move(particles, odometry[0], odometry[1], spread)
+    variance = jnp.float32((ODOMETRY_NOISE * STEP) ** 2)
+    particles = motion.move(particles, odometry[0], odometry[1], variance)
     detections = association.Detections(
         object_type=jnp.arange(NUM_LANDMARKS),
         offset_x=offsets[:, 0],
@@ -64,16 +64,16 @@ def core_step(
         log_new=jnp.full(NUM_LANDMARKS, _LOG_NEW),
         is_detection=jnp.ones(NUM_LANDMARKS, bool),
     )
-    uniform = jax.random.uniform(associate_key, (NUM_LANDMARKS, number))
+    uniform = jax.random.uniform(associate_key, (NUM_LANDMARKS, num_particles))
     grounded = association.associate(particles, detections, uniform, sensor)
     particles = update.condition(particles, grounded, sensor)
     weight, _, _ = categorical.log_normalize(log_weight + grounded.log_weight)
-    is_resampled = effective_sample_size(weight) < 0.5 * number
+    is_resampled = effective_sample_size(weight) < 0.5 * num_particles
     ancestors = systematic(weight, jax.random.uniform(resample_key))
-    ancestors = jnp.where(is_resampled, ancestors, jnp.arange(number))
+    ancestors = jnp.where(is_resampled, ancestors, jnp.arange(num_particles))
     particles = take(particles, ancestors)
-    kept = jnp.log(jnp.maximum(weight, 1e-30))
-    return (particles, jnp.where(is_resampled, -jnp.log(float(number)), kept)), None
+    log_weights = jnp.log(jnp.maximum(weight, 1e-30))
+    return (particles, jnp.where(is_resampled, -jnp.log(float(num_particles)), log_weights)), None
 
 
 @jax.jit
@@ -88,9 +88,9 @@ def run_core(odometry: Array, offsets: Array, key: Array) -> tuple[SemanticMap, 
     Returns:
         Particles, leaves [..., P], and their log-weights f32[P].
     """
-    one = particle.empty(NUM_LANDMARKS, 1, jnp.float32(0.0), jnp.float32(0.0))
+    empty = particle.empty(NUM_LANDMARKS, 1, jnp.float32(0.0), jnp.float32(0.0))
     particles = jax.tree.map(
-        lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, NUM_PARTICLES)), one
+        lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, NUM_PARTICLES)), empty
     )
     log_weight = jnp.full(NUM_PARTICLES, -jnp.log(float(NUM_PARTICLES)))
     inputs = (jax.random.split(key, len(odometry)), odometry, offsets)
@@ -101,7 +101,7 @@ def run_core(odometry: Array, offsets: Array, key: Array) -> tuple[SemanticMap, 
 def run_whole(
     odometry: Array, offsets: Array, key: Array, readings: Readings
 ) -> tuple[SemanticMap, Array]:
-    """Run the whole filter of the package over a drive: coverage, absences and words as well.
+    """Run the complete semantic filter over a drive, with coverage, negative information and words.
 
     Args:
         odometry: f32[T, 2], metres.
@@ -118,18 +118,18 @@ def run_whole(
         detection_probability=jnp.float32(0.999),
         noise=jnp.float32(SENSOR_NOISE),
     )
-    driven = MotionParams(step_length=jnp.float32(STEP), odometry_noise=jnp.float32(ODOMETRY_NOISE))
-    params = replace(default_map_params(), motion=driven)
+    robot = MotionParams(step_length=jnp.float32(STEP), odometry_noise=jnp.float32(ODOMETRY_NOISE))
+    params = replace(default_map_params(), motion=robot)
     config = MapConfig(num_particles=NUM_PARTICLES, num_objects=NUM_LANDMARKS)
     area = jnp.array([-20.0, 20.0, -20.0, 20.0])
 
     def step(belief, inputs):
-        step_key, position, seen = inputs
+        step_key, position, offset = inputs
         observation = Observation(
             pose=jnp.append(position, 0.0),
             detection_type=jnp.arange(NUM_LANDMARKS),
-            detection_range=jnp.hypot(seen[:, 0], seen[:, 1]),
-            detection_bearing=jnp.arctan2(seen[:, 1], seen[:, 0]),
+            detection_range=jnp.hypot(offset[:, 0], offset[:, 1]),
+            detection_bearing=jnp.arctan2(offset[:, 1], offset[:, 0]),
             is_detection=jnp.ones(NUM_LANDMARKS, bool),
             sensor=sensor,
         )
@@ -143,16 +143,16 @@ def run_whole(
 
 
 def estimate(filtered: tuple[SemanticMap, Array]) -> Estimate:
-    """Average over the particles; landmarks in the order of their types."""
+    """Compute the weighted mean over particles; landmarks in the order of their types."""
     particles, log_weight = filtered
     weight = np.exp(np.asarray(log_weight, np.float64))
     mean = np.stack([particles.mean_x @ weight, particles.mean_y @ weight], axis=-1)
     types = np.asarray(particles.object_type[:, 0])
-    return mean[-1], mean[[int(np.argmax(types == kind)) for kind in range(NUM_LANDMARKS)]]
+    return mean[-1], mean[[int(np.argmax(types == i)) for i in range(NUM_LANDMARKS)]]
 
 
 def arrays(drive: Drive, seed: int) -> tuple[Array, Array, Array]:
-    """Hand a drive to the device."""
+    """Convert a drive to device arrays."""
     return (
         jnp.asarray(drive.odometry, jnp.float32),
         jnp.asarray(drive.offsets, jnp.float32),
@@ -161,32 +161,32 @@ def arrays(drive: Drive, seed: int) -> tuple[Array, Array, Array]:
 
 
 def ours(run: Callable[..., Any], drives: list[Drive], repetitions: int) -> tuple[float, float]:
-    """Measure one of our two: µs CPU per particle and step, and the median error in metres."""
+    """Measure one of our filters: µs CPU per particle and step, and median error in metres."""
     inputs = [arrays(drive, seed) for seed, drive in enumerate(drives)]
     errors = [
-        slam_scenario.error(*estimate(run(*own)), drive)
-        for own, drive in zip(inputs, drives, strict=True)
+        slam_scenario.error(*estimate(run(*args)), drive)
+        for args, drive in zip(inputs, drives, strict=True)
     ]
     cost = measure(lambda: run(*inputs[0]), repetitions).cpu
     return 1e6 * cost / len(drives[0].truth) / NUM_PARTICLES, statistics.median(errors)
 
 
 def looping(drives: list[Drive]) -> tuple[float, float]:
-    """Measure FastSLAM 1.0 as a loop: as ``ours``."""
+    """Measure FastSLAM 1.0 as a loop; results as ``ours``."""
     import fastslam_loop
 
     costs, errors = [], []
     for seed, drive in enumerate(drives):
         begin = time.process_time()
-        found = fastslam_loop.run(drive, NUM_PARTICLES, seed)
+        estimates = fastslam_loop.run(drive, NUM_PARTICLES, seed)
         costs.append(time.process_time() - begin)
-        errors.append(slam_scenario.error(*found, drive))
+        errors.append(slam_scenario.error(*estimates, drive))
     cost = statistics.median(costs)
     return 1e6 * cost / len(drives[0].truth) / NUM_PARTICLES, statistics.median(errors)
 
 
 def dynamax(drives: list[Drive], repetitions: int) -> tuple[float, float]:
-    """Measure dynamax's filter: as ``ours``."""
+    """Measure dynamax's filter; results as ``ours``."""
     import dynamax_filter
 
     costs, errors = [], []
@@ -199,7 +199,7 @@ def dynamax(drives: list[Drive], repetitions: int) -> tuple[float, float]:
 
 
 def entries(*, is_quick: bool) -> list[Measurement]:
-    """Measure everything.
+    """Run all measurements.
 
     Args:
         is_quick: a shorter drive, fewer seeds and repetitions.
@@ -211,11 +211,11 @@ def entries(*, is_quick: bool) -> list[Measurement]:
     repetitions = 3 if is_quick else 9
     drives = [slam_scenario.drive(num_steps, seed) for seed in range(seeds)]
     core, core_error = ours(run_core, drives, repetitions)
-    told = ground_sentences([SENTENCES["null"]]).instructions.readings
-    readings = jax.tree.map(lambda leaf: leaf[0], told)
-    whole, whole_error = ours(lambda *own: run_whole(*own, readings=readings), drives, repetitions)
+    readings_batch = ground_sentences([SENTENCES["null"]]).instructions.readings
+    readings = jax.tree.map(lambda leaf: leaf[0], readings_batch)
+    whole, whole_error = ours(lambda *a: run_whole(*a, readings=readings), drives, repetitions)
     loop, loop_error = looping(drives)
-    rival, rival_error = dynamax(drives, repetitions)
+    rival, dynamax_error = dynamax(drives, repetitions)
     unit = "µs CPU per particle and step"
     return [
         entry("filter step against FastSLAM 1.0 as a NumPy loop", core, unit)
@@ -224,11 +224,11 @@ def entries(*, is_quick: bool) -> list[Measurement]:
         entry("whole filter, words and absences too, against FastSLAM 1.0", whole, unit)
         | against(whole, loop, 300.0),
         entry("error of the filter step against FastSLAM 1.0", core_error, "m")
-        | against(core_error, loop_error, AS_GOOD),
+        | against(core_error, loop_error, ERROR_RATIO),
         entry("error of the filter step against dynamax's rbpfilter", core_error, "m")
-        | against(core_error, rival_error, AS_GOOD),
+        | against(core_error, dynamax_error, ERROR_RATIO),
         entry("error of the whole filter against FastSLAM 1.0", whole_error, "m")
-        | against(whole_error, loop_error, AS_GOOD),
+        | against(whole_error, loop_error, ERROR_RATIO),
     ]
 
 

@@ -1,4 +1,4 @@
-"""FastSLAM 1.0 (Montemerlo et al. 2002) as a loop over particles, in the manner of PythonRobotics.
+"""FastSLAM 1.0 (Montemerlo et al. 2002) as a loop over particles, similar to PythonRobotics.
 
 A particle is a sampled pose and one small extended Kalman filter per landmark; measurements are
 range and bearing; the weight is the likelihood of the innovation; resampling is of low variance,
@@ -16,7 +16,7 @@ class Particle:
     """A sampled pose with its landmarks."""
 
     def __init__(self, weight: float) -> None:
-        """Start at the origin with nothing seen.
+        """Initialise at the origin without landmarks.
 
         Args:
             weight: of the particle.
@@ -39,28 +39,28 @@ def run(drive: Drive, num_particles: int, seed: int) -> tuple[np.ndarray, np.nda
     Returns:
         Mean position of the robot f64[2] and of the landmarks f64[L, 2], metres.
     """
-    random = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     particles = [Particle(1.0 / num_particles) for _ in range(num_particles)]
     for odometry, offsets in zip(drive.odometry, drive.offsets, strict=True):
-        predict(particles, odometry, random)
+        predict(particles, odometry, rng)
         update(particles, offsets)
-        particles = resample(particles, random)
-    weight = np.array([one.weight for one in particles])
-    robot = sum(w * one.pose[:2] for w, one in zip(weight, particles, strict=True))
-    landmarks = sum(w * one.mean for w, one in zip(weight, particles, strict=True))
+        particles = resample(particles, rng)
+    weight = np.array([p.weight for p in particles])
+    robot = sum(w * p.pose[:2] for w, p in zip(weight, particles, strict=True))
+    landmarks = sum(w * p.mean for w, p in zip(weight, particles, strict=True))
     return np.asarray(robot), np.asarray(landmarks)
 
 
-def predict(particles: list[Particle], odometry: np.ndarray, random: np.random.Generator) -> None:
-    """Draw every particle's motion."""
-    for one in particles:
-        noise = random.normal(size=2) * ODOMETRY_NOISE * STEP
-        one.pose[:2] += odometry + noise
-        one.pose[2] = wrap(one.pose[2])
+def predict(particles: list[Particle], odometry: np.ndarray, rng: np.random.Generator) -> None:
+    """Sample the motion of every particle."""
+    for particle in particles:
+        noise = rng.normal(size=2) * ODOMETRY_NOISE * STEP
+        particle.pose[:2] += odometry + noise
+        particle.pose[2] = wrap(particle.pose[2])
 
 
 def wrap(angle: float) -> float:
-    """Bring an angle into [−π, π)."""
+    """Wrap an angle to [−π, π)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
@@ -68,80 +68,80 @@ def update(particles: list[Particle], offsets: np.ndarray) -> None:
     """Update every landmark of every particle, and the weights."""
     for index, (x, y) in enumerate(offsets):
         distance = math.hypot(x, y)
-        measured = np.array([distance, math.atan2(y, x)])
+        z = np.array([distance, math.atan2(y, x)])
         # The same noise in each axis of the plane, in range and bearing.
         noise = np.diag([SENSOR_NOISE**2, (SENSOR_NOISE / distance) ** 2])
-        for one in particles:
-            if one.is_seen[index]:
-                one.weight *= weigh_landmark(one, index, measured, noise)
-                update_landmark(one, index, measured, noise)
+        for particle in particles:
+            if particle.is_seen[index]:
+                particle.weight *= weigh_landmark(particle, index, z, noise)
+                update_landmark(particle, index, z, noise)
             else:
-                add_landmark(one, index, measured, noise)
-    total = sum(one.weight for one in particles)
-    for one in particles:
-        one.weight = one.weight / total if total > 0.0 else 1.0 / len(particles)
+                add_landmark(particle, index, z, noise)
+    total = sum(particle.weight for particle in particles)
+    for particle in particles:
+        particle.weight = particle.weight / total if total > 0.0 else 1.0 / len(particles)
 
 
-def add_landmark(one: Particle, index: int, measured: np.ndarray, noise: np.ndarray) -> None:
-    """Place a landmark where it was first seen."""
-    distance, bearing = measured[0], one.pose[2] + measured[1]
+def add_landmark(particle: Particle, index: int, z: np.ndarray, noise: np.ndarray) -> None:
+    """Initialise a landmark from its first measurement."""
+    distance, bearing = z[0], particle.pose[2] + z[1]
     cosine, sine = math.cos(bearing), math.sin(bearing)
-    one.mean[index] = one.pose[:2] + distance * np.array([cosine, sine])
+    particle.mean[index] = particle.pose[:2] + distance * np.array([cosine, sine])
     jacobian = np.array([[cosine, -distance * sine], [sine, distance * cosine]])
-    one.covariance[index] = jacobian @ noise @ jacobian.T
-    one.is_seen[index] = True
+    particle.covariance[index] = jacobian @ noise @ jacobian.T
+    particle.is_seen[index] = True
 
 
 def linearise(
-    one: Particle, index: int, measured: np.ndarray, noise: np.ndarray
+    particle: Particle, index: int, z: np.ndarray, noise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute innovation [2], measurement Jacobian [2, 2] and innovation covariance [2, 2]."""
-    dx, dy = one.mean[index] - one.pose[:2]
+    dx, dy = particle.mean[index] - particle.pose[:2]
     squared = dx * dx + dy * dy
     distance = math.sqrt(squared)
     jacobian = np.array([[dx / distance, dy / distance], [-dy / squared, dx / squared]])
-    predicted = np.array([distance, wrap(math.atan2(dy, dx) - one.pose[2])])
-    innovation = measured - predicted
+    predicted = np.array([distance, wrap(math.atan2(dy, dx) - particle.pose[2])])
+    innovation = z - predicted
     innovation[1] = wrap(innovation[1])
-    return innovation, jacobian, jacobian @ one.covariance[index] @ jacobian.T + noise
+    return innovation, jacobian, jacobian @ particle.covariance[index] @ jacobian.T + noise
 
 
-def weigh_landmark(one: Particle, index: int, measured: np.ndarray, noise: np.ndarray) -> float:
+def weigh_landmark(particle: Particle, index: int, z: np.ndarray, noise: np.ndarray) -> float:
     """Evaluate the likelihood of a measurement."""
-    innovation, _, spread = linearise(one, index, measured, noise)
-    squared = float(innovation @ np.linalg.inv(spread) @ innovation)
-    return math.exp(-0.5 * squared) / (2.0 * math.pi * math.sqrt(np.linalg.det(spread)))
+    innovation, _, innovation_cov = linearise(particle, index, z, noise)
+    squared = float(innovation @ np.linalg.inv(innovation_cov) @ innovation)
+    return math.exp(-0.5 * squared) / (2.0 * math.pi * math.sqrt(np.linalg.det(innovation_cov)))
 
 
-def update_landmark(one: Particle, index: int, measured: np.ndarray, noise: np.ndarray) -> None:
-    """Condition one landmark on range and bearing."""
-    innovation, jacobian, spread = linearise(one, index, measured, noise)
-    shared = one.covariance[index] @ jacobian.T
-    root = np.linalg.inv(np.linalg.cholesky(0.5 * (spread + spread.T)).T)
-    half = shared @ root
-    one.mean[index] += half @ root.T @ innovation
-    one.covariance[index] -= half @ half.T
+def update_landmark(particle: Particle, index: int, z: np.ndarray, noise: np.ndarray) -> None:
+    """Update one landmark by the EKF with range and bearing."""
+    innovation, jacobian, innovation_cov = linearise(particle, index, z, noise)
+    cross_cov = particle.covariance[index] @ jacobian.T
+    root = np.linalg.inv(np.linalg.cholesky(0.5 * (innovation_cov + innovation_cov.T)).T)
+    gain_root = cross_cov @ root
+    particle.mean[index] += gain_root @ root.T @ innovation
+    particle.covariance[index] -= gain_root @ gain_root.T
 
 
-def resample(particles: list[Particle], random: np.random.Generator) -> list[Particle]:
-    """Draw particles anew by weight where too few count."""
-    number = len(particles)
-    weight = np.array([one.weight for one in particles])
-    if 1.0 / float(weight @ weight) >= number / 1.5:
+def resample(particles: list[Particle], rng: np.random.Generator) -> list[Particle]:
+    """Resample systematically if the effective sample size is below two thirds."""
+    count = len(particles)
+    weight = np.array([particle.weight for particle in particles])
+    if 1.0 / float(weight @ weight) >= count / 1.5:
         return particles
     cumulative = np.cumsum(weight)
-    teeth = (np.arange(number) + random.random()) / number
-    drawn, index = [], 0
-    for tooth in teeth:
-        while index < number - 1 and tooth > cumulative[index]:
+    positions = (np.arange(count) + rng.random()) / count
+    resampled, index = [], 0
+    for position in positions:
+        while index < count - 1 and position > cumulative[index]:
             index += 1
-        drawn.append(copy_of(particles[index], 1.0 / number))
-    return drawn
+        resampled.append(copy_of(particles[index], 1.0 / count))
+    return resampled
 
 
-def copy_of(one: Particle, weight: float) -> Particle:
+def copy_of(particle: Particle, weight: float) -> Particle:
     """Copy a particle."""
-    other = Particle(weight)
-    other.pose, other.mean = one.pose.copy(), one.mean.copy()
-    other.covariance, other.is_seen = one.covariance.copy(), one.is_seen.copy()
-    return other
+    copy = Particle(weight)
+    copy.pose, copy.mean = particle.pose.copy(), particle.mean.copy()
+    copy.covariance, copy.is_seen = particle.covariance.copy(), particle.is_seen.copy()
+    return copy

@@ -1,4 +1,4 @@
-"""One core, one thread: what every comparison here runs on. Import it before JAX and NumPy."""
+"""Pin the process to one core and one thread. Import before JAX and NumPy."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Entries of the bench's document, their table, and what every script here prints."""
+"""Benchmark results: entries, their table, and the command line of the scripts."""
 
 import argparse
 import json
@@ -38,8 +38,8 @@ def entry(
     Returns:
         The entry; ``holds`` says whether the target is reached, None without one.
     """
-    judged = value if ratio is None else ratio
-    holds = None if target is None else bool(judged <= target if is_limit else judged >= target)
+    measured = value if ratio is None else ratio
+    holds = None if target is None else bool(measured <= target if is_limit else measured >= target)
     return {
         "name": name,
         "value": value,
@@ -52,13 +52,13 @@ def entry(
 
 
 def against(ours: float, theirs: float, target: float) -> Measurement:
-    """Fill in a comparison of costs."""
+    """Compare a cost with a baseline's, by their ratio."""
     ratio = theirs / ours
     return {"baseline": theirs, "ratio": ratio, "target": target, "holds": ratio >= target}
 
 
 def render(document: dict[str, Any]) -> Any:
-    """Draw the figures for people.
+    """Build a table of the results.
 
     Args:
         document: of ``run_bench``.
@@ -74,24 +74,24 @@ def render(document: dict[str, Any]) -> Any:
     )
     rows = [
         [
-            one["name"],
-            f"{one['value']:.3g} {one['unit']}".strip(),
-            *(_number(one[name]) for name in ("baseline", "ratio", "target")),
-            {True: "yes", False: "no", None: ""}[one["holds"]],
+            item["name"],
+            f"{item['value']:.3g} {item['unit']}".strip(),
+            *(_number(item[name]) for name in ("baseline", "ratio", "target")),
+            {True: "yes", False: "no", None: ""}[item["holds"]],
         ]
-        for one in document["entries"]
+        for item in document["entries"]
     ]
     headings = ["Measured", "Ours", "Baseline", "Ratio", "Target", "Holds"]
     return Table(headings=headings, rows=rows, title="Speed", caption=caption).text()
 
 
 def _number(value: float | None) -> str:
-    """Write a number, or nothing."""
+    """Format a number, or "" for None."""
     return "" if value is None else f"{value:.3g}"
 
 
 def main(entries: Callable[..., list[Measurement]], about: str | None, core: int | None) -> None:
-    """Run one comparison as a script.
+    """Run one benchmark as a script.
 
     Args:
         entries: measures; takes ``is_quick``.

@@ -1,7 +1,7 @@
-"""One drive past eight landmarks, for filters that are compared with each other.
+"""Simulated SLAM scenario with eight landmarks, to compare filters.
 
 The robot knows its heading, as ours does; odometry has noise in each axis; all landmarks are in
-range all the time, each of a type of its own, so that every detection is known to be whose.
+range all the time, each with a unique type, so that the data association is known.
 """
 
 import dataclasses
@@ -15,14 +15,14 @@ LANDMARKS = np.array(
 STEP = 0.5
 """Metres a step."""
 ODOMETRY_NOISE = 0.1
-"""Standard deviation per axis as a share of the way."""
+"""Standard deviation per axis as a fraction of the distance."""
 SENSOR_NOISE = 0.1
 """Standard deviation of a relative position, each axis, metres."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Drive:
-    """What the robot did and measured; T steps, L landmarks. Metres, map axes."""
+    """Ground truth and measurements of a drive; T steps, L landmarks. Metres, map axes."""
 
     truth: np.ndarray
     """f64[T, 2] positions after each step; the start is the origin, known."""
@@ -42,21 +42,21 @@ def drive(num_steps: int, seed: int) -> Drive:
     Returns:
         The drive.
     """
-    random = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     angle = STEP / 3.0 * np.arange(num_steps)
     moves = STEP * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     truth = np.cumsum(moves, axis=0)
-    odometry = moves + ODOMETRY_NOISE * STEP * random.normal(size=moves.shape)
+    odometry = moves + ODOMETRY_NOISE * STEP * rng.normal(size=moves.shape)
     offsets = LANDMARKS[None] - truth[:, None]
     return Drive(
         truth=truth,
         odometry=odometry,
-        offsets=offsets + SENSOR_NOISE * random.normal(size=offsets.shape),
+        offsets=offsets + SENSOR_NOISE * rng.normal(size=offsets.shape),
     )
 
 
 def error(robot: np.ndarray, landmarks: np.ndarray, of: Drive) -> float:
-    """Measure an estimate at the end of a drive.
+    """Compute the error of an estimate at the end of a drive.
 
     Args:
         robot: f64[2], metres.
@@ -66,6 +66,6 @@ def error(robot: np.ndarray, landmarks: np.ndarray, of: Drive) -> float:
     Returns:
         Root mean square over robot and landmarks, metres.
     """
-    found = np.concatenate([robot[None], landmarks])
+    estimated = np.concatenate([robot[None], landmarks])
     true = np.concatenate([of.truth[-1:], LANDMARKS])
-    return float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum((estimated - true) ** 2, axis=1))))

@@ -1,9 +1,9 @@
-"""A camera that tells in what direction a thing is and not how far: a sensor model of one's own.
+"""A custom sensor model: a camera that measures bearings without ranges.
 
     python examples/bearing_camera.py 100  # episodes in Table 2's worlds, seen 5 m far
 
-Every particle draws how far a new thing is. As the robot drives, the direction changes, and the
-particles that took it to be elsewhere lose their weight.
+Every particle samples the range of a new object. As the robot moves, the bearing changes, and the
+particles with a wrong range lose their weight.
 """
 
 import math
@@ -22,7 +22,7 @@ from jaxlangnav.terrain import POSITIONS, SensorModel
 from jaxlangnav.terrain.view import wrapped
 
 NEAREST = 0.3
-"""Metres: nothing is taken to be nearer, where a direction would tell too much."""
+"""Metres; lower bound of ranges, where a bearing would be too informative."""
 
 
 @pytree
@@ -33,32 +33,32 @@ class BearingCamera(SensorModel):
 
     @property
     def is_located(self) -> bool:
-        """It tells no distance."""
+        """False: it measures no range."""
         return False
 
     def simulate(
         self, normal: Array, ahead: Array, left: Array, sensor: SensorParams
     ) -> tuple[Array, Array]:
-        """Report the end of the ray."""
+        """Simulate a noisy bearing at the maximum range."""
         bearing = jnp.arctan2(left, ahead) + self.noise * normal[0]
         return sensor.range_max * jnp.cos(bearing), sensor.range_max * jnp.sin(bearing)
 
     def variance(self, x: Array, y: Array, sensor: SensorParams) -> Array:
-        """Compute R = (σ r)², r the distance at which a particle takes the thing to be."""
+        """Compute R = (σ r)², r the range of the object in a particle."""
         return self.noise**2 * jnp.maximum(x * x + y * y, NEAREST**2)
 
     def draw_range(self, uniform: Array, metres: Array, sensor: SensorParams) -> Array:
-        """Draw evenly over the area that is in view along the ray."""
+        """Sample a range along the ray, uniform over the area in view."""
         return (metres[:, None] * jnp.sqrt(uniform))[:, None]
 
     def log_volume(self, sensor: SensorParams) -> Array:
-        """A ray sweeps ½ r² square metres per radian."""
+        """Compute log ½ r², the area of a ray in square metres per radian."""
         return jnp.log(0.5 * sensor.range_max**2)
 
     def match(
         self, seen: tuple[Array, Array], place: tuple[Array, Array], variance: Array
     ) -> tuple[Array, Array, Array]:
-        """Evaluate the Gaussian of the bearing; the thing stays as far as it was."""
+        """Evaluate the Gaussian of the bearing; the object's range is unchanged."""
         metres = jnp.maximum(jnp.hypot(*place), NEAREST)
         bearing = jnp.arctan2(seen[1], seen[0])
         aside = metres * wrapped(bearing - jnp.arctan2(place[1], place[0]))

@@ -1,4 +1,4 @@
-"""A policy with a small network, trained by evolution strategies, beside the paper's and ours.
+"""Train a small neural policy by evolution strategies, and compare it with the shipped ones.
 
     python examples/trained_policy.py 30  # steps of training, each of 16 times 56 episodes
 
@@ -30,8 +30,8 @@ from jaxlangnav.semantic_map.params import MapParams
 
 TEXT = "go to the hydrant behind the cone"
 HIDDEN, FEATURES, PAIRS = 8, 5, 8
-SPREAD, RATE = 0.1, 0.1  # of the weights tried about the present ones; of Adam
-FAILURE = 30.0  # metres that an episode without success costs besides
+SIGMA, LEARNING_RATE = 0.1, 0.1  # perturbation of the weights; of Adam
+PENALTY = 30.0  # metres, added for an episode without success
 
 
 @pytree
@@ -43,19 +43,19 @@ class Learned(Policy):
     outward: Array  # f32[HIDDEN]
 
     def init(self, belief: ParticleBelief) -> Waypoint:
-        """Begin on the way to nowhere."""
+        """Start without a waypoint."""
         return Keeping(self.value).init(belief)
 
     def step(self, key: Array, memory: Waypoint, situation: Situation) -> tuple[Waypoint, Decision]:
-        """Go on to the waypoint under way, or to the best of the paper's nodes."""
+        """Keep the current waypoint, or choose the best of the paper's nodes."""
         return Keeping(self.value).step(key, memory, situation)
 
     def map_params(self, params: MapParams) -> MapParams:
-        """Take every word to be true, as the paper does."""
+        """Assume that every annotation is true, as the paper does."""
         return Faithful().map_params(params)
 
     def value(self, situation: Situation) -> Valuation:
-        """Value the nodes; the stop is the paper's."""
+        """Compute the values of the nodes; the stop rule is the paper's."""
         paper, nodes = qmdp_value(situation), situation.nodes
 
         def in_view(x: Array, y: Array) -> Array:
@@ -63,47 +63,47 @@ class Learned(Policy):
 
         log_value = jnp.log(paper.goal_value + 1e-6)
         is_visited, is_object = nodes.kind == VISITED, nodes.kind == OBJECT_NODE
-        seen = jax.vmap(in_view)(nodes.x, nodes.y)
-        given = [log_value / 5.0, situation.distance / 10.0, seen, is_visited, is_object]
-        hidden = jnp.tanh(jnp.stack(given, axis=1) @ self.inward + self.bias[None])
+        goal_in_view = jax.vmap(in_view)(nodes.x, nodes.y)
+        inputs = [log_value / 5.0, situation.distance / 10.0, goal_in_view, is_visited, is_object]
+        hidden = jnp.tanh(jnp.stack(inputs, axis=1) @ self.inward + self.bias[None])
         return replace(paper, goal_value=jnp.exp(log_value + hidden @ self.outward))
 
 
-def rows(policy: Policy | str, tasks: Task) -> RowMetrics:
+def evaluate(policy: Policy | str, tasks: Task) -> RowMetrics:
     """Run a policy on tasks, and summarise its episodes."""
-    found = run_policy(policy, tasks, ground_sentences([TEXT]).instructions)
-    return summarize(found, known_distances(tasks))
+    results = run_policy(policy, tasks, ground_sentences([TEXT]).instructions)
+    return summarize(results, known_distances(tasks))
 
 
 def train(tasks: Task, steps: int) -> Learned:
     """Descend the mean cost by antithetic evolution strategies and Adam."""
-    random = np.random.default_rng(0)
-    inward = jnp.asarray(random.normal(size=(FEATURES, HIDDEN)), jnp.float32)
-    begin = Learned(inward=inward, bias=jnp.zeros(HIDDEN), outward=jnp.zeros(HIDDEN))
-    weights, unravel = ravel_pytree(begin)
-    search = optax.adam(RATE)
-    memory = search.init(weights)
+    rng = np.random.default_rng(0)
+    inward = jnp.asarray(rng.normal(size=(FEATURES, HIDDEN)), jnp.float32)
+    initial = Learned(inward=inward, bias=jnp.zeros(HIDDEN), outward=jnp.zeros(HIDDEN))
+    weights, unravel = ravel_pytree(initial)
+    optimizer = optax.adam(LEARNING_RATE)
+    opt_state = optimizer.init(weights)
     for step in range(steps):
-        tried = random.normal(size=(PAIRS, weights.size)).astype(np.float32)
-        found = [rows(unravel(weights + SPREAD * one), tasks) for one in (*tried, *-tried)]
-        costs = np.array([f.distance_mean + FAILURE * (1.0 - f.success_rate / 100) for f in found])
-        slope = (costs[:PAIRS] - costs[PAIRS:]) @ tried / (2.0 * SPREAD * PAIRS)
-        change, memory = search.update(jnp.asarray(slope), memory)
-        weights = optax.apply_updates(weights, change)
+        noise = rng.normal(size=(PAIRS, weights.size)).astype(np.float32)
+        rows = [evaluate(unravel(weights + SIGMA * eps), tasks) for eps in (*noise, *-noise)]
+        costs = np.array([m.distance_mean + PENALTY * (1.0 - m.success_rate / 100) for m in rows])
+        gradient = (costs[:PAIRS] - costs[PAIRS:]) @ noise / (2.0 * SIGMA * PAIRS)
+        updates, opt_state = optimizer.update(jnp.asarray(gradient), opt_state)
+        weights = optax.apply_updates(weights, updates)
         print(f"step {step}: {costs.mean():.2f} m", flush=True)
     return unravel(weights)
 
 
 def main(steps: str = "30") -> dict[str, RowMetrics]:
-    """Train in some worlds, and compare in others."""
+    """Train, and compare in test worlds."""
     keep_compiled_programs()
     trained = train(make_tasks(cell("1H1C", "behind", 0, 3.0, 64, seed=1)), int(steps))
     tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 256, seed=2))
-    compared = {"learned": trained, "faithful": "faithful", "informed": "informed"}
-    found = {name: rows(policy, tasks) for name, policy in compared.items()}
-    for name, row in found.items():
+    policies = {"learned": trained, "faithful": "faithful", "informed": "informed"}
+    results = {name: evaluate(policy, tasks) for name, policy in policies.items()}
+    for name, row in results.items():
         print(f"{name:<10}{row.success_rate:6.1f} % {row.distance_mean:6.2f} m")
-    return found
+    return results
 
 
 if __name__ == "__main__":
