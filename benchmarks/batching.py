@@ -107,11 +107,11 @@ def worked_out_once() -> Case:
 
 def one_table() -> Case:
     """Resample the particles of all lanes."""
-    one = particle.empty(OBJECTS, 6, jnp.float32(0.0), jnp.float32(0.0))
+    empty = particle.empty(OBJECTS, 6, jnp.float32(0.0), jnp.float32(0.0))
     shape = (LANES, PARTICLES)
     many = jax.tree.map(
         lambda leaf: jnp.broadcast_to(leaf[None, ..., None], (LANES, *leaf.shape, PARTICLES)) + 0,
-        one,
+        empty,
     )
     ancestors = jnp.asarray(np.sort(np.random.default_rng(3).integers(PARTICLES, size=shape)))
 
@@ -119,7 +119,7 @@ def one_table() -> Case:
         return jax.tree.map(lambda leaf: leaf[..., ancestors], particles)
 
     def of_lanes(take: Callable[[Any, Any], Any]) -> Program:
-        return lambda given: jax.vmap(take)(*given)
+        return lambda args: jax.vmap(take)(*args)
 
     return of_lanes(batching.take), of_lanes(plainly), (many, ancestors)
 
@@ -131,12 +131,12 @@ def one_draw() -> Case:
     def shared(keys: Any) -> Any:
         return jax.vmap(lambda own: batching.uniforms(own, 5 * PARTICLES))(keys)
 
-    def apart(keys: Any) -> Any:
+    def separate(keys: Any) -> Any:
         return jax.vmap(lambda own: [jax.random.uniform(key, (5 * PARTICLES,)) for key in own])(
             keys
         )
 
-    return shared, apart, keys
+    return shared, separate, keys
 
 
 TRICKS = (batch_axes_last, rows, short_tables, worked_out_once, one_table, one_draw)
@@ -160,12 +160,12 @@ def entries(*, is_quick: bool = False) -> list[Measurement]:
     """Measure every case, optimized and plain alternately."""
     repetitions, table = 5 if is_quick else 25, []
     for trick in TRICKS:
-        *programs, given = trick()
-        compiled = [compile_program(program, given) for program in programs]
+        *programs, inputs = trick()
+        compiled = [compile_program(program, inputs) for program in programs]
         samples: list[list[float]] = [[], []]
         for _ in range(repetitions):
             for cpu_times, (program, _) in zip(samples, compiled, strict=True):
-                cost = measure(functools.partial(call_repeatedly, program, given), 1)
+                cost = measure(functools.partial(call_repeatedly, program, inputs), 1)
                 cpu_times.append(cost.cpu / CALLS)
         ours, plain = (1e6 * float(np.median(cpu_times)) for cpu_times in samples)
         name = trick.__name__.replace("_", " ")

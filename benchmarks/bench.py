@@ -51,7 +51,7 @@ MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(SENSING_RANGES) * 100
 """Episodes of the paper's simulations: templates, commands, ranges, runs."""
 _PATIENCE = 10.0
 """Seconds after which no measurement is repeated."""
-Tell = Callable[[str, int], None]
+OnProgress = Callable[[str, int], None]
 Stage = tuple[str, Callable[[], list[Measurement]]]
 """Description of a measurement, and its function."""
 
@@ -68,7 +68,7 @@ class Workbench:
     is_quick: bool
 
 
-def run_bench(bench: Workbench, *, on_progress: Tell | None = None) -> dict[str, Any]:
+def run_bench(bench: Workbench, *, on_progress: OnProgress | None = None) -> dict[str, Any]:
     """Measure speed.
 
     Args:
@@ -81,10 +81,10 @@ def run_bench(bench: Workbench, *, on_progress: Tell | None = None) -> dict[str,
     """
     machine = describe_machine()
     entries: list[Measurement] = []
-    for index, (name, work) in enumerate(stages(bench)):
+    for index, (name, measure_stage) in enumerate(stages(bench)):
         if on_progress is not None:
             on_progress(name, min(index, 1))
-        entries += work()
+        entries += measure_stage()
     return {"machine": machine, "entries": entries}
 
 

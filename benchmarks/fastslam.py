@@ -213,7 +213,7 @@ def entries(*, is_quick: bool) -> list[Measurement]:
     core, core_error = ours(run_core, drives, repetitions)
     readings_batch = ground_sentences([SENTENCES["null"]]).instructions.readings
     readings = jax.tree.map(lambda leaf: leaf[0], readings_batch)
-    whole, whole_error = ours(lambda *a: run_whole(*a, readings=readings), drives, repetitions)
+    full, full_error = ours(lambda *a: run_whole(*a, readings=readings), drives, repetitions)
     loop, loop_error = looping(drives)
     rival, dynamax_error = dynamax(drives, repetitions)
     unit = "µs CPU per particle and step"
@@ -221,14 +221,14 @@ def entries(*, is_quick: bool) -> list[Measurement]:
         entry("filter step against FastSLAM 1.0 as a NumPy loop", core, unit)
         | against(core, loop, 300.0),
         entry("filter step against dynamax's rbpfilter", core, unit) | against(core, rival, 100.0),
-        entry("whole filter, words and absences too, against FastSLAM 1.0", whole, unit)
-        | against(whole, loop, 300.0),
+        entry("whole filter, words and absences too, against FastSLAM 1.0", full, unit)
+        | against(full, loop, 300.0),
         entry("error of the filter step against FastSLAM 1.0", core_error, "m")
         | against(core_error, loop_error, ERROR_RATIO),
         entry("error of the filter step against dynamax's rbpfilter", core_error, "m")
         | against(core_error, dynamax_error, ERROR_RATIO),
-        entry("error of the whole filter against FastSLAM 1.0", whole_error, "m")
-        | against(whole_error, loop_error, ERROR_RATIO),
+        entry("error of the whole filter against FastSLAM 1.0", full_error, "m")
+        | against(full_error, loop_error, ERROR_RATIO),
     ]
 
 

@@ -4,7 +4,7 @@ It does the main work of ``navigator.step`` for one relation ("the figure behind
 the order of section 3: move, ground detections, condition the joint Gaussian, weigh what was and
 was not seen, ground the words anew in refuted particles, resample, infer the goal in every
 particle, choose among frontiers, objects and the tours of the informed policy
-(``numpy_twin_choice``). It leaves out several readings, superlatives, the children's beams of the
+(``twin_choose``). It leaves out several readings, superlatives, the children's beams of the
 behavior model, constraints and the bookkeeping of anchors, so it does *less* than the engine:
 ratios against it are on the safe side. It serves the benchmark only; nothing navigates with it.
 

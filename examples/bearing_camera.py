@@ -56,13 +56,13 @@ class BearingCamera(SensorModel):
         return jnp.log(0.5 * sensor.range_max**2)
 
     def match(
-        self, seen: tuple[Array, Array], place: tuple[Array, Array], variance: Array
+        self, detected: tuple[Array, Array], expected: tuple[Array, Array], variance: Array
     ) -> tuple[Array, Array, Array]:
         """Evaluate the Gaussian of the bearing; the object's range is unchanged."""
-        metres = jnp.maximum(jnp.hypot(*place), NEAREST)
-        bearing = jnp.arctan2(seen[1], seen[0])
-        aside = metres * wrapped(bearing - jnp.arctan2(place[1], place[0]))
-        log_density = -0.5 * (aside**2 / variance + jnp.log(2.0 * jnp.pi * variance))
+        metres = jnp.maximum(jnp.hypot(*expected), NEAREST)
+        bearing = jnp.arctan2(detected[1], detected[0])
+        lateral = metres * wrapped(bearing - jnp.arctan2(expected[1], expected[0]))
+        log_density = -0.5 * (lateral**2 / variance + jnp.log(2.0 * jnp.pi * variance))
         return log_density + jnp.log(metres), metres * jnp.cos(bearing), metres * jnp.sin(bearing)
 
     def log_fit(self, sensor: SensorParams) -> Array:

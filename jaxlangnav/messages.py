@@ -1,9 +1,9 @@
-"""What the subsystems say to each other.
+"""Records passed between the subsystems.
 
-Language tells the map its ``Readings``; the world tells the navigator an ``Observation``;
-grounding tells the planner a ``Behavior``; the navigator tells the robot an ``Action``.
-The specification of the sensor and of the odometry (``SensorParams``, ``MotionParams``) stands
-here too, because a simulated world and the belief both read it and must never import each other.
+Language passes ``Readings`` to the map; the world passes an ``Observation`` to the navigator;
+grounding passes a ``Behavior`` to the planner; the navigator passes an ``Action`` to the robot.
+The specification of the sensor and of the odometry (``SensorParams``, ``MotionParams``) is
+here too, because a simulated world and the belief both use it and must never import each other.
 
 Axis letters, for the whole package: **E** episodes, **P** particles, **N** object slots,
 **M** mentions, **J** annotated relations, **K** readings, **H** phrases, **C** clauses,
@@ -29,74 +29,74 @@ RELATIONS = ("front", "behind", "left", "right", "near", "far")
 """The six relations of section 3.1; an index into this tuple is a relation index."""
 FRONT, BEHIND, LEFT, RIGHT, NEAR, FAR = range(6)
 AT = 6
-"""Region "at an object": the seventh region of the behavior symbols."""
+"""Region "at an object", the seventh region of the behavior symbols."""
 REGIONS = (*RELATIONS, "at")
 BETWEEN = 7
-"""The relation with two landmarks ("between the cone and the car"): a reading has it with each."""
+"""The relation with two landmarks ("between the cone and the car"): one edge for each of them."""
 ACTIONS = ("navigate", "find")
 MODES = ("normal", "quickly", "carefully")
 NONE = -1
 """Sentinel: no relation, no mention, no slot."""
 ROBOT = -2
 """Sentinel type of the robot itself, where it is the landmark ("on your left")."""
-FAR_SIGHTED = 1000.0
-"""Metres of a sensing range beyond which it is rather in millimetres."""
+MAX_PLAUSIBLE_RANGE = 1000.0
+"""Sensing range, metres, above which a warning is logged: probably millimetres."""
 _log = logging.getLogger(__name__)
 
 
 class Fault(enum.IntFlag):
-    """Why a look is left out and the robot stands still; ``Fault(int(info.fault))`` names them.
+    """Reasons why an observation is discarded and the robot stands still; bits of ``info.fault``.
 
-    A flag stays up until a sound look comes; ``PLACE`` until the robot is started anew.
+    A flag is cleared by the next valid observation, ``PLACE`` only by a new start.
     """
 
-    PLACE = 1  # the operating area, or the pose at the start, cannot be
-    POSE = 2  # the pose is not finite, or far out of the operating area
-    JUMP = 4  # the pose is farther from the last one than the robot can have gone
-    SENSOR = 8  # the detector's specification cannot be
-    DETECTION = 16  # a detection is out of range, out of view, or of no known type
-    CONTRADICTION = 32  # two detections are of one place
-    WEIGHTS = 64  # no particle had any weight left, and all have been made equal
-    COMMAND = 128  # nothing has been asked for
+    PLACE = 1  # the operating area or the initial pose is invalid
+    POSE = 2  # the pose is not finite, or far outside the operating area
+    JUMP = 4  # the pose is farther from the last one than the robot can have moved
+    SENSOR = 8  # the sensor specification is invalid
+    DETECTION = 16  # a detection is out of range, out of view, or of an unknown type
+    CONTRADICTION = 32  # two detections have the same position
+    WEIGHTS = 64  # all particle weights were zero, and have been reset to uniform
+    COMMAND = 128  # there is no command
 
 
 class Status(enum.IntEnum):
-    """What the robot is doing about its task, or how the task ended: ``Action.status``.
+    """State or termination of the robot's task: ``Action.status``.
 
-    ``Status(int(action.status)).word`` names it. The first two are under way; ``ARRIVED``,
-    ``NOT_FOUND``, ``WHICH_ONE`` and ``BLOCKED`` are endings: the robot stands still until it hears
+    ``Status(int(action.status)).word`` names it. The first two are in progress; ``ARRIVED``,
+    ``NOT_FOUND``, ``WHICH_ONE`` and ``BLOCKED`` end the task: the robot stands still until it hears
     more.
     """
 
-    SEARCHING = 0  # looking for the goal, or for what tells it from others
-    APPROACHING = 1  # on its way to something seen that may be the goal
+    SEARCHING = 0  # exploring for the goal, or for objects that disambiguate it
+    APPROACHING = 1  # moving to an observed object that may be the goal
     ARRIVED = 2  # the command has been carried out
-    NOT_FOUND = 3  # what can be looked at has been looked at, and there is no goal
-    HALTED = 4  # it was told to halt; the task is kept
-    IDLE = 5  # there is nothing to do
-    WHICH_ONE = 6  # several things may be meant, and there is nothing left to see that would tell
-    BLOCKED = 7  # it cannot get there, and has tried other ways
+    NOT_FOUND = 3  # the area has been explored, and there is no goal
+    HALTED = 4  # stopped by an utterance; the task is kept
+    IDLE = 5  # there is no task
+    WHICH_ONE = 6  # the command is ambiguous, and nothing is left to explore that would resolve it
+    BLOCKED = 7  # the goal is unreachable, and other paths have been tried
 
     @property
     def word(self) -> str:
-        """The status in words as documents hold it: "not_found"."""
+        """The lower-case name, as used in documents: "not_found"."""
         return self.name.lower()
 
 
 @pytree
 class Readings:
-    """The k best readings of an instruction: what it says of the unseen world (section 3.1).
+    """The k best readings of an instruction: its annotations of the unseen world (section 3.1).
 
-    A reading names up to M things (mentions) and up to J relations among them, ordered so that
-    each relation touches a mention that an earlier relation has touched, or a new pair.
-    Things of one type in one reading are one thing.
+    A reading has up to M mentions (objects) and up to J relations among them, ordered so that
+    each relation shares a mention with an earlier one, or begins a new pair.
+    Mentions of one type in one reading are the same object.
     """
 
     mention_type: Array  # i32[K, M] object type (``object_types``); ROBOT; NONE in empty slots
-    figure: Array  # i32[K, J] mention index of what is placed; NONE in empty slots
-    relation: Array  # i32[K, J] in ``relations.REGISTRY``; NONE where the thing merely exists
-    landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
-    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; or 0
+    figure: Array  # i32[K, J] mention index of the figure; NONE in empty slots
+    relation: Array  # i32[K, J] in ``relations.REGISTRY``; NONE for an object without relation
+    landmark: Array  # i32[K, J] mention index of the landmark; NONE where relation is NONE
+    rank: Array  # i32[K, J] superlative rank among the figure's type: 1 first, 2 second; 0 none
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
     def edges(self, reading: int = 0) -> np.ndarray:
@@ -107,36 +107,36 @@ class Readings:
 
 @pytree
 class UtteranceContext:
-    """Where relations of ``Readings`` were heard, and what their mentions exclude, by utterance."""
+    """Viewpoint of each relation of ``Readings``, and the objects excluded for each mention."""
 
-    viewer: Array  # f32[K, J, 3] x, y, heading of the robot as it heard each relation; map frame
-    excluded: Array  # i32[K, M] observed slots that a mention is not: bit s is slot s
+    viewer: Array  # f32[K, J, 3] robot pose (x, y, heading) when the relation was heard; map frame
+    excluded: Array  # i32[K, M] bit mask of observed slots excluded for a mention: bit s is slot s
 
 
 @pytree
 class BehaviorWorld:
-    """One particle's objects as the behavior model sees them (section 3.3).
+    """One particle's objects as input of the behavior model (section 3.3).
 
     The last slot, index N, is the robot itself (type ``ROBOT``), so that "on your left" has a
     landmark. Relations are the edges of the particle's topology, or geometry on the host.
     """
 
-    object_type: Array  # i32[N + 1] object kind; ROBOT last
+    object_type: Array  # i32[N + 1] object type; ROBOT last
     is_object: Array  # bool[N + 1]
     is_related: Array  # bool[6, N + 1, N + 1] relation, figure slot, landmark slot
-    is_superlative: Array  # bool[6, N + 1, N + 1] and no other of the figure's type more so
-    is_later: Array  # bool[6, N + 1, N + 1] the second, third, ... that the sentence means
+    is_superlative: Array  # bool[6, N + 1, N + 1] related, and the extreme one of the figure's type
+    is_later: Array  # bool[6, N + 1, N + 1] related, with the sentence's rank (second, third, ...)
     is_previous: Array  # bool[N + 1] the goal of the previous command ("the other cone")
 
 
 @pytree
 class Behavior:
-    """Distribution over behaviors at the root of the parse tree, one world (section 3.3)."""
+    """Behavior distribution at the root of the parse tree, for one world (section 3.3)."""
 
     action: Array  # f32[2] probability of navigate, find
     mode: Array  # f32[3] probability of normal, quickly, carefully
     goal: Array  # f32[7, N + 1] probability of each goal region; sums to 1 - p(no goal here)
-    constraint: Array  # f32[7, N + 1] probability that each region is to be kept out of
+    constraint: Array  # f32[7, N + 1] probability that each region is to be avoided
 
 
 @pytree
@@ -183,25 +183,25 @@ class MotionParams:
 
 
 DRIFTS = ("heading_bias", "heading_noise", "turn_noise")
-"""What of ``MotionParams`` makes the heading drift; all of them 0 where a compass gives it."""
+"""Fields of ``MotionParams`` for heading drift; all 0 with a compass."""
 
 
 def is_drifting(motion: MotionParams) -> bool:
-    """Tell whether the heading drifts (host only): without a compass it does."""
+    """Test whether the motion model has heading drift, as without a compass (host only)."""
     return any(float(jnp.max(getattr(motion, name))) > 0.0 for name in DRIFTS)
 
 
 @pytree
 class Observation:
-    """What a robot senses in one decision cycle."""
+    """Sensor data of one decision cycle."""
 
     pose: Array  # f32[3] x, y, heading by dead reckoning since the start; map frame, m, rad
     detection_type: Array  # i32[D] object type: index into the detector's labels
     detection_range: Array  # f32[D] metres
     detection_bearing: Array  # f32[D] radians, robot frame, counter-clockwise from the heading
     is_detection: Array  # bool[D]
-    sensor: SensorParams  # the specification in force (range, field of view)
-    detection_attribute: Array | None = None  # i32[D] codes of ``attributes``; 0 not known
+    sensor: SensorParams  # the current specification (range, field of view)
+    detection_attribute: Array | None = None  # i32[D] codes of ``attributes``; 0 unknown
 
     @classmethod
     def of(
@@ -212,7 +212,7 @@ class Observation:
         *,
         types: Sequence[str] = observations.TYPES,
     ) -> Self:
-        """Build the observation of one look, padded, cast and checked (host only).
+        """Build a padded, cast and validated observation (host only).
 
         However many are detected, up to eight take the same compiled program; up to 16, 32 and
         64 take one each.
@@ -234,21 +234,21 @@ class Observation:
             ValueError: what cannot be, such as an unknown type, degrees for radians or a range
                 beyond the sensor's: one line that names the value, the limit and the remedy.
         """
-        given = default_sensor() if sensor is None else sensor
-        if not isinstance(given, SensorParams):
+        params = default_sensor() if sensor is None else sensor
+        if not isinstance(params, SensorParams):
             raise ValueError(
-                f"sensor is {quote(given)}, but must be SensorParams, "
+                f"sensor is {quote(params)}, but must be SensorParams, "
                 "as of default_sensor(range_max)"
             )
-        numbers = check_sensor(given)
-        found: dict[str, Any] = observations.detected(detections, numbers, types)
-        found["pose"] = observations.pose_numbers(pose)
+        numbers = check_sensor(params)
+        arrays: dict[str, Any] = observations.detected(detections, numbers, types)
+        arrays["pose"] = observations.pose_numbers(pose)
         # NumPy's numbers pass for JAX's: nothing is sent to a device before it is used.
-        return cls(sensor=_sensor(numbers), **found)
+        return cls(sensor=_sensor(numbers), **arrays)
 
 
 def assert_observation(observation: Observation) -> None:
-    """Check shapes and types of one robot's look, when a function of it is traced.
+    """Check shapes and types of an observation at trace time.
 
     Raises:
         AssertionError: names what is of another shape or type.
@@ -264,25 +264,25 @@ def assert_observation(observation: Observation) -> None:
 
 @pytree
 class Action:
-    """What the navigator asks of the robot."""
+    """Output of the navigator for the robot."""
 
-    waypoint: Array  # f32[2] map frame, metres: where to go in the end
+    waypoint: Array  # f32[2] map frame, metres: final destination
     step: Array  # f32[2] axes of odometry (the map's, with a compass), metres: displacement for
     # this decision cycle
-    is_stop: Array  # bool[] the task has ended: it is carried out, or cannot be
-    status: Array  # i32[] a Status: what the robot is doing, or how the task has ended
+    is_stop: Array  # bool[] the task has ended, successfully or not
+    status: Array  # i32[] a Status: state or termination of the task
     speed: Array  # f32[] factor on the normal speed, from the behavior's mode
     clearance: Array  # f32[] metres to keep from objects, from the behavior's mode
 
 
 def _sensor(numbers: Sequence[np.float32]) -> SensorParams:
-    """Put the numbers of a specification in their places."""
-    names = [one.name for one in dataclasses.fields(SensorParams)]
+    """Build the record from values in the order of its fields."""
+    names = [item.name for item in dataclasses.fields(SensorParams)]
     return SensorParams(**dict(zip(names, map(jnp.asarray, numbers), strict=True)))
 
 
 def check_sensor(sensor: SensorParams) -> tuple[np.float32, ...]:
-    """Hold a detector's specification against what it can be (host only).
+    """Validate a sensor specification (host only).
 
     Args:
         sensor: of one robot.
@@ -305,7 +305,7 @@ def default_sensor(
     false_detections: float = 0.0,
     mislabelled: float = 0.0,
 ) -> SensorParams:
-    """Build a detector: by default 95 % detection, 0.1 m noise, all round, never wrong.
+    """Build a sensor specification: by default 95 % detection, 0.1 m noise, 360°, no false labels.
 
     The specification matters: what is not seen where it would have been is evidence, and what is
     seen is as good as the detector is said to be.
@@ -328,7 +328,7 @@ def default_sensor(
     numbers = observations.sensor_numbers(
         range_max, field_of_view, detection_probability, noise, false_detections, mislabelled
     )
-    if numbers[0] > FAR_SIGHTED:
+    if numbers[0] > MAX_PLAUSIBLE_RANGE:
         _log.warning(
             "range_max is %g m: one look shows all that is there in the operating area, and what "
             "it does not show counts as not there; give metres, if these are millimetres",

@@ -1,6 +1,6 @@
-"""The one decorator behind every public record.
+"""The ``pytree`` decorator of all records.
 
-A record is a frozen, keyword-only dataclass that JAX knows as a pytree: its fields are
+A record is a frozen, keyword-only dataclass registered as a JAX pytree: its fields are
 leaves (arrays or further records) unless marked ``static``, which makes them part of the
 tree structure (hashable, compared at trace time).
 """
@@ -13,16 +13,16 @@ import jax.numpy as jnp
 
 _T = TypeVar("_T")
 RECORDS: dict[str, type] = {}
-"""Every record whose fields are all leaves, by its module and name: what a file may name."""
+"""Records without static fields by qualified name, for serialization."""
 
 
 def static(**kwargs: Any) -> Any:
-    """Mark a dataclass field as static: hashable metadata, no leaf; changing it recompiles."""
+    """Declare a static dataclass field: hashable metadata, not a leaf; changing it recompiles."""
     return dataclasses.field(metadata={"static": True}, **kwargs)
 
 
 def field(help: str, *, default: float | None = None) -> Any:
-    """Describe a parameter: what it is and in which unit (the command line's help), its default.
+    """Declare a parameter with its description and unit (the command line's help) and default.
 
     Args:
         help: one sentence; units first where it is a quantity.
@@ -31,10 +31,10 @@ def field(help: str, *, default: float | None = None) -> Any:
     Returns:
         The field.
     """
-    given: dict[str, Any] = {} if default is None else {"default": default}
-    if isinstance(default, float):  # built when it is asked for: an import touches no device
-        given = {"default_factory": lambda: jnp.float32(default)}
-    return dataclasses.field(metadata={"help": help}, **given)
+    kwargs: dict[str, Any] = {} if default is None else {"default": default}
+    if isinstance(default, float):  # built lazily: an import touches no device
+        kwargs = {"default_factory": lambda: jnp.float32(default)}
+    return dataclasses.field(metadata={"help": help}, **kwargs)
 
 
 @dataclass_transform(
@@ -51,8 +51,8 @@ def pytree(cls: type[_T]) -> type[_T]:
     """
     record: Any = dataclasses.dataclass(frozen=True, kw_only=True)(cls)
     data, meta = [], []
-    for one in dataclasses.fields(record):
-        (meta if one.metadata.get("static", False) else data).append(one.name)
+    for item in dataclasses.fields(record):
+        (meta if item.metadata.get("static", False) else data).append(item.name)
     jax.tree_util.register_dataclass(record, data_fields=data, meta_fields=meta)
     if not meta:
         RECORDS[f"{record.__module__}.{record.__qualname__}"] = record
@@ -60,27 +60,27 @@ def pytree(cls: type[_T]) -> type[_T]:
 
 
 def replace(record: _T, **changes: Any) -> _T:
-    """Copy a record with some fields changed (a typed ``dataclasses.replace``)."""
+    """Copy a record with some fields replaced (a typed ``dataclasses.replace``)."""
     source: Any = record  # a record is a dataclass, which the type T cannot say
     return dataclasses.replace(source, **changes)
 
 
-def strong(tree: _T) -> _T:
-    """Give every leaf a type of its own: arrays made of Python's numbers have a weak one.
+def strong_types(tree: _T) -> _T:
+    """Convert all leaves to strongly typed arrays.
 
-    JAX compiles a function anew for weakly typed arrays (``jnp.full(8, 2.0)``), though they hold
-    the same numbers.
+    JAX recompiles a function for weakly typed arrays (``jnp.full(8, 2.0)``), even with the same
+    values.
 
     Args:
         tree: any pytree of arrays and numbers.
 
     Returns:
-        The same values, none of them weakly typed; typed keys as they are.
+        The same values without weak types; PRNG keys are unchanged.
     """
 
-    def harden(leaf: Any) -> jax.Array:
+    def convert(leaf: Any) -> jax.Array:
         value = jnp.asarray(leaf)
         is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
         return value if is_key else jnp.asarray(value, value.dtype)
 
-    return jax.tree.map(harden, tree)
+    return jax.tree.map(convert, tree)

@@ -133,8 +133,8 @@ def _denotation(phrase: Phrase, world: PlacedWorld) -> tuple[int, ...]:
         return ()
     return tuple(
         index
-        for index, (kind, _, _) in enumerate(world.objects)
-        if type_name in (None, kind) and not (is_other and index == world.previous)
+        for index, (name, _, _) in enumerate(world.objects)
+        if type_name in (None, name) and not (is_other and index == world.previous)
     )
 
 
@@ -155,23 +155,23 @@ def _restrict(children: list[_Behavior], world: PlacedWorld, is_among_part: bool
     regions = [modifier.regions or () for modifier in modifiers]
     if base.objects is None:
         return _regions(tuple(itertools.chain(*regions)), world)
-    geometry, kinds = geometry_of(world), np.array([kind for kind, _, _ in world.objects])
+    geometry, types = geometry_of(world), np.array([type_name for type_name, _, _ in world.objects])
 
     def select(objects: tuple[int, ...], *, is_ranked: bool) -> tuple[int, ...]:
-        wanted = [r for r in regions if any(order for _, _, order in r) == is_ranked]
-        candidates = np.isin(np.arange(len(kinds)), objects) if is_among_part else kinds == kinds
+        selected = [r for r in regions if any(order for _, _, order in r) == is_ranked]
+        candidates = np.isin(np.arange(len(types)), objects) if is_among_part else types == types
 
         def fits(figure: int, region: tuple[str, int, int]) -> bool:
             relation, landmark, order = region
             index = RELATIONS.index(relation)
             if figure == landmark or not order:
                 return figure != landmark and bool(geometry.holds[index, figure, landmark])
-            rivals = candidates & (kinds == kinds[figure])
-            rivals &= ~np.isin(np.arange(len(kinds)), (figure, landmark))
-            before = num_before(geometry.strength[index, :, landmark], rivals)
-            return bool(before[figure] == order - 1)
+            rivals = candidates & (types == types[figure])
+            rivals &= ~np.isin(np.arange(len(types)), (figure, landmark))
+            num_stronger = num_before(geometry.strength[index, :, landmark], rivals)
+            return bool(num_stronger[figure] == order - 1)
 
-        return tuple(f for f in objects if all(any(fits(f, r) for r in m) for m in wanted))
+        return tuple(f for f in objects if all(any(fits(f, r) for r in m) for m in selected))
 
     return _objects(select(select(base.objects, is_ranked=False), is_ranked=True))
 

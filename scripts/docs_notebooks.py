@@ -104,18 +104,18 @@ def convert(path: Path) -> tuple[str, dict[str, bytes]]:
                 pictures[name] = base64.b64decode(_text(data["image/png"]))
                 parts.append(f"![What this cell draws]({name})")
             else:
-                shown = _text(output.get("text", data.get("text/plain", "")))
-                shown = _ESCAPES.sub("", shown).rstrip()
-                kind = "{ .text .aligned }" if _FRAMES.search(shown) else "text"
-                parts.append(_fence(shown, kind))
-    where = f"Made by `notebooks/{path.stem}.py`; run `make notebooks` to make it again."
-    return "\n\n".join([*parts, f"---\n\n*{where}*"]) + "\n", pictures
+                text_output = _text(output.get("text", data.get("text/plain", "")))
+                text_output = _ESCAPES.sub("", text_output).rstrip()
+                language = "{ .text .aligned }" if _FRAMES.search(text_output) else "text"
+                parts.append(_fence(text_output, language))
+    footer = f"Made by `notebooks/{path.stem}.py`; run `make notebooks` to make it again."
+    return "\n\n".join([*parts, f"---\n\n*{footer}*"]) + "\n", pictures
 
 
 def _text(value: Any) -> str:
     return value if isinstance(value, str) else "".join(value)
 
 
-def _fence(text: str, kind: str) -> str:
+def _fence(text: str, language: str) -> str:
     """Format text as a fenced code block; "" for blank text."""
-    return f"````{kind}\n{text}\n````" if text.strip() else ""
+    return f"````{language}\n{text}\n````" if text.strip() else ""

@@ -31,14 +31,14 @@ def main() -> int:
     parser.add_argument("out", type=Path, help="file ending in .gif, .mp4 or .html")
     parser.add_argument("robot", nargs="?", choices=sorted(MACHINES), default="husky")
     parser.add_argument("--trial", type=int, default=0, help="of which noise; 0 or more")
-    given = parser.parse_args()
-    if given.trial < 0:
-        parser.error(f"--trial is {given.trial}, but must be at least 0")
+    args = parser.parse_args()
+    if args.trial < 0:
+        parser.error(f"--trial is {args.trial}, but must be at least 0")
     try:
-        if given.out.suffix != _PAGE:
-            check_format(given.out)
+        if args.out.suffix != _PAGE:
+            check_format(args.out)
         check_libraries()
-        print(_run(given.out, given.robot, given.trial))
+        print(_run(args.out, args.robot, args.trial))
     except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -90,8 +90,8 @@ def _corpus(text: bytes, folder: Path) -> None:
     (folder / "corpus.jsonl").write_bytes(text)
     for example in read_corpus(folder / "corpus.jsonl"):
         for labels in example.worlds:
-            places = [place for _, *place in labels.world.objects]
-            assert np.isfinite(np.array(places, float)).all()
+            positions = [position for _, *position in labels.world.objects]
+            assert np.isfinite(np.array(positions, float)).all()
             assert np.isfinite(np.array(labels.world.robot, float)).all()
 
 
@@ -162,11 +162,11 @@ def _sentence(text: bytes, _: Path) -> None:
         write_document(document)
 
 
-def _words() -> list[bytes]:
+def _commands() -> list[bytes]:
     """Build command lines, one quoted word per line, so that whole words are mutated too."""
-    hostile = [["parse", one] for one in TEXTS] + [["follow", "x", "--world", t] for t in TEXTS]
+    hostile = [["parse", t] for t in TEXTS] + [["follow", "x", "--world", t] for t in TEXTS]
     lines = [*SEEDS["command-line"], *hostile]
-    return ["\n".join(f'"{w}"' for w in one).encode("utf-8", "replace") for one in lines]
+    return ["\n".join(f'"{w}"' for w in words).encode("utf-8", "replace") for words in lines]
 
 
 def _shipped_weights() -> list[bytes]:
@@ -197,12 +197,12 @@ def _shard(text: bytes, folder: Path) -> None:
 
 
 def _forms() -> list[bytes]:
-    things = [{"id": "a", "type": "hydrant"}, {"id": "b", "type": "cone"}]
+    objects = [{"id": "a", "type": "hydrant"}, {"id": "b", "type": "cone"}]
     relations = [{"figure": "a", "relation": "behind", "landmark": "b"}]
     commands = [{"action": "navigate", "goal": {"region": "at", "thing": "a"}, "avoid": ["b"]}]
-    reading = {"things": things, "relations": relations, "commands": commands}
-    doubted = {"readings": [reading | {"probability": 0.7}, reading | {"probability": 0.3}]}
-    return [json.dumps(one).encode() for one in ({"readings": [reading]}, doubted)]
+    reading = {"things": objects, "relations": relations, "commands": commands}
+    uncertain = {"readings": [reading | {"probability": 0.7}, reading | {"probability": 0.3}]}
+    return [json.dumps(form).encode() for form in ({"readings": [reading]}, uncertain)]
 
 
 def _form(text: bytes, _: Path) -> None:
@@ -266,6 +266,6 @@ TARGETS = (
         name="sentence", seeds=partial(_texts, "sentence"), call=_sentence,
         refusals=(LanguageError,),
     ),
-    Target(name="command-line", seeds=_words, call=_command_line, refusals=(CommandLineError,)),
+    Target(name="command-line", seeds=_commands, call=_command_line, refusals=(CommandLineError,)),
 )  # fmt: skip
 """All fuzz targets."""

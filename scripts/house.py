@@ -58,7 +58,7 @@ def _span(node: ast.AST) -> range:
 
 
 def lines_of(source: str) -> Counter[str]:
-    """Count the lines of a file by ``KINDS``; what is left over is blank or a comment."""
+    """Count the lines of a file by ``KINDS``; the remaining lines are blank or comments."""
     docstrings, imports = set[int](), set[int]()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
@@ -81,11 +81,11 @@ def lines_by_floor() -> dict[str, Counter[str]]:
 
 
 def budget() -> dict[str, tuple[int, int]]:
-    """Read what the repository may take, and measure what it takes, by name: lines or files."""
+    """Measure lines and files, by name, beside the limits of pyproject.toml."""
     table = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["jaxlangnav"]
     package = sum(lines_by_floor().values(), Counter())
     data = [*PACKAGE.glob("language/data/*.toml"), *PACKAGE.glob("language/data/*.txt")]
-    taken = {
+    counts = {
         "package-lines": package["lines"],
         "package-code": package["code"],
         "package-files": len([*PACKAGE.rglob("*.py")]),
@@ -93,7 +93,7 @@ def budget() -> dict[str, tuple[int, int]]:
         "tests": _lines((ROOT / "tests").rglob("*.py")),
         "language-rules": _lines(path for path in data if path.name not in WORD_LISTS),
     }
-    return {name: (taken[name], most) for name, most in table["budget"].items()}
+    return {name: (counts[name], limit) for name, limit in table["budget"].items()}
 
 
 def _lines(paths: Iterable[Path]) -> int:
@@ -101,30 +101,30 @@ def _lines(paths: Iterable[Path]) -> int:
 
 
 def defined(source: str) -> set[str]:
-    """List the public names that a module defines at its top."""
-    found: set[str] = set()
+    """List the public names that a module defines at its top level."""
+    names: set[str] = set()
     for node in ast.parse(source).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            found.add(node.name)
+            names.add(node.name)
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            parts = (one for target in targets for one in ast.walk(target))
-            names = [one for one in parts if isinstance(one, ast.Name)]
-            found |= {one.id for one in names if isinstance(one.ctx, ast.Store)}
-    return {name for name in found if not name.startswith("_")}
+            nodes = (child for target in targets for child in ast.walk(target))
+            assigned = [child for child in nodes if isinstance(child, ast.Name)]
+            names |= {child.id for child in assigned if isinstance(child.ctx, ast.Store)}
+    return {name for name in names if not name.startswith("_")}
 
 
 def defined_twice() -> dict[str, list[str]]:
-    """Find the names that several modules define, and which modules."""
-    places: defaultdict[str, list[str]] = defaultdict(list)
+    """Find the names defined by several modules, with these modules."""
+    modules: defaultdict[str, list[str]] = defaultdict(list)
     for path in sorted(PACKAGE.rglob("*.py")):
         for name in defined(path.read_text("utf-8")):
-            places[name].append(str(path.relative_to(PACKAGE)))
-    return {name: of for name, of in sorted(places.items()) if len(of) > 1}
+            modules[name].append(str(path.relative_to(PACKAGE)))
+    return {name: of for name, of in sorted(modules.items()) if len(of) > 1}
 
 
 def arguments() -> tuple[Any, ...]:
-    """Make what ``navigator.step`` is traced with."""
+    """Build the arguments with which ``navigator.step`` is traced."""
     config = NavigatorConfig()
     instruction = understand("go to the hydrant behind the cone", load_shipped()).instruction
     area = jnp.array([0.0, 13.0, -9.0, 9.0])
@@ -183,9 +183,9 @@ def draw(path: Path) -> None:
     sys.path.insert(0, str(ROOT / "tests"))
     layers = importlib.import_module("test_layers").LAYERS
 
-    number, floors = len(layers), lines_by_floor()
-    figure = Figure(figsize=(8.0, 0.4 * number))
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(-0.1, 11.0), ylim=(-0.2, number))
+    num_layers, floors = len(layers), lines_by_floor()
+    figure = Figure(figsize=(8.0, 0.4 * num_layers))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(-0.1, 11.0), ylim=(-0.2, num_layers))
     axes.axis("off")
     for row, layer in enumerate(layers):
         left = 0.0
@@ -205,20 +205,20 @@ def main() -> None:
     if "--picture" in sys.argv:
         return draw(ROOT / "docs" / "house.svg")
     if "--budget" in sys.argv:
-        for name, (taken, most) in budget().items():
-            print(f"{name:<16}{taken:>8} of {most}" + (" TOO MUCH" if taken > most else ""))
+        for name, (count, limit) in budget().items():
+            print(f"{name:<16}{count:>8} of {limit}" + (" TOO MUCH" if count > limit else ""))
         return
     floors = lines_by_floor()
     print(*(f"{kind:>10}" for kind in KINDS))
     rows = sorted(floors.items(), key=lambda item: -item[1]["lines"])
     engine = sum((floors[floor] for floor in ENGINE), Counter())
     rows += [("package", sum(floors.values(), Counter())), (f"engine: {', '.join(ENGINE)}", engine)]
-    for name, number in rows:
-        print(*(f"{number[kind]:>10}" for kind in KINDS), name)
+    for name, total in rows:
+        print(*(f"{total[kind]:>10}" for kind in KINDS), name)
     operations = count_operations(traced().jaxpr)
     print(f"{operations.total():6}  traced operations of one navigator.step")
-    for file, number in operations.most_common(NUM_FILES_LISTED):
-        print(f"{number:6}  {file}")
+    for file, total in operations.most_common(NUM_FILES_LISTED):
+        print(f"{total:6}  {file}")
     shared = defined_twice()
     print(f"{len(shared):6}  names that several modules define: {', '.join(shared)}")
 

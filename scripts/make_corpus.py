@@ -27,13 +27,13 @@ from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Parse
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 DATA = Path(jaxlangnav.language.__file__).parent / "data"
 MAX_DRAWS = 4000
 WORLDS_PER_SENTENCE = 2
 FILES = {"corpus39": "corpus39.txt", "corpus": "corpus_templates.txt"}
 FILES |= {"corpus_spoken": "corpus_spoken.txt"}
-WORDS = tomllib.loads((HERE / "corpus_words.toml").read_text("utf-8"))
+WORDS = tomllib.loads((FOLDER / "corpus_words.toml").read_text("utf-8"))
 
 
 class Slots:
@@ -82,21 +82,21 @@ def expected(root: str, slots: Slots) -> frozenset[str]:
     return frozenset(symbols)
 
 
-def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorld:
+def draw_world(parse: Parse, types: list[str], rng: random.Random) -> PlacedWorld:
     """Sample objects: those named, often twice, and others, clustered in pairs."""
-    max_rank = max(rank(p) for root in found.clauses for p in root.walk())
-    kinds = [kind for kind in types for _ in range(2 if rng.random() < 0.55 else 1)]
-    kinds += types[:1] * max(0, max_rank - 1)
+    max_rank = max(rank(p) for root in parse.clauses for p in root.walk())
+    types_drawn = [name for name in types for _ in range(2 if rng.random() < 0.55 else 1)]
+    types_drawn += types[:1] * max(0, max_rank - 1)
     others = [name for name in load_lexicon().type_names if name not in types]
-    kinds += [rng.choice(others) for _ in range(rng.randint(0, 2))]
-    kinds = kinds[:8]
-    rng.shuffle(kinds)
+    types_drawn += [rng.choice(others) for _ in range(rng.randint(0, 2))]
+    types_drawn = types_drawn[:8]
+    rng.shuffle(types_drawn)
     robot = (0.0, 0.0, 0.0)
     if rng.random() < 0.5:
         x, y, heading = rng.uniform(-2, 2), rng.uniform(-2, 2), rng.uniform(-3.1, 3.1)
         robot = (round(x, 2), round(y, 2), round(heading, 2))
     positions: list[tuple[float, float]] = []
-    for _ in kinds:
+    for _ in types_drawn:
         position = robot[:2]
         for _ in range(50):
             if positions and rng.random() < 0.7:
@@ -109,21 +109,21 @@ def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorl
             if min(gaps) > 1.0:
                 break
         positions.append(position)
-    rows = zip(kinds, positions, strict=True)
-    objects = tuple((kind, round(float(x), 2), round(float(y), 2)) for kind, (x, y) in rows)
+    rows = zip(types_drawn, positions, strict=True)
+    objects = tuple((name, round(float(x), 2), round(float(y), 2)) for name, (x, y) in rows)
     previous = None
-    if "other" in found.instruction:
-        candidates = [i for i, (kind, _, _) in enumerate(objects) if not types or kind == types[0]]
+    if "other" in parse.instruction:
+        candidates = [i for i, (name, _, _) in enumerate(objects) if not types or name == types[0]]
         previous = rng.choice(candidates) if candidates else None
     return PlacedWorld(objects=objects, robot=robot, previous=previous)
 
 
-def with_previous(found: Parse, world: PlacedWorld) -> PlacedWorld:
+def with_previous(parse: Parse, world: PlacedWorld) -> PlacedWorld:
     """Set the previous goal if the sentence refers back to its first command's goal."""
-    words = [word for root in found.clauses for word in root.all_words()]
+    words = [word for root in parse.clauses for word in root.all_words()]
     if not any("same" in word.senses for word in words):
         return world
-    goals = [s for s in behave(found.clauses[0], world)[-1] if s.startswith("goal")]
+    goals = [s for s in behave(parse.clauses[0], world)[-1] if s.startswith("goal")]
     slots = {goal.split(",")[1][:-1] for goal in goals}
     if len(slots) != 1 or "robot" in slots:
         return world
@@ -131,11 +131,11 @@ def with_previous(found: Parse, world: PlacedWorld) -> PlacedWorld:
 
 
 def labels_in(
-    found: Parse, world: PlacedWorld, *, is_among_part: bool = True
+    parse: Parse, world: PlacedWorld, *, is_among_part: bool = True
 ) -> tuple[list[list[frozenset[str]]], bool]:
     """Label all clauses in a world, and test whether the world fits the sentence."""
     all_labels, fits = [], True
-    for root, kind in zip(found.clauses, found.kinds, strict=True):
+    for root, kind in zip(parse.clauses, parse.kinds, strict=True):
         labels = list(behave(root, world, is_among_part=is_among_part))
         all_labels.append(labels)
         goals = sorted(s for s in labels[-1] if s.startswith("goal"))
@@ -157,20 +157,20 @@ def is_restricted(labels: list[frozenset[str]]) -> bool:
     return bool(goals) and len(mentioned) > len(goals)
 
 
-def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -> list[dict]:
+def worlds_for(parse: Parse, types: list[str], rng: random.Random, count: int) -> list[dict]:
     """Sample worlds in which the instruction can be followed, the first with a distractor."""
     worlds: list[dict] = []
-    roots = [annotate(root)[0][-1] for root in found.clauses]
+    roots = [annotate(root)[0][-1] for root in parse.clauses]
     is_placed = any(
         s.startswith("relation") and s[9:].startswith(types[0]) for r in roots for s in r
     )
     for _ in range(MAX_DRAWS):
-        world = with_previous(found, draw_world(found, types, rng))
-        labels, fits = labels_in(found, world)
+        world = with_previous(parse, draw_world(parse, types, rng))
+        labels, fits = labels_in(parse, world)
         # The graph knows ranks among all of a type only: worlds in which that makes no difference.
-        fits &= labels_in(found, world, is_among_part=False)[0] == labels
-        kinds = [kind for kind, _, _ in world.objects]
-        has_distractor = not is_placed or kinds.count(types[0]) > 1
+        fits &= labels_in(parse, world, is_among_part=False)[0] == labels
+        present = [kind for kind, _, _ in world.objects]
+        has_distractor = not is_placed or present.count(types[0]) > 1
         if not fits or (not worlds and not has_distractor):
             continue
         entry = {"objects": [*map(list, world.objects)], "robot": list(world.robot)}
@@ -178,29 +178,29 @@ def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -
         worlds.append(entry)
         if len(worlds) == count:
             return worlds
-    raise SystemExit(f"no world fits '{found.instruction}'")
+    raise SystemExit(f"no world fits '{parse.instruction}'")
 
 
 def record(text: str, template: str, split: str, want: list[frozenset[str]], seed: str) -> dict:
     """Build the JSON document of one sentence, checked against its template's symbols."""
-    found = parse_labelled(text)
+    parse = parse_labelled(text)
     rng = random.Random(seed + text)
     clauses = []
-    if found.unknown_words:
-        raise SystemExit(f"{template}: '{text}' has unknown words {found.unknown_words}")
-    if len(found.clauses) != len(want):
-        raise SystemExit(f"{template}: '{text}' has {len(found.clauses)} clauses")
-    for root, kind, symbols in zip(found.clauses, found.kinds, want, strict=True):
+    if parse.unknown_words:
+        raise SystemExit(f"{template}: '{text}' has unknown words {parse.unknown_words}")
+    if len(parse.clauses) != len(want):
+        raise SystemExit(f"{template}: '{text}' has {len(parse.clauses)} clauses")
+    for root, kind, symbols in zip(parse.clauses, parse.kinds, want, strict=True):
         annotation, ranks = annotate(root)
         if annotation[-1] != symbols:
             raise SystemExit(f"{template}: '{text}' means {annotation[-1]}, not {symbols}: {root}")
         clause = {"kind": kind, "phrases": [phrase.head for phrase in root.walk()]}
         clause |= {"annotation": [*map(sorted, annotation)], "rank": list(ranks)}
         clauses.append(clause)
-    types = [s[5:] for root in found.clauses for w in root.all_words() for s in w.senses
+    types = [s[5:] for root in parse.clauses for w in root.all_words() for s in w.senses
              if s.startswith("type:")]  # fmt: skip
-    is_command = "command" in found.kinds
-    worlds = worlds_for(found, list(dict.fromkeys(types)), rng, WORLDS_PER_SENTENCE)
+    is_command = "command" in parse.kinds
+    worlds = worlds_for(parse, list(dict.fromkeys(types)), rng, WORLDS_PER_SENTENCE)
     return {
         "text": text, "template": template, "split": split, "clauses": clauses,
         "worlds": worlds if is_command else [],
@@ -210,7 +210,7 @@ def record(text: str, template: str, split: str, want: list[frozenset[str]], see
 def from_templates(path: Path) -> list[dict]:
     """Expand a file of templates."""
     records: list[dict] = []
-    seen: set[str] = set()
+    texts: set[str] = set()
     for line in path.read_text("utf-8").splitlines():
         if not line.strip() or line.startswith("#"):
             continue
@@ -221,9 +221,9 @@ def from_templates(path: Path) -> list[dict]:
             tries += 1
             slots = Slots(rng, is_test=split == "test")
             text = expand(pattern, slots)
-            if text in seen or text in WORDS["evaluated"]:
+            if text in texts or text in WORDS["evaluated"]:
                 continue
-            seen.add(text)
+            texts.add(text)
             symbols = [expected(part, slots) for part in root.split(";")]
             records.append(record(text, name, split, symbols, name))
             num_made += 1
@@ -242,7 +242,7 @@ def main() -> None:
     """Write the requested corpora."""
     only = [name for name in FILES if f"--only-{name[6:].strip('_')}" in sys.argv]
     for name in only or FILES:
-        write(DATA / f"{name}.jsonl", from_templates(HERE / FILES[name]))
+        write(DATA / f"{name}.jsonl", from_templates(FOLDER / FILES[name]))
 
 
 if __name__ == "__main__":

@@ -110,8 +110,8 @@ def _measure_condition(
 
 def tabulate(figures: Sequence[Figure]) -> tuple[list[str], list[list[str]]]:
     """Build a table: a row for each picture and range, a column for each turn."""
-    turns = list(dict.fromkeys(figure.turned for figure in figures))
-    headings = ["picture", "range (m)", *(f"{turn:g}°" for turn in turns)]
+    angles = list(dict.fromkeys(figure.turned for figure in figures))
+    headings = ["picture", "range (m)", *(f"{angle:g}°" for angle in angles)]
     rows: dict[tuple[str, float], list[str]] = {}
     for figure in figures:
         cell = f"{100 * figure.rate:.0f} %"

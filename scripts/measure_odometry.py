@@ -66,14 +66,14 @@ def measure(machine: str, *, drives: int = 30, seed: int = 0) -> OdometryFigures
 
 def _drive(machine: str, seed: int) -> np.ndarray:
     """Drive once: f64[T, 6], pose by odometry and true pose after each cycle."""
-    place = placed(area=(-_EDGE, _EDGE, -_EDGE, _EDGE))
-    robot = PhysicsRobot(machine, place, seed=seed, gates=Gates(range=1.0))
-    rng, place = np.random.default_rng(seed), np.zeros(2)
+    goal = placed(area=(-_EDGE, _EDGE, -_EDGE, _EDGE))
+    robot = PhysicsRobot(machine, goal, seed=seed, gates=Gates(range=1.0))
+    rng, goal = np.random.default_rng(seed), np.zeros(2)
     log = [np.append(robot.pose(), robot.true_pose)]
     for _ in range(_NUM_LEGS):
         angle, distance = rng.uniform(-np.pi, np.pi), rng.uniform(_MIN_LEG, _MAX_LEG)
-        place = np.clip(place + distance * np.array([np.cos(angle), np.sin(angle)]), -_EDGE, _EDGE)
-        robot.go_to(place[None], speed=1.0, clearance=0.0)
+        goal = np.clip(goal + distance * np.array([np.cos(angle), np.sin(angle)]), -_EDGE, _EDGE)
+        robot.go_to(goal[None], speed=1.0, clearance=0.0)
         progress = WaypointStatus.UNDER_WAY
         while progress is WaypointStatus.UNDER_WAY:
             progress = robot.wait(CYCLE)

@@ -59,8 +59,8 @@ def time_line(document: dict[str, Any]) -> str:
     """Format the run time of the parts of a decision cycle."""
     total = document["cycle_us"]
     parts = sorted(document["parts_us"].items(), key=lambda part: -part[1])
-    shares = ", ".join(f"{name} {100 * micros / total:.0f} %" for name, micros in parts)
-    return f"{total:.0f} µs of CPU: {shares}."
+    fractions = ", ".join(f"{name} {100 * micros / total:.0f} %" for name, micros in parts)
+    return f"{total:.0f} µs of CPU: {fractions}."
 
 
 def unknowns_section(document: dict[str, Any]) -> str:
@@ -78,8 +78,8 @@ expected objects, detection, time-out, direction of the goal. `unknowns.md` has 
 {lines}"""
 
 
-def page(folder: Path, commit: str, kept: str) -> str:
-    """Format the page of a commit's results; ``kept``: its handwritten part."""
+def page(folder: Path, commit: str, handwritten: str) -> str:
+    """Format the page of a commit's results; ``handwritten``: its handwritten part."""
     table2, figure5 = read(folder, "table2"), read(folder, "figure5")
     unknowns = read(folder, "unknowns")
     body = (folder / "table2.md").read_text("utf-8").split("\n", 2)[2].strip()
@@ -139,13 +139,13 @@ hydrant is believed to be, left or right of where the robot faced at first (`fai
 One decision cycle of one episode in a batch (`jaxlangnav reproduce time`):
 {time_line(read(folder, "time"))}
 
-{kept}"""
+{handwritten}"""
 
 
 def write(folder: Path, commit: str) -> None:
     """Write the page, copy its pictures and record the engine that made them."""
-    old = PAGE.read_text("utf-8")
-    PAGE.write_text(page(folder, commit, old[old.index(HANDWRITTEN_MARK) :]), "utf-8")
+    text = PAGE.read_text("utf-8")
+    PAGE.write_text(page(folder, commit, text[text.index(HANDWRITTEN_MARK) :]), "utf-8")
     for name in PICTURES:
         shutil.copy(folder / f"{name}.png", ROOT / "docs" / f"{name}.png")
     ages.record(PAGE)

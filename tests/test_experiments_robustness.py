@@ -67,14 +67,14 @@ def test_truth_and_what_is_told_differ_only_where_it_says_so(name: str) -> None:
     assert bool(spec.described()["told"]) != spec.is_exact
 
 
-@pytest.mark.parametrize("name", [one.name for one in SCENARIOS if one.numbers])
+@pytest.mark.parametrize("name", [one.name for one in SCENARIOS if one.params])
 def test_how_many_there_are_may_be_told_to_one_who_takes_the_likeliest(name: str) -> None:
     setting = BY_NAME[name].setting(seed=0)
     (informed,) = ROBUSTNESS.arms(Options(policies=("informed",)))
     assert informed.params is not None
     told = informed.with_overrides(setting.overrides).params
     assert told is not None
-    assert told.map.concentration == np.float32(BY_NAME[name].numbers["concentration"])
+    assert told.map.concentration == np.float32(BY_NAME[name].params["concentration"])
     assert told.map.relations is informed.params.map.relations
     check(told, policy=SHIPPED["informed"])
     if float(told.map.concentration) > 1.5:

@@ -95,12 +95,12 @@ def test_nodes_that_stand_together_are_one_place():
 
 def test_bars_add_up_to_the_value_and_where_it_stops_the_reason_stands_instead(one):
     axes, frame = axes_of(one), one.at(7)
-    panels._draw_parts(axes, frame)
+    panels._draw_value_terms(axes, frame)
     best = panels.best_nodes(frame)
     widths = np.array([bar.get_width() for bar in axes.patches]).reshape(3, len(best))
     assert widths.sum(axis=0) == pytest.approx(frame.value[best], abs=1e-6)
     axes = axes_of(one)
-    panels._draw_parts(axes, one.at(8))
+    panels._draw_value_terms(axes, one.at(8))
     assert not axes.patches
     assert "with probability 90 %" in axes.texts[0].get_text()
     axes = axes_of(one)

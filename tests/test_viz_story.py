@@ -258,8 +258,8 @@ def test_a_changed_reading_is_told():
 
 
 def test_objects_are_summed_up_over_particles(one):
-    assert summary.seen_objects(one.at(0)) == []
-    cone, hydrant = summary.seen_objects(one.at(-1))
+    assert summary.observed_objects(one.at(0)) == []
+    cone, hydrant = summary.observed_objects(one.at(-1))
     assert (cone.object_type, hydrant.object_type) == (CONE, HYDRANT)
     assert (hydrant.x, hydrant.y) == pytest.approx((9.0, 1.0), abs=1e-5)
     assert hydrant.probability == pytest.approx(1.0, abs=1e-5)
@@ -280,11 +280,11 @@ def test_peaks_find_two_clusters(one):
     mass = np.full(20, 0.05, np.float32)
     y = np.zeros(20, np.float32)
     frame = replace(one.at(0), hypothesis_goal_x=x, hypothesis_goal_y=y, hypothesis_goal_mass=mass)
-    first, second = summary.peaks(frame)
+    first, second = summary.goal_modes(frame)
     assert first == pytest.approx((2.0, 0.0, 0.6), abs=1e-5)
     assert second == pytest.approx((10.0, 0.0, 0.4), abs=1e-5)
     nothing = replace(frame, hypothesis_goal_mass=0 * mass)
-    assert summary.peaks(nothing) == []
+    assert summary.goal_modes(nothing) == []
     assert np.isnan(summary.expected_goal(nothing)).all()
 
 

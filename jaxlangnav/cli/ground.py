@@ -32,11 +32,11 @@ def parse_text(text: str, output: Output, labels: Collection[str] = ()) -> "Pars
     from jaxlangnav.language.parser import parse
 
     parsed = parse(text, labels)
-    for original, meant in parsed.repairs:
-        output.note(f'note: "{original}" is read as "{meant}"')
-    for text_part, meant in parsed.rewrites:
-        if meant:
-            output.note(f"note: '{text_part}' read as '{meant}'")
+    for original, replacement in parsed.repairs:
+        output.note(f'note: "{original}" is read as "{replacement}"')
+    for text_part, replacement in parsed.rewrites:
+        if replacement:
+            output.note(f"note: '{text_part}' read as '{replacement}'")
     for ignored in parsed.unread:
         output.note(f"note: '{ignored}' says nothing of the task; left out")
     for word, position in parsed.unknown_words:
@@ -175,7 +175,7 @@ class Ground:
         title = "Annotations: what it says of the world"
         output.say(Table.of(annotations, _ANNOTATIONS, title=title).text())
         if commands:
-            rows = [command | {"number": number} for number, command in enumerate(commands, 1)]
+            rows = [command | {"number": position} for position, command in enumerate(commands, 1)]
             output.say(Table.of(rows, _COMMANDS, title="Commands: what it asks for").text())
         if behaviors_document:
             if behaviors := document["behaviors"]:

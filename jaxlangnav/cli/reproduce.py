@@ -95,8 +95,8 @@ class Reproduce:
         from jaxlangnav.task.follow import navigator_params
 
         range_texts = [] if self.ranges is None else self.ranges.split(",")
-        ranges = tuple(LENGTH.read(one.strip(), "--ranges") for one in range_texts)
-        names = [one.strip() for one in self.policy.split(",") if one.strip()]
+        ranges = tuple(LENGTH.read(text.strip(), "--ranges") for text in range_texts)
+        names = [name.strip() for name in self.policy.split(",") if name.strip()]
         values = read_settings(self.settings, self.SETTINGS)
         max_range = min(SENSING_RANGES) if self.what in ("fig5", "all") else 3.0
         check_sensor(apply(default_sensor(min(ranges, default=max_range)), values, "sensor"))
@@ -151,8 +151,8 @@ class Reproduce:
             and field.name not in is_read and getattr(self, field.name) != field.default
         ]  # fmt: skip
         taken = _SETTING_GROUPS.get(self.what, self.SETTINGS)
-        given = read_settings(self.settings, self.SETTINGS)
-        unread += [".".join(path).replace("_", "-") for path in given if path[0] not in taken]
+        settings = read_settings(self.settings, self.SETTINGS)
+        unread += [".".join(path).replace("_", "-") for path in settings if path[0] not in taken]
         if unread:
             raise UsageError(f"--{unread[0]} changes nothing in {self.what}: leave it out")
 

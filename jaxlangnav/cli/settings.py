@@ -113,8 +113,8 @@ def read_settings(settings: Any, groups: Sequence[str]) -> dict[SettingPath, Any
     """Parse the given settings into values by path; ``UsageError`` for invalid ones."""
     if settings is None:
         return {}
-    given = [(opt, functools.reduce(getattr, opt.path, settings)) for opt in options(groups)]
-    return {opt.path: opt.read(text) for opt, text in given if text != _UNSET}
+    texts = [(opt, functools.reduce(getattr, opt.path, settings)) for opt in options(groups)]
+    return {opt.path: opt.read(text) for opt, text in texts if text != _UNSET}
 
 
 def apply(record: _T, values: Mapping[SettingPath, Any], root: str) -> _T:

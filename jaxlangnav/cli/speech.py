@@ -148,23 +148,23 @@ class TerminalUser:
 def describe_talk(recording: "Recording") -> dict[str, Any]:
     """Build the JSON of the utterances and candidates of a recording."""
 
-    def to_dict(one: "Candidate") -> dict[str, Any]:
-        return {"slot": one.slot, "type": one.type_name, "x": one.x, "y": one.y}
+    def to_dict(item: "Candidate") -> dict[str, Any]:
+        return {"slot": item.slot, "type": item.type_name, "x": item.x, "y": item.y}
 
     return {
         "utterances": [
             {
-                "step": one.step,
-                "speaker": one.speaker,
-                "text": sanitize(one.text),
-                "kind": one.kind or None,
-                "ruled_out": [to_dict(other) for other in one.ruled_out],
-                "notes": list(one.notes),
-                "refusal": one.refusal or None,
+                "step": remark.step,
+                "speaker": remark.speaker,
+                "text": sanitize(remark.text),
+                "kind": remark.kind or None,
+                "ruled_out": [to_dict(item) for item in remark.ruled_out],
+                "notes": list(remark.notes),
+                "refusal": remark.refusal or None,
             }
-            for one in recording.said
+            for remark in recording.said
         ],
         "candidates": [
-            {**to_dict(one), "probability": one.probability} for one in recording.candidates
+            {**to_dict(it), "probability": it.probability} for it in recording.candidates
         ],
     }

@@ -254,10 +254,10 @@ def _initial_state(key: Array, params: EnvironmentParams) -> EnvironmentState:
 
 
 def _reset_if(
-    key: Array, after: EnvironmentState, params: EnvironmentParams, is_over: Array
+    key: Array, state: EnvironmentState, params: EnvironmentParams, is_over: Array
 ) -> EnvironmentState:
     """Replace the state by an initial one where the episode is over."""
-    return jax.tree.map(functools.partial(jnp.where, is_over), _initial_state(key, params), after)
+    return jax.tree.map(functools.partial(jnp.where, is_over), _initial_state(key, params), state)
 
 
 def _transition(
@@ -270,21 +270,21 @@ def _transition(
     command = plain_action(state.world.odometry[:2] + displacement, displacement, is_stopped)
     target = carry_out(key, state.world, command, params.motion)
     world = halted(state.world, target, state.scenario.terrain)
-    after = replace(state, world=world, steps=state.steps + 1)
+    next_state = replace(state, world=world, steps=state.steps + 1)
     previous_distance = simulator.goal_distance(state.world, state.scenario)
     goal_distance = simulator.goal_distance(world, state.scenario)
     is_success = is_stopped & (goal_distance <= params.stop_radius)
     info = EnvironmentInfo(
         is_success=is_success,
         is_stopped=is_stopped,
-        is_cut_off=~is_stopped & (after.steps >= params.max_steps),
+        is_cut_off=~is_stopped & (next_state.steps >= params.max_steps),
         distance=world.distance,
         goal_distance=goal_distance,
     )
     travelled = world.distance - state.world.distance
     shaping_reward = params.shaping * (previous_distance - goal_distance)
     reward = is_success.astype(jnp.float32) - params.metre_cost * travelled + shaping_reward
-    return after, reward, info
+    return next_state, reward, info
 
 
 def _observe(

@@ -28,10 +28,10 @@ def draw_pool(
     if isinstance(worlds, Scenario):
         return worlds
     keys = jax.random.split(key, num_worlds)
-    drawn = jax.lax.map(lambda k: draw_scenario(k, worlds), keys, batch_size=_BATCH_SIZE)
-    order = jnp.argsort(~drawn.is_valid, stable=True)
-    num_valid = jnp.maximum(jnp.sum(drawn.is_valid), 1)
-    return jax.tree.map(lambda leaf: leaf[order[jnp.arange(num_worlds) % num_valid]], drawn)
+    samples = jax.lax.map(lambda k: draw_scenario(k, worlds), keys, batch_size=_BATCH_SIZE)
+    order = jnp.argsort(~samples.is_valid, stable=True)
+    num_valid = jnp.maximum(jnp.sum(samples.is_valid), 1)
+    return jax.tree.map(lambda leaf: leaf[order[jnp.arange(num_worlds) % num_valid]], samples)
 
 
 def next_world(key: Array, worlds: ScenarioLaw | Scenario) -> Scenario:

@@ -17,7 +17,7 @@ from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, Task, advance, begin, finish
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.pytree import pytree, replace, strong
+from jaxlangnav.pytree import pytree, replace, strong_types
 
 
 class EpisodeProgram(NamedTuple):
@@ -81,7 +81,7 @@ def run_batch(
     """
     chex.assert_rank([tasks.key, tasks.instruction_index, tasks.scenario.start], [1, 1, 2])
     number = tasks.instruction_index.shape[0] if count is None else count
-    tasks, instructions, params, number = strong((tasks, instructions, params, number))
+    tasks, instructions, params, number = strong_types((tasks, instructions, params, number))
     episodes = tasks.instruction_index.shape[:1]
     own = {name: getattr(tasks, name) for name in ("sensor", "motion", "told")}
     own = jax.tree.map(

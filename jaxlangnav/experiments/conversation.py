@@ -36,7 +36,7 @@ _NOTE = (
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Dialogue:
+class DialogueSpec:
     """Specification of a row: worlds, initial command and simulated person."""
 
     name: str
@@ -49,28 +49,28 @@ class Dialogue:
 
 
 ROWS = (
-    Dialogue(name="nothing more", person=_SILENT),
-    Dialogue(name="one correction", person={}),
-    Dialogue(name="one correction, sees 12 m", person={}, sensing_range=12.0),
-    Dialogue(name="one correction, errs in 10 %", person={"error_rate": 0.1}),
-    Dialogue(name="questions", person=_ANSWERS, cost=_COST),
-    Dialogue(name="questions, errs in 10 %", person=_ANSWERS | {"error_rate": 0.1}, cost=_COST),
-    *(Dialogue(name="questions", person=_ANSWERS, cost=cost) for cost in _VARIED_COSTS),
-    Dialogue(name="questions", world="1H1C", person=_ANSWERS, cost=_COST),
-    Dialogue(name="questions", world="1H2C", person=_ANSWERS, cost=_COST),
-    Dialogue(name="nothing more", relation="behind", person=_SILENT),
-    Dialogue(name="stated at step 4", relation="behind", person=_SILENT | {"states_at": 4}),
-    Dialogue(
+    DialogueSpec(name="nothing more", person=_SILENT),
+    DialogueSpec(name="one correction", person={}),
+    DialogueSpec(name="one correction, sees 12 m", person={}, sensing_range=12.0),
+    DialogueSpec(name="one correction, errs in 10 %", person={"error_rate": 0.1}),
+    DialogueSpec(name="questions", person=_ANSWERS, cost=_COST),
+    DialogueSpec(name="questions, errs in 10 %", person=_ANSWERS | {"error_rate": 0.1}, cost=_COST),
+    *(DialogueSpec(name="questions", person=_ANSWERS, cost=cost) for cost in _VARIED_COSTS),
+    DialogueSpec(name="questions", world="1H1C", person=_ANSWERS, cost=_COST),
+    DialogueSpec(name="questions", world="1H2C", person=_ANSWERS, cost=_COST),
+    DialogueSpec(name="nothing more", relation="behind", person=_SILENT),
+    DialogueSpec(name="stated at step 4", relation="behind", person=_SILENT | {"states_at": 4}),
+    DialogueSpec(
         name="stated at step 4, errs in 10 %",
         relation="behind",
         person=_SILENT | {"states_at": 4, "error_rate": 0.1},
     ),
-    Dialogue(name="said at first", relation="behind", text=_BEHIND_TEXT, person=_SILENT),
+    DialogueSpec(name="said at first", relation="behind", text=_BEHIND_TEXT, person=_SILENT),
 )
 """All rows; those with the same world and relation share their worlds."""
 
 
-def _run_row(row: Dialogue, options: Options, on_progress: OnProgress | None = None) -> Row:
+def _run_row(row: DialogueSpec, options: Options, on_progress: OnProgress | None = None) -> Row:
     cell_args = row.world, row.relation, 0, row.sensing_range, options.episodes, options.seed
     params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))

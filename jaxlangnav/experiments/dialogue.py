@@ -22,7 +22,7 @@ from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState, speech_acts
 from jaxlangnav.navigator.speech_acts import How
-from jaxlangnav.pytree import pytree, replace, strong
+from jaxlangnav.pytree import pytree, replace, strong_types
 from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, say, unspoken
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
@@ -120,7 +120,7 @@ def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _State
         shortest=nan,
         has_seen_goal=false,
     )
-    return strong(lane)
+    return strong_types(lane)
 
 
 def _advance(lane: _State, *, params: _Params, config: NavigatorConfig) -> tuple[_State, None]:
@@ -146,7 +146,7 @@ def _advance(lane: _State, *, params: _Params, config: NavigatorConfig) -> tuple
         shortest=jnp.where(is_first_correction, shortest, lane.shortest),
         has_seen_goal=jnp.where(is_first_correction, has_seen_goal, lane.has_seen_goal),
     )
-    return strong(lane), None
+    return strong_types(lane), None
 
 
 def _finish(lane: _State) -> DialogueResult:

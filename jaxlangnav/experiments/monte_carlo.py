@@ -24,7 +24,7 @@ from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.episode.lanes import EPISODE, EpisodeProgram, run_batch
 from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.pytree import strong
+from jaxlangnav.pytree import strong_types
 
 CHUNK = 1024  # maximum of episodes a device takes in one call; padding is not run
 LANES = 32  # concurrent episodes on a device
@@ -116,10 +116,10 @@ def run_round(
     idle = dataclasses.replace(batches[0], count=0)
     padded = [*batches, *[idle] * (mesh().size - len(batches))]
     inputs = [(item.tasks, item.params, jnp.int32(item.count)) for item in padded]
-    stacked = strong(jax.tree.map(lambda *leaves: jnp.stack(leaves), *inputs))
+    stacked = strong_types(jax.tree.map(lambda *leaves: jnp.stack(leaves), *inputs))
     tasks, params, count = jax.device_put(stacked, NamedSharding(mesh(), PartitionSpec(_AXIS)))
     replicated = NamedSharding(mesh(), PartitionSpec())
-    args = (tasks, jax.device_put(strong(instructions), replicated), params, count)
+    args = (tasks, jax.device_put(strong_types(instructions), replicated), params, count)
     avals = tuple(jax.typeof(leaf) for leaf in jax.tree.leaves(args))
     key = (config, max_steps, program, LANES, mesh(), avals)
     # Compiled once for these shapes, whichever thread asks first.

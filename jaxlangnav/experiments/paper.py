@@ -14,9 +14,9 @@ from typing import Any
 
 from jaxlangnav.experiments.experiment import Experiment
 from jaxlangnav.experiments.metrics import timeouts_text
-from jaxlangnav.experiments.policies import KNOWLEDGE
+from jaxlangnav.experiments.policies import POLICY_KNOWLEDGE
 from jaxlangnav.experiments.rows import AGREEMENT, PRINTED, RowSpec, bound_rows, deviations, row_key
-from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableColumns
+from jaxlangnav.experiments.table import SUCCESS_FORMAT, Document, Row, Table, TableColumns
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
@@ -56,7 +56,7 @@ ROW_COLUMNS: TableColumns = (
 _COLUMNS: TableColumns = (
     *ROW_COLUMNS,
     ("Policy", "{policy}"),
-    ("Success % (95 %)", SUCCESS),
+    ("Success % (95 %)", SUCCESS_FORMAT),
     ("paper", _format_record("same", "{success_rate:.1f}")),
     ("Distance m (σ)", _DISTANCE),
     ("paper (σ)", _format_record("same", _DISTANCE)),
@@ -125,8 +125,8 @@ def results_table(document: Document, *, fold: str = "") -> Table:
                 target.append(line)
     is_faint = [line[3] == "limit" for line in lines[0]]
     narrow = dataclasses.replace(Table.of([], _NARROW), rows=lines[1])
-    wide = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), faint=is_faint, fold=fold, screen=narrow)
-    return dataclasses.replace(wide, rows=lines[0])
+    table = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), faint=is_faint, fold=fold, screen=narrow)
+    return dataclasses.replace(table, rows=lines[0])
 
 
 def caption(document: Document) -> list[str]:
@@ -157,7 +157,7 @@ def caption(document: Document) -> list[str]:
             'ECE and Brier score of "this object is the goal"; share of steps (%) at which the '
             "90 % region holds the goal."
         )
-    lines += [f"{name}: {KNOWLEDGE[name]}." for name in document["policies"]]
+    lines += [f"{name}: {POLICY_KNOWLEDGE[name]}." for name in document["policies"]]
     if document.get("bounds"):
         lines.append(
             "limit: with the map unknown, the highest success rate and the least mean way of a "
@@ -173,7 +173,7 @@ _DEVIATIONS: TableColumns = (
     ("distance m", "{distance:+.2f}"),
     ("in s. e.", "{far[distance]:+.1f}"),
     ("within 2 s. e. of both",
-     lambda row: "yes" if max(abs(one) for one in row["far"].values()) <= AGREEMENT else "no"),
+     lambda row: "yes" if max(abs(z) for z in row["far"].values()) <= AGREEMENT else "no"),
 )  # fmt: skip
 
 

@@ -31,7 +31,7 @@ POLICY_NAMES = (*reversed(POLICIES), *BASELINES)
 """All policies: informed, faithful, then the baselines."""
 DEFAULT_PARTICLES = MapConfig().num_particles
 
-KNOWLEDGE = {
+POLICY_KNOWLEDGE = {
     "informed": (
         "the sentence, the operating area, what it sees, and from training worlds (other seeds) "
         "where things tend to stand; plans tours"

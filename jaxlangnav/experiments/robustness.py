@@ -16,8 +16,8 @@ from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.policies import POLICY_NAMES, Arm, check_policies
 from jaxlangnav.experiments.rows import RowSpec
-from jaxlangnav.experiments.scenarios import COMMANDS, SCENARIOS, PlaceSpec
-from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableColumns
+from jaxlangnav.experiments.scenarios import COMMANDS, SCENARIOS, ScenarioSpec
+from jaxlangnav.experiments.table import SUCCESS_FORMAT, Document, Row, Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.navigator.api import Navigator
@@ -69,7 +69,7 @@ def _measure(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
         "other_ends": int((stopped & ~np.isin(ending, handled)).sum()),
         "overflow_episodes": int((np.asarray(results.overflow)[valid] > 0).sum()),
     }
-    assert isinstance(spec, PlaceSpec)
+    assert isinstance(spec, ScenarioSpec)
     entries |= {"is_told": spec.is_exact, "target": None, "is_met": None, "is_calibrated": None}
     if spec.ending == "not_found":
         num_correct, count = row["not_found"], row["episodes"]
@@ -139,7 +139,7 @@ def _format_target(row: Row) -> str:
 _RESULT_COLUMNS: TableColumns = (
     ("Scenario", "{scenario}"),
     ("Policy", "{policy}"),
-    ("Success % (95 %)", SUCCESS),
+    ("Success % (95 %)", SUCCESS_FORMAT),
     ("target", _format_target),
     ("Distance m (σ)", "{distance_mean:.1f} ({distance_sd:.1f})"),
     ("Known m", "{known_distance_mean:.1f}"),

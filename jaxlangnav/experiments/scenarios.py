@@ -29,20 +29,20 @@ AHEAD = (-2.0, 12.0, -9.0, 9.0)  # metres; default operating area
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PlaceSpec(RowSpec):
+class ScenarioSpec(RowSpec):
     """A scenario: world distribution, command, true sensor models, and those the filter assumes."""
 
     name: str
-    what: str  # description for people
+    description: str
     world: str = "place"
     range: float = 3.0
     relation: str = "behind"
     place: _Values = dataclasses.field(default_factory=dict)  # arguments of ``place_law``
     truth: _Values = dataclasses.field(default_factory=dict)
-    """Arguments of ``default_sensor`` for the true sensor."""
+    """Arguments of ``default_sensor`` for the true sensor model."""
     assumed: _Values = dataclasses.field(default_factory=dict)
     """Those of them for which the filter assumes other values."""
-    numbers: _Values = dataclasses.field(default_factory=dict)
+    params: _Values = dataclasses.field(default_factory=dict)
     """Parameters of the navigator: the prior over the number of objects."""
     motion: _Values = dataclasses.field(default_factory=dict)
     """Fields of the true motion model; the filter always assumes the default one."""
@@ -62,7 +62,7 @@ class PlaceSpec(RowSpec):
     @property
     def _has_counts(self) -> bool:
         """Whether the prior over the number of objects is set, or the sentence is unambiguous."""
-        return bool(self.numbers) or not (self.place.get("num_pairs") or self.relation == "null")
+        return bool(self.params) or not (self.place.get("num_pairs") or self.relation == "null")
 
     @property
     def _has_true_sentence(self) -> bool:
@@ -87,11 +87,11 @@ class PlaceSpec(RowSpec):
         assumed += [] if self._has_counts else ["nothing of how many there are"]
         return {
             "scenario": self.name,
-            "what": self.what,
+            "what": self.description,
             "said": COMMANDS[self.relation],
             "truth": ", ".join([f"range {self.range:g} m", *actual]),
             "told": ", ".join(assumed),
-            "numbers": ", ".join(f"{name} {value:g}" for name, value in self.numbers.items()),
+            "numbers": ", ".join(f"{name} {value:g}" for name, value in self.params.items()),
             "is_told": self.is_exact,
         }
 
@@ -112,7 +112,7 @@ class PlaceSpec(RowSpec):
             place=place_law(**law_args),
             assumed_sensor=default_sensor(self.range, **{**self.truth, **self.assumed}),
             labels=self.heading() | {"relation": self.relation},
-            overrides=self.numbers,
+            overrides=self.params,
         )
 
 
@@ -131,8 +131,8 @@ def _format(name: str, value: float) -> str:
     return f"{verbs[name]} {100.0 * value:g} %"
 
 
-def _scenario(name: str, what: str, **fields: Any) -> PlaceSpec:
-    return PlaceSpec(name=name, what=what, **fields)
+def _scenario(name: str, description: str, **fields: Any) -> ScenarioSpec:
+    return ScenarioSpec(name=name, description=description, **fields)
 
 
 def _square(half: float) -> _Values:
@@ -149,7 +149,7 @@ _FP_2, _FP_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
 _LABELS, _MISSES = {"mislabelled": 0.1}, {"detection_probability": 0.6}
 _FRONT, _PAIRS_2, _PAIRS_4 = {"side": -1.0, "said": -1.0}, {"num_pairs": 2}, {"num_pairs": 4}
 _FALSE: dict[str, Any] = {
-    "what": "the hydrant is in front of the cone", "place": {"side": -1.0}, "target": 99.0,
+    "description": "the hydrant is in front of the cone", "place": {"side": -1.0}, "target": 99.0,
     "max_distance": 45.0,
 }  # fmt: skip
 _EXACTLY_ONE = {**_counts(0.02), "misleading": 0.001, "absent": 0.0}
@@ -157,7 +157,7 @@ _EXACTLY_ONE = {**_counts(0.02), "misleading": 0.001, "absent": 0.0}
 _FIXED = {"num_haunted": 4, "haunt_probability": 0.2}
 _CROWD = {"num_bystanders": 56, "num_pairs": 1}
 _ALL: dict[str, Any] = {
-    "what": "14 bystanders and one more pair",
+    "description": "14 bystanders and one more pair",
     "place": {"num_bystanders": 14, "num_pairs": 1},
     "truth": {"detection_probability": 0.8, "mislabelled": 0.05, **_FP_2},
 }
@@ -170,27 +170,27 @@ SCENARIOS = (
     _scenario("all round", "the start in the middle of 20 × 20 m", place=_square(10.0)),
     _scenario("in front", "the goal is before its cone", relation="front", place=_FRONT),
     _scenario("in front, told", "that there is no other is told", relation="front", place=_FRONT,
-          numbers=_counts(0.02)),
+          params=_counts(0.02)),
     _scenario("far sight", "a detector of 7 m", range=7.0),
     _scenario("2 more pairs", _MORE_2, place=_PAIRS_2, target=98.0),
     _scenario("2 more pairs, 5 m", _MORE_2, range=5.0, place=_PAIRS_2, target=98.0),
     _scenario("4 more pairs", _MORE_4, place=_PAIRS_4),
-    _scenario("2 more pairs, told", "how many is told", place=_PAIRS_2, numbers=_counts(2.0)),
+    _scenario("2 more pairs, told", "how many is told", place=_PAIRS_2, params=_counts(2.0)),
     _scenario("2 more pairs, 5 m, told", "how many is told", range=5.0, place=_PAIRS_2,
-          numbers=_counts(2.0)),
-    _scenario("4 more pairs, told", "how many is told", place=_PAIRS_4, numbers=_counts(4.0)),
-    PlaceSpec(name="false sentence", **_FALSE),
-    PlaceSpec(name="false sentence, 5 m", range=5.0, **_FALSE),
+          params=_counts(2.0)),
+    _scenario("4 more pairs, told", "how many is told", place=_PAIRS_4, params=_counts(4.0)),
+    ScenarioSpec(name="false sentence", **_FALSE),
+    ScenarioSpec(name="false sentence, 5 m", range=5.0, **_FALSE),
     _scenario("empty sentence", "nothing is said of where", relation="null"),
     _scenario("empty sentence, told", "that there is one, and no other, is told", relation="null",
-          numbers=_EXACTLY_ONE),
+          params=_EXACTLY_ONE),
     _scenario("no cone", "the landmark is not there", place={"has_cone": False}),
     _scenario("no hydrant", "there is no goal: to be told so is right", place={"has_goal": False},
           ending="not_found"),
     _scenario("14 bystanders", _OTHERS, place={"num_bystanders": 14}, target=99.5),
     _scenario("30 bystanders", _OTHERS, place={"num_bystanders": 30}),
     _scenario("crowd of 60", "56 bystanders and one more pair", place=_CROWD),
-    _scenario("crowd of 60, told", "how many is told", place=_CROWD, numbers=_counts(1.0)),
+    _scenario("crowd of 60, told", "how many is told", place=_CROWD, params=_counts(1.0)),
     _scenario("ghosts 2 %", _CLUTTER, truth=_FP_2, target=99.0),
     _scenario("ghosts 10 %", _CLUTTER, truth=_FP_10, target=97.0),
     _scenario("ghosts 10 %, not told", _CLUTTER, truth=_FP_10, assumed={"false_detections": 0.0}),
@@ -214,7 +214,7 @@ SCENARIOS = (
     _scenario("40 × 40 m, 5 m, empty", "nothing is said of where", range=5.0, relation="null",
           place=_square(20.0)),
     _scenario("60 × 60 m, 5 m", _MIDDLE, range=5.0, place=_square(30.0)),
-    PlaceSpec(name="all at once", **_ALL),
-    PlaceSpec(name="all at once, told", numbers=_counts(1.0), **_ALL),
+    ScenarioSpec(name="all at once", **_ALL),
+    ScenarioSpec(name="all at once, told", params=_counts(1.0), **_ALL),
 )  # fmt: skip
 """All scenarios, some with target values."""

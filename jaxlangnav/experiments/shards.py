@@ -120,14 +120,14 @@ def _compare(actual: Shard, expected: Shard) -> None:
 # every file is written atomically, under a unique temporary name, with the same bytes whoever
 # writes it. Two processes on one part then only do the same work twice.
 
-Note = Callable[[str], None]  # called with a line for people
+OnNote = Callable[[str], None]  # called with a line for people
 Part = tuple[int, int]  # i and n, 1 ≤ i ≤ n: the files i, i + n, i + 2n, …
 _LOCK_NAME = re.compile(r"\.held-(\d+)-of-(\d+)\.json")
 _UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
 @contextlib.contextmanager
-def lock(folder: Path, part: Part, *, on_note: Note) -> Iterator[bool]:
+def lock(folder: Path, part: Part, *, on_note: OnNote) -> Iterator[bool]:
     """Lock a part i/n of a folder, created if missing, against other processes.
 
     ``on_note`` is called where a dead process's lock was taken over or locks are not supported.
@@ -158,7 +158,7 @@ def lock(folder: Path, part: Part, *, on_note: Note) -> Iterator[bool]:
         os.close(handle)
 
 
-def _acquire(path: Path, on_note: Note, *, flags: int = os.O_RDWR | os.O_CREAT) -> int:
+def _acquire(path: Path, on_note: OnNote, *, flags: int = os.O_RDWR | os.O_CREAT) -> int:
     """Lock a file exclusively; ``ValueError`` names the process that holds the lock."""
     while True:
         handle = os.open(path, flags, 0o666)
@@ -184,7 +184,7 @@ def _acquire(path: Path, on_note: Note, *, flags: int = os.O_RDWR | os.O_CREAT) 
     return handle
 
 
-def _check_overlaps(folder: Path, part: Part, on_note: Note) -> None:
+def _check_overlaps(folder: Path, part: Part, on_note: OnNote) -> None:
     """Raise if a running process holds an overlapping part; remove stale locks."""
     for path in folder.iterdir():
         match = _LOCK_NAME.fullmatch(path.name)

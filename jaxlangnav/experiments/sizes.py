@@ -23,7 +23,7 @@ from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.world.state import Scenario, empty_scenario
 
-SCRATCH = 8.5
+SCRATCH_RATIO = 8.5
 """Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a
 batch of 32 lanes on a CPU, policy ``informed``, grows by 4,763 bytes a particle and lane, the
 records by 562 (``compiled.memory_analysis()``, between 64 and 512 particles)."""
@@ -70,10 +70,10 @@ def result_bytes() -> int:
     return _bytes_of(jax.eval_shape(finish, _episode_shapes(NavigatorConfig())))
 
 
-def readable_count(number: int) -> str:
+def readable_count(count: int) -> str:
     """Format a number of at least 0: grouped digits, or two digits and the exponent."""
-    digits = str(number)
-    return f"{number:,}" if number < 10**15 else f"{digits[0]}.{digits[1]}·10^{len(digits) - 1}"
+    digits = str(count)
+    return f"{count:,}" if count < 10**15 else f"{digits[0]}.{digits[1]}·10^{len(digits) - 1}"
 
 
 def check_count(name: str, count: int, *, each: int, fixed: int = 0, context: str = "") -> None:
@@ -106,7 +106,7 @@ def check_recording(config: NavigatorConfig, max_steps: int) -> None:
     _check_lanes(config, 1)
     count, (fixed, each) = config.map.num_particles, _episode_bytes(config)
     step, context = fixed + count * each, f"{count:,} particles"
-    check_count("max steps", max_steps, each=step, fixed=int(SCRATCH * step), context=context)
+    check_count("max steps", max_steps, each=step, fixed=int(SCRATCH_RATIO * step), context=context)
 
 
 def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
@@ -116,7 +116,7 @@ def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
     context = f"{objects} objects and {cells} cells a side"
     if max(sizes.num_objects, sizes.num_cells, config.planner.num_visited) >= _INDEX_LIMIT:
         raise ValueError(f"the sizes are too large for any memory: {context}")
-    fixed, each = (int(SCRATCH * lanes * size) for size in _episode_bytes(config))
+    fixed, each = (int(SCRATCH_RATIO * lanes * size) for size in _episode_bytes(config))
     check_count("particles", sizes.num_particles, each=each, fixed=fixed, context=context)
 
 

@@ -13,7 +13,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import compare, summarize, timeouts_text
 from jaxlangnav.experiments.shards import ShardError, read_shard
 from jaxlangnav.experiments.sweep import episode_files, identity, read_manifest
-from jaxlangnav.experiments.table import SUCCESS, Document, Row, Table, TableColumns
+from jaxlangnav.experiments.table import SUCCESS_FORMAT, Document, Row, Table, TableColumns
 from jaxlangnav.inputs import sanitize
 
 __all__ = ["render", "summarize_directory", "summary_markdown"]
@@ -112,7 +112,7 @@ def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, 
 _LABELS = ("world", "relation", "range", "policy")
 _RESULT_COLUMNS: TableColumns = (
     ("Episodes", "{episodes}"),
-    ("Success % (95 %)", SUCCESS),
+    ("Success % (95 %)", SUCCESS_FORMAT),
     ("Distance m (σ)", "{distance_mean:.2f} ({distance_sd:.2f})"),
     ("Known m", "{known_distance_mean:.2f}"),
     ("SPL", "{spl:.2f}"),

@@ -30,7 +30,7 @@ from jaxlangnav.experiments.monte_carlo import (
     run_ahead,
     run_round,
 )
-from jaxlangnav.experiments.shards import Note, Shard, ShardError, check_shard, lock, write_shard
+from jaxlangnav.experiments.shards import OnNote, Shard, ShardError, check_shard, lock, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
@@ -102,9 +102,9 @@ def _open_folder(
     # Read back in any case: of several sweeps that start here at once, one has written it.
     existing = read_manifest(folder)
     for key in _IDENTITY:
-        found, expected = _without_count(existing.get(key)), _without_count(expected_manifest[key])
-        if found != expected:
-            difference = _difference(found, expected, key)
+        actual, expected = _without_count(existing.get(key)), _without_count(expected_manifest[key])
+        if actual != expected:
+            difference = _difference(actual, expected, key)
             raise ValueError(f"{folder} holds another sweep ({difference}): choose another folder")
     if not is_resumed and any(index in indices for index, _ in episode_files(folder)):
         raise ValueError(f"{folder} already holds episodes of this sweep: add --resume")
@@ -112,7 +112,7 @@ def _open_folder(
 
 
 def _valid_files(
-    folder: Path, plan: SweepPlan, indices: Sequence[int], sweep: str, on_note: Note
+    folder: Path, plan: SweepPlan, indices: Sequence[int], sweep: str, on_note: OnNote
 ) -> set[int]:
     """Find the indices of those of our files that exist and are valid."""
     valid = set()
@@ -159,7 +159,7 @@ def run_sweep(
     resume: bool = False,
     shard: str = "1/1",
     on_progress: OnProgress | None = None,
-    on_note: Note | None = None,
+    on_note: OnNote | None = None,
     num_threads: int | None = None,
 ) -> dict[str, Any]:
     """Run a sweep, or a shard of it.
@@ -183,7 +183,7 @@ def run_sweep(
     plan = make_plan(config)
     indices = plan.files(shard)
     advance: OnProgress = on_progress or (lambda _done: None)
-    note: Note = on_note or (lambda _line: None)
+    note: OnNote = on_note or (lambda _line: None)
     with CompileClock() as clock:
         sentences = ground_sentences([command.text for command in config.commands])
         with lock(folder, parse_shard(shard), on_note=note) as is_locked:

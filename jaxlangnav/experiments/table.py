@@ -19,7 +19,7 @@ Document = Mapping[str, Any]  # results of a command or an experiment, in JSON t
 Row = dict[str, Any]  # a row of results, by column
 TableColumns = Sequence[tuple[str, str | Callable[[Any], str]]]
 """Headings of a table, each with its cells' format; see ``Table.of``."""
-SUCCESS = "{success_rate:.1f} ({success_ci[0]:.1f}-{success_ci[1]:.1f})"
+SUCCESS_FORMAT = "{success_rate:.1f} ({success_ci[0]:.1f}-{success_ci[1]:.1f})"
 """Format of a row's success with its 95 % interval, percent."""
 _NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*([\s%*e-]|$)")
 _MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}

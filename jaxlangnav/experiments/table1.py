@@ -72,11 +72,11 @@ def _fit_splits(data: LaidOut, held_out: np.ndarray) -> Splits:
     design, train_masks = data.design, (~held_out).astype(np.float32)
     _, first = fit(design, train_masks[:1])
     _, second = fit(design, train_masks[:1])  # the first call also initialises JAX
-    alone = dataclasses.replace(second, compile_seconds=first.compile_seconds)
-    all_weights, together = fit(design, train_masks)
+    single = dataclasses.replace(second, compile_seconds=first.compile_seconds)
+    all_weights, joint = fit(design, train_masks)
     examples = round(float((train_masks @ data.sizes).mean()))
     models = [CorrespondenceModel(data.vocabulary, weights) for weights in all_weights]
-    return Splits(models, alone, together, examples)
+    return Splits(models, single, joint, examples)
 
 
 def _score_models(

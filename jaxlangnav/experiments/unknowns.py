@@ -127,15 +127,15 @@ def _measure(row: Row, spec: RowSpec, _: EpisodeResult) -> Row:
     """Compare a row with the printed one, in standard errors."""
     paper = printed_rows([TABLE_2[PRINTED.index(spec)]])[0]
     z = deviations(row, paper)
-    near = {f"is_{name}_near": abs(deviation) <= AGREEMENT for name, deviation in z.items()}
+    is_near = {f"is_{name}_near": abs(deviation) <= AGREEMENT for name, deviation in z.items()}
     return {
         "success_se": rate_error(row["success_rate"], row["episodes"]),
         "distance_se": distance_error(row),
         "paper_success_rate": paper["success_rate"],
         "paper_distance_mean": paper["distance_mean"],
         **{f"z_{name}": deviation for name, deviation in z.items()},
-        **near,
-        "is_near": all(near.values()),
+        **is_near,
+        "is_near": all(is_near.values()),
     }
 
 

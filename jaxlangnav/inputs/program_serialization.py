@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxlangnav.pytree import RECORDS, strong
+from jaxlangnav.pytree import RECORDS, strong_types
 
 Call = Callable[[list[Any]], Any]
 """Takes a program's flat arguments, returns the function's result."""
@@ -47,7 +47,7 @@ def compile_program(
     structures: list[tuple[Any, list[Hashable]]] = []
 
     def flat_results(*values: Any) -> list[Any]:
-        outputs, tree = jax.tree.flatten(strong(flat(*values)))
+        outputs, tree = jax.tree.flatten(strong_types(flat(*values)))
         # Empty for numbers; for a PRNG key, the name of its implementation.
         key_impls: list[Hashable] = [
             jax.random.key_impl(leaf) if _is_key(leaf) else "" for leaf in outputs

@@ -39,7 +39,7 @@ from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import start_progress, update_progress
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.relevance import believed_groups, has_unseen_tie, is_tied_to_goal
-from jaxlangnav.pytree import pytree, replace, strong
+from jaxlangnav.pytree import pytree, replace, strong_types
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause_behaviors
 from jaxlangnav.semantic_map.belief import align_on_robot, robot_position
@@ -107,7 +107,7 @@ def start(
         clause=jnp.int32(0),
         previous_goal=jnp.int32(NONE),
         visited=graph.nowhere(config.planner.num_visited),
-        memory=strong(config.planner.chosen.init(belief)),
+        memory=strong_types(config.planner.chosen.init(belief)),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
         talk=dialogue.begin_conversation(instruction, home, slots, words),

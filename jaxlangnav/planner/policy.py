@@ -30,7 +30,7 @@ from jaxlangnav.planner.situation import (
     Valuation as Valuation,
     Waypoint as Waypoint,
 )
-from jaxlangnav.pytree import replace, strong
+from jaxlangnav.pytree import replace, strong_types
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 
@@ -131,4 +131,4 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
         )
     is_stop = decision.is_stop & situation.may_stop & ~decision.doubt.asks
     is_not_found = decision.is_not_found & ~is_stop & ~situation.stands & ~decision.doubt.asks
-    return strong(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)
+    return strong_types(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)

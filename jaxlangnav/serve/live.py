@@ -225,16 +225,16 @@ class LiveEpisode:
         Raises:
             ValueError: empty or too long, or the episode has ended; one line.
         """
-        said = text.strip()
-        if not said:
+        words = text.strip()
+        if not words:
             raise ValueError("nothing is said: type a sentence")
-        if len(said) > MAX_UTTERANCE_LENGTH:
+        if len(words) > MAX_UTTERANCE_LENGTH:
             limit = f"at most {MAX_UTTERANCE_LENGTH}"
-            raise ValueError(f"{len(said)} characters are said, but {limit} are heard: say less")
+            raise ValueError(f"{len(words)} characters are said, but {limit} are heard: say less")
         if self.is_over:
             raise ValueError("this episode has ended: press go for another")
         try:
-            self._queue.put_nowait(said)
+            self._queue.put_nowait(words)
         except queue.Full:
             raise ValueError(f"{_QUEUE_SIZE} utterances are still unheard: wait") from None
 

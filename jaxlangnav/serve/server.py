@@ -132,9 +132,9 @@ class Server:
         return refusal()
 
     def _start(self, document: Any) -> str:
-        asked = convert(document, Request)
+        query = convert(document, Request)
         name = secrets.token_hex(8)
-        episode = LiveEpisode(asked, model=self._model, folder=self._folder / name, pace=self._pace)
+        episode = LiveEpisode(query, model=self._model, folder=self._folder / name, pace=self._pace)
         for oldest in list(self._episodes)[: max(0, len(self._episodes) + 1 - MAX_EPISODES)]:
             self._episodes.pop(oldest).close()
         self._episodes[name] = episode

@@ -78,10 +78,10 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
         is_under_way: it goes on: how it ends cannot be told yet.
     """
     scene, frames, world = recording.scene, recording.frames, recording.scene.scenario
-    claims = describe_readings(scene, least=0.005)
+    claims = describe_readings(scene, min_prob=0.005)
     # Readings of the first sentence and after each later utterance.
     scenes = [scene, *(remark.scene for remark in recording.said if remark.scene is not None)]
-    readings = (describe_readings(current, least=0.005) for current in scenes)
+    readings = (describe_readings(current, min_prob=0.005) for current in scenes)
     all_claims = list(dict.fromkeys(claim for reading in readings for claim, _ in reading))
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
     return {
@@ -133,11 +133,11 @@ def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -
     objects, detections, claim_probs = [], [], []
     for moment in recording.moments:
         frame = moment.frame
-        seen = [
+        rows = [
             [obj.object_type, *_rounded(obj.x, obj.y, obj.spread, obj.probability, obj.goal_mass)]
-            for obj in summary.seen_objects(frame)
+            for obj in summary.observed_objects(frame)
         ]
-        objects.append(seen)
+        objects.append(rows)
         bearing = frame.heading + frame.detection_bearing
         x = frame.robot[0] + frame.detection_range * np.cos(bearing)
         y = frame.robot[1] + frame.detection_range * np.sin(bearing)
@@ -174,7 +174,7 @@ def _array_data(recording: Recording) -> dict[str, Any]:
     heaviest = frames.weight.max(axis=1)
     grid_x, x_low, x_high = _quantize(x, is_in)
     grid_y, y_low, y_high = _quantize(y, is_in)
-    seen = frames.object_type[frames.object_type != NONE]
+    observed_types = frames.object_type[frames.object_type != NONE]
     relative = frames.weight / np.maximum(heaviest, 1e-12)[:, None]
     arrays = {
         "x": grid_x,
@@ -199,7 +199,7 @@ def _array_data(recording: Recording) -> dict[str, Any]:
         "num_mentions": len(mentions),
         "frame": [x_low, x_high, y_low, y_high],
         "thought_types": np.unique(types[is_in]).astype(int).tolist(),
-        "seen_types": np.unique(seen).astype(int).tolist(),
+        "seen_types": np.unique(observed_types).astype(int).tolist(),
         "node_kinds": [_NODE_NAMES[code] for code in sorted(_NODE_NAMES)],
         "arrays": {name: _encode_array(array) for name, array in arrays.items()},
     }

@@ -12,7 +12,7 @@ import numpy as np
 from jaxlangnav.episode.recording import Frame, Recording, StaticScene
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.viz import style
-from jaxlangnav.viz.summary import seen_objects
+from jaxlangnav.viz.summary import observed_objects
 from jaxlangnav.world.state import Scenario, WorldState, walls_of
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def draw_objects(axes: "Axes", frame: Frame) -> "list[PathCollection]":
             facecolors=style.type_color(obj.object_type), edgecolors=style.INK, linewidths=0.9,
             alpha=min(1.0, max(0.25, obj.probability)), zorder=6,
         )
-        for obj in seen_objects(frame)
+        for obj in observed_objects(frame)
     ]  # fmt: skip
 
 

@@ -66,11 +66,11 @@ _MOMENTS: TableColumns = (
     ("step", "{step}"),
     ("walked m", "{distance:.1f}"),
     ("what happens", "{event}"),
-    ("goal seen", lambda one: percent(one["goal_seen"])),
-    ("unseen, left", lambda one: percent(one["unseen_left"])),
-    ("unseen, right", lambda one: percent(one["unseen_right"])),
-    ("its spread m", lambda one: "" if one["spread"] is None else f"{one['spread']:.1f}"),
-    ("looked at", lambda one: percent(one["explored"])),
+    ("goal seen", lambda row: percent(row["goal_seen"])),
+    ("unseen, left", lambda row: percent(row["unseen_left"])),
+    ("unseen, right", lambda row: percent(row["unseen_right"])),
+    ("its spread m", lambda row: "" if row["spread"] is None else f"{row['spread']:.1f}"),
+    ("looked at", lambda row: percent(row["explored"])),
 )
 
 
@@ -85,12 +85,12 @@ def opening(scene: StaticScene) -> list[str]:
     claims = sentences.describe_readings(scene)
     lines = [f"You said: “{scene.text}”."] if scene.text else []
     if claims:
-        first, *others = [f"{claim} ({percent(prob)})" for claim, prob in claims]
+        first, *alternatives = [f"{claim} ({percent(prob)})" for claim, prob in claims]
         lines.append(f"It takes this to say that there is {first}.")
         if commands := sentences.describe_commands(scene):
             lines.append(f"It is to {'; then to '.join(commands)}.")
-        if others:
-            lines.append(f"It may also mean {', or '.join(others)}.")
+        if alternatives:
+            lines.append(f"It may also mean {', or '.join(alternatives)}.")
     num_walls = len(scene.walls)
     walls = f"{sentences.noun_list(['wall'] * num_walls)} " if num_walls else ""
     lines.append(
@@ -232,8 +232,8 @@ def describe_collision(moment: Moment) -> str:
     frame, before = moment.frame, moment.before
     if before is None or not len(moment.scene.walls):
         return ""
-    here = np.asarray(frame.position)
-    ends = jnp.asarray([*here, *(here + before.waypoint - before.position)])
+    position = np.asarray(frame.position)
+    ends = jnp.asarray([*position, *(position + before.waypoint - before.position)])
     segment = Stretch(*ends)
     clear = moment.scene.scenario.terrain.view.clear_share(segment, BODY_RADIUS + 0.01)
     return "A wall has halted it." if clear is not None and float(clear) == 0.0 else ""

@@ -84,10 +84,10 @@ def verdict(recording: Recording) -> str:
     )
 
 
-def _choose_steps(recording: Recording, steps: Sequence[int] | None, number: int) -> list[int]:
+def _choose_steps(recording: Recording, steps: Sequence[int] | None, count: int) -> list[int]:
     """Validate the requested steps, or by default select the most informative ones."""
     if steps is None:
-        return select_steps(recording, number)
+        return select_steps(recording, count)
     if not steps:
         raise ValueError("steps is empty, but a figure needs at least one moment")
     num_steps = recording.num_steps
@@ -140,9 +140,9 @@ def belief_figure(
     return figure
 
 
-def best_nodes(frame: Frame, number: int = NUM_BARS) -> np.ndarray:
+def best_nodes(frame: Frame, count: int = NUM_BARS) -> np.ndarray:
     """Rank the open nodes of a step by value: i64[≤ number], nearby nodes merged."""
-    return distinct_nodes(frame)[:number]
+    return distinct_nodes(frame)[:count]
 
 
 def values_figure(
@@ -160,7 +160,7 @@ def values_figure(
         figure, maps, charts = _layout(recording, len(chosen), text=text, has_charts=True)
         for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
             _draw_values(axes, recording, step)
-            _draw_parts(chart, recording.at(step), with_label=axes.get_ylabel() != "")
+            _draw_value_terms(chart, recording.at(step), with_label=axes.get_ylabel() != "")
             _title_panel(axes, recording.moments[step], index)
         marks = [
             handle
@@ -204,11 +204,11 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
     mapping.draw_waypoint(axes, frame)
     mapping.draw_robot(axes, frame)
     if not bool(frame.is_done):
-        _number_nodes(axes, frame)
+        _label_nodes(axes, frame)
     return nodes
 
 
-def _number_nodes(axes: "Axes", frame: Frame) -> None:
+def _label_nodes(axes: "Axes", frame: Frame) -> None:
     """Annotate the best waypoints with their ranks."""
     for rank, node in enumerate(best_nodes(frame), start=1):
         axes.annotate(
@@ -218,7 +218,7 @@ def _number_nodes(axes: "Axes", frame: Frame) -> None:
         )  # fmt: skip
 
 
-def _draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
+def _draw_value_terms(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
     """Draw the value terms of the best waypoints as stacked bars: goal, information, cost."""
     # Once the task has ended, show the reason instead.
     if bool(frame.is_done):

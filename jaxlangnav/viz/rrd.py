@@ -100,7 +100,7 @@ def _log_belief(rerun: Any, stream: Any, recording: Recording, step: int) -> Non
         color = _rgba(style.type_color(code), alpha)
         points = _to_3d(frame.hypothesis_x[mask], frame.hypothesis_y[mask])
         stream.log(f"world/hypotheses/{name}", rerun.Points3D(points, radii=0.06, colors=color))
-    seen = summary.seen_objects(frame)
+    seen = summary.observed_objects(frame)
     stream.log(
         "world/observed",
         rerun.Points3D(

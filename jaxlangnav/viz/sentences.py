@@ -69,9 +69,9 @@ def noun_list(nouns: list[str]) -> str:
     words = ("", "", "two", "three", "four")
     parts = []
     for noun in dict.fromkeys(nouns):
-        number = nouns.count(noun)
-        word = words[number] if number < len(words) else str(number)
-        parts.append(with_article(noun) if number == 1 else f"{word} {plural(noun)}")
+        count = nouns.count(noun)
+        word = words[count] if count < len(words) else str(count)
+        parts.append(with_article(noun) if count == 1 else f"{word} {plural(noun)}")
     return join_words(parts)
 
 
@@ -124,8 +124,8 @@ def describe_commands(scene: StaticScene) -> list[str]:
 
     def name(mention: int) -> str:
         words = _mention_words(scene, best, mention)
-        first, _, rest = words.partition(" ")
-        return f"the {rest}" if first in ("a", "an") else words
+        first, _, noun = words.partition(" ")
+        return f"the {noun}" if first in ("a", "an") else words
 
     def describe(command: CommandSummary) -> str:
         goal = "another one than before" if command.mention == NONE else name(command.mention)
@@ -141,11 +141,11 @@ def describe_commands(scene: StaticScene) -> list[str]:
     return [describe(command) for command in scene.asks]
 
 
-def describe_readings(scene: StaticScene, *, least: float = 0.01) -> list[tuple[str, float]]:
-    """List the claims of the readings whose probability is at least ``least``, likeliest first."""
+def describe_readings(scene: StaticScene, *, min_prob: float = 0.01) -> list[tuple[str, float]]:
+    """List the claims of the readings with at least ``min_prob`` probability, likeliest first."""
     total = _sum_by_claim(scene, np.exp(np.asarray(scene.readings.log_probability, float)))
     ranked = sorted(total.items(), key=lambda item: -item[1])
-    return [(claim, prob) for claim, prob in ranked if prob >= least]
+    return [(claim, prob) for claim, prob in ranked if prob >= min_prob]
 
 
 def _sum_by_claim(scene: StaticScene, probs: np.ndarray) -> dict[str, float]:
@@ -157,11 +157,11 @@ def _sum_by_claim(scene: StaticScene, probs: np.ndarray) -> dict[str, float]:
     return total
 
 
-def new_objects(moment: Moment) -> list[summary.SeenObject]:
+def new_objects(moment: Moment) -> list[summary.ObservedObject]:
     """List the objects first observed in this step: their slots were empty before."""
-    before = () if moment.before is None else summary.seen_objects(moment.before)
-    old = {obj.slot for obj in before}
-    return [obj for obj in summary.seen_objects(moment.frame) if obj.slot not in old]
+    before = () if moment.before is None else summary.observed_objects(moment.before)
+    old_slots = {obj.slot for obj in before}
+    return [obj for obj in summary.observed_objects(moment.frame) if obj.slot not in old_slots]
 
 
 def _offset(frame: Frame, x: float, y: float) -> str:
@@ -228,11 +228,11 @@ def describe_new_reading(moment: Moment) -> str:
     """Report the claim that gained the most probability in a step, if it gained a tenth."""
     if moment.before is None:
         return ""
-    now, then = (claim_probabilities(moment.scene, key) for key in (moment.frame, moment.before))
-    claim = max(now, key=lambda key: now[key] - then[key])
-    if now[claim] - then[claim] < 0.1:
+    current, past = (claim_probabilities(moment.scene, f) for f in (moment.frame, moment.before))
+    claim = max(current, key=lambda key: current[key] - past[key])
+    if current[claim] - past[claim] < 0.1:
         return ""
-    return f"It now reads the words as: {claim} ({percent(now[claim])})."
+    return f"It now reads the words as: {claim} ({percent(current[claim])})."
 
 
 def claim_probabilities(scene: StaticScene, frame: Frame) -> dict[str, float]:
@@ -245,7 +245,7 @@ def _goal_name(scene: StaticScene, frame: Frame, slot: int) -> str:
     """Name the goal at an observed object: "the hydrant", "the place behind the cone"."""
     region = int(frame.goal_region[slot])
     is_robot = slot == len(frame.goal_mass) - 1
-    types = {obj.slot: obj.object_type for obj in summary.seen_objects(frame)}
+    types = {obj.slot: obj.object_type for obj in summary.observed_objects(frame)}
     name = "where it started" if is_robot else f"the {scene.type_name(types.get(slot, NONE))}"
     # A region is only asked for where there is goal probability; elsewhere it is the object.
     if region == AT or float(frame.goal_mass[slot]) < 0.02:
@@ -269,15 +269,15 @@ def describe_goal(scene: StaticScene, frame: Frame) -> str:
     if unseen >= 0.05:
         modes = [
             f"{_offset(frame, x, y)} ({percent(frac * unseen)})"
-            for x, y, frac in summary.peaks(frame)
+            for x, y, frac in summary.goal_modes(frame)
             if frac * unseen >= 0.1
         ]
-        where = f"likeliest it is {', or '.join(modes)}" if modes else "it could be anywhere"
+        location = f"likeliest it is {', or '.join(modes)}" if modes else "it could be anywhere"
         if seen:
-            sentences.append(f"It may still be unseen ({percent(unseen)}): {where}.")
+            sentences.append(f"It may still be unseen ({percent(unseen)}): {location}.")
         else:
             sure = "" if unseen > 0.99 else f" ({percent(unseen)})"
-            sentences.append(f"The goal has not been seen yet{sure}: {where}.")
+            sentences.append(f"The goal has not been seen yet{sure}: {location}.")
     no_match = 1.0 - unseen - float(frame.goal_mass.sum())
     if no_match >= 0.15:
         sentences.append(f"In {percent(no_match)} of the maps nothing fits the command.")
@@ -289,14 +289,14 @@ def describe_decision(scene: StaticScene, frame: Frame) -> str:
     missing = describe_missing(scene, frame)
     if bool(frame.is_stop):
         is_find, stop = float(frame.action[1]) > 0.5, float(scene.planner.stop_probability)
-        where = "in view" if is_find else f"within {float(scene.planner.reach):g} m"
+        place = "in view" if is_find else f"within {float(scene.planner.reach):g} m"
         verb = "Says stop" if bool(frame.is_done) else "This command is done"
         if bool(frame.is_done) and missing:
-            return f"{verb}: what fits best is {where}; {missing} was to be found."
+            return f"{verb}: what fits best is {place}; {missing} was to be found."
         if float(frame.goal_mass.max()) < stop:
-            why = "nothing left to look at would tell more"
-            return f"{verb}: what fits best is {where}, and {why}."
-        return f"{verb}: the goal is {where}, and surer than the {percent(stop)} at which it stops."
+            cause = "nothing left to look at would tell more"
+            return f"{verb}: what fits best is {place}, and {cause}."
+        return f"{verb}: the goal is {place}, and surer than the {percent(stop)} at which it stops."
     if int(frame.status) == Status.NOT_FOUND:
         missing = missing or "nothing that fits the command"
         explored = percent(summary.explored_fraction(frame))
@@ -326,14 +326,14 @@ def describe_decision(scene: StaticScene, frame: Frame) -> str:
 
 def describe_waypoint(scene: StaticScene, frame: Frame) -> str:
     """Name the waypoint and describe its position."""
-    where = _offset(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
+    location = _offset(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     if int(frame.waypoint_kind) == VISITED:
-        return f"a place it has been {where}"
+        return f"a place it has been {location}"
     if int(frame.waypoint_kind) != OBJECT_NODE:
-        return f"{scene.portrayal.place} {where}"
+        return f"{scene.portrayal.place} {location}"
     x, y = frame.goal_x - frame.waypoint[0], frame.goal_y - frame.waypoint[1]
     slot = int(np.argmin(np.where(frame.is_goal, x * x + y * y, np.inf)))
-    return f"{_goal_name(scene, frame, slot)} {where}"
+    return f"{_goal_name(scene, frame, slot)} {location}"
 
 
 def describe_missing(scene: StaticScene, frame: Frame) -> str:

@@ -202,8 +202,8 @@ def _fit_text(text: str, width: float, high: float, low: float, em: float) -> tu
     size = min(high, width * 72 / (em * max(1, len(text))))
     if size >= low:
         return text, size
-    num_kept = int(width * 72 / (em * low)) - 1
-    return text[:num_kept].rstrip() + "…", low
+    length = int(width * 72 / (em * low)) - 1
+    return text[:length].rstrip() + "…", low
 
 
 def save(figure: "Figure", stem: Path | str) -> tuple[Path, Path]:

@@ -18,7 +18,7 @@ SAME_NODE_RADIUS = 0.25  # metres within which two nodes count as one
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SeenObject:
+class ObservedObject:
     """An observed object, averaged over particles."""
 
     slot: int
@@ -30,7 +30,7 @@ class SeenObject:
     goal_mass: float  # probability that it is the goal
 
 
-def seen_objects(frame: Frame) -> list[SeenObject]:
+def observed_objects(frame: Frame) -> list[ObservedObject]:
     """Compute existence, type and mean position of each observed object over the particles."""
     weight = np.asarray(frame.weight, float)
     objects = []
@@ -47,7 +47,7 @@ def seen_objects(frame: Frame) -> list[SeenObject]:
         squared = ((positions - mean[:, None]) ** 2).sum(axis=0)
         variance = np.square(frame.object_sd[slot], dtype=float)
         objects.append(
-            SeenObject(
+            ObservedObject(
                 slot=slot,
                 object_type=best,
                 x=float(mean[0]),
@@ -79,7 +79,7 @@ def _goals(frames: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return x, y, mass
 
 
-def peaks(frame: Frame) -> list[tuple[float, float, float]]:
+def goal_modes(frame: Frame) -> list[tuple[float, float, float]]:
     """Find at most two modes of the unseen goal's distribution, the heaviest first.
 
     Each is x, y in metres, map frame, and the fraction of the unseen goal's mass within 1.5 metres;
@@ -118,14 +118,14 @@ def chosen_node(frame: Frame) -> int | None:
 def distinct_nodes(frame: Frame) -> np.ndarray:
     """Rank the open nodes by value, i64[≤ A], with non-maximum suppression of close nodes."""
     order = np.argsort(-np.asarray(frame.value), kind="stable")
-    kept: list[int] = []
+    distinct: list[int] = []
     for node in order[np.isfinite(frame.value[order])]:
         distance = np.hypot(
-            frame.node_x[kept] - frame.node_x[node], frame.node_y[kept] - frame.node_y[node]
+            frame.node_x[distinct] - frame.node_x[node], frame.node_y[distinct] - frame.node_y[node]
         )
         if not (distance < SAME_NODE_RADIUS).any():
-            kept.append(int(node))
-    return np.array(kept, int)
+            distinct.append(int(node))
+    return np.array(distinct, int)
 
 
 def tested_mass(scene: StaticScene, frame: Frame) -> float:
@@ -135,8 +135,8 @@ def tested_mass(scene: StaticScene, frame: Frame) -> float:
     dx, dy = frame.hypothesis_x - start[0], frame.hypothesis_y - start[1]
     along = np.clip((dx * span[0] + dy * span[1]) / max(float(span @ span), 1e-9), 0.0, 1.0)
     distance = np.hypot(dx - along * span[0], dy - along * span[1])
-    is_seen = frame.is_hypothesised & (distance <= float(scene.sensor.range_max))
-    return float(frame.weight[is_seen.any(axis=0)].sum())
+    is_in_range = frame.is_hypothesised & (distance <= float(scene.sensor.range_max))
+    return float(frame.weight[is_in_range.any(axis=0)].sum())
 
 
 def goal_field(scene: StaticScene, frame: Frame, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -151,11 +151,11 @@ def explored_fraction(frame: Frame) -> float:
     return float(np.mean(np.asarray(frame.miss) < 0.5))
 
 
-def select_steps(recording: Recording, number: int = 6) -> list[int]:
+def select_steps(recording: Recording, count: int = 6) -> list[int]:
     """Select min(number, T) informative steps, in order: the last, and the first if number > 1."""
-    refuse_below(1, **{"number of panels": number})
+    refuse_below(1, **{"number of panels": count})
     last, frames = recording.num_steps - 1, recording.frames
-    chosen = {0, last} if number > 1 else {last}
+    chosen = {0, last} if count > 1 else {last}
     # Changes of belief and plan in each step.
     goal_shift, has_new_waypoint = np.zeros((2, recording.num_steps))
     goal_shift[1:] = np.hypot(*np.diff(expected_goal(frames), axis=0).T)
@@ -163,7 +163,7 @@ def select_steps(recording: Recording, number: int = 6) -> list[int]:
     score = 2.0 * frames.is_news + frames.num_regrounded / recording.num_particles
     score += 0.25 * np.nan_to_num(goal_shift) + 0.2 * has_new_waypoint
     # Among equal scores, spread the steps over the episode.
-    for _ in range(min(number, recording.num_steps) - len(chosen)):
+    for _ in range(min(count, recording.num_steps) - len(chosen)):
         steps = np.arange(recording.num_steps)
         gap = np.min(np.abs(steps[:, None] - np.array(sorted(chosen))[None, :]), axis=1)
         spread = gap / max(1, last)

@@ -31,10 +31,10 @@ _PAPER_STYLE: dict[str, Any] = {
 """Style of the paper's printed points: a hollow diamond."""
 _Z95 = 1.96
 _JITTER = 1.025  # range factor that separates the error bars of two policies
-_WIDE, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
+_FIGURE_WIDTH, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
 """Inches: figure width, height of a scenario, top and bottom margins."""
 _MAX_ECE = 0.4  # axis limit of the ECE panel; larger values are clipped to it
-_LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155  # inches: label margin, panel, variation
+_LABEL_MARGIN, _COLUMN, _STRIP = 2.05, 1.4, 0.155  # inches: label margin, panel, variation
 
 
 def range_figure(document: Mapping[str, Any]) -> "Figure":
@@ -179,8 +179,8 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
         figure, panels = row_panels(
             names,
             ("success (%)", "distance travelled (m)", "ECE"),
-            size=(_WIDE, _HEAD + _FOOT + _LINE * len(names)),
-            margins=(0.185 * _WIDE, _HEAD, _FOOT),
+            size=(_FIGURE_WIDTH, _HEAD + _FOOT + _LINE * len(names)),
+            margins=(0.185 * _FIGURE_WIDTH, _HEAD, _FOOT),
             widths=(5, 4, 3),
         )
         mark: dict[str, Any] = {"color": style.INK, "linewidth": 1.4, "zorder": 4}
@@ -227,9 +227,9 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
         raise ValueError("the document has no rows, so there is nothing to draw")
     with style.house_style():
         height = _STRIP * len(fits)
-        size = _LEFT + _COLUMN * len(paper) + 0.1, 2 * height + 1.95
+        size = _LABEL_MARGIN + _COLUMN * len(paper) + 0.1, 2 * height + 1.95
         kwargs: dict[str, Any] = {"sharey": True, "wspace": 0.1, "hspace": 0.62 / height}
-        figure, grid = style.panels(size, 2, len(paper), (_LEFT, 0.1, 0.85, 0.42), **kwargs)
+        figure, grid = style.panels(size, 2, len(paper), (_LABEL_MARGIN, 0.1, 0.85, 0.42), **kwargs)
         for index, printed in enumerate(paper):
             rows = document["rows"][index :: len(paper)]
             above, below = grid[:, index]

@@ -65,7 +65,7 @@ def _draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
             x, y = x1 + t * (x2 - x1), y1 + t * (y2 - y1)
             put(float(x), float(y), "█", "grey30")
     names = _letters(scene)
-    for obj in summary.seen_objects(frame):
+    for obj in summary.observed_objects(frame):
         letter = names.get(obj.object_type, "?")
         put(obj.x, obj.y, letter, f"bold white on {style.type_color(obj.object_type)}")
     if not bool(frame.is_done):
@@ -102,7 +102,7 @@ def _draw_moment(moment: Moment, *, width: int = 48) -> "RenderableType":
         side.append(Text.assemble(f"{name:<12}", *bar, f" {percent(frac)}\n"))
     side.append("\n")
     names = _letters(scene)
-    for code in sorted({obj.object_type for obj in summary.seen_objects(frame)}):
+    for code in sorted({obj.object_type for obj in summary.observed_objects(frame)}):
         side.append(f" {names.get(code, '?')} ", style=f"bold white on {style.type_color(code)}")
         side.append(f" {scene.type_name(code)}  ")
     grid = Table.grid(padding=(0, 2))

@@ -24,7 +24,7 @@ from jax import Array
 
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
-from jaxlangnav.pytree import field, pytree, strong
+from jaxlangnav.pytree import field, pytree, strong_types
 from jaxlangnav.world.state import Scenario
 
 
@@ -83,7 +83,7 @@ def params_of(**fields: Any) -> PersonParams:
     if not 0.0 <= params.error_rate <= 1.0:
         raise ValueError(f"error_rate is {params.error_rate:g}, but must be between 0 and 1")
     refuse_below(0, delay=params.delay, num_corrections=params.num_corrections)
-    return strong(params)
+    return strong_types(params)
 
 
 PERSONS: dict[str, dict[str, Any]] = {
@@ -97,7 +97,7 @@ PERSONS: dict[str, dict[str, Any]] = {
 
 def unspoken() -> Person:
     """Build the initial state of a person."""
-    return strong(Person())
+    return strong_types(Person())
 
 
 def say(

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.pytree import field, pytree, replace, strong
+from jaxlangnav.pytree import field, pytree, replace, strong_types
 from jaxlangnav.world.state import CONE, HYDRANT, Errors, Scenario
 
 NUM_THINGS = 64
@@ -201,4 +201,4 @@ def place_law(*, area: tuple[float, float, float, float], **fields: Any) -> Plac
             f"must have at most {NUM_THINGS} and {NUM_HAUNTED}: take fewer"
         )
     # So many objects would not fit with a metre between them.
-    return strong(replace(law, gap=0.5) if count > 30 else law)
+    return strong_types(replace(law, gap=0.5) if count > 30 else law)
