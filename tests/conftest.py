@@ -28,7 +28,6 @@ TOGETHER = {
     ),
     "follow": (
         "test_cli_experiments", "test_cli_follow", "test_follow_constructs", "test_recording",
-        "test_task.py",
     ),
     "corpora": ("test_language_corpus", "test_training_labelled"),
 }  # fmt: skip

@@ -116,18 +116,16 @@ def find_things(thing: Thing, world: Place, gone: set[int], *, is_core: bool) ->
         marks = [None]
         if landmark.kind != ROBOT:
             marks = sorted(find_things(landmark, world, set(), is_core=is_core))
+        ends = {mark: None if mark is None else world.at[mark] for mark in marks}
         if rank == 0:
             found = {
                 n for n in found
-                if any(n != m and _holds_at(name, world, n, m, is_core=is_core) for m in marks)
+                if any(n != m and holds(name, world.at[n], end, is_core=is_core)
+                       for m, end in ends.items())
             }  # fmt: skip
         else:
             found = {n for m in marks for n in _ranked(name, rank, world, found - {m}, m, is_core)}
     return found
-
-
-def _holds_at(name: str, world: Place, figure: int, mark: int | None, *, is_core: bool) -> bool:
-    return holds(name, world.at[figure], None if mark is None else world.at[mark], is_core=is_core)
 
 
 def _ranked(

@@ -83,14 +83,11 @@ def is_behind(figure: np.ndarray, landmark: np.ndarray) -> bool:
     return bool(np.hypot(*span) < 5.0 and np.cos(turn) > 0.3)
 
 
-def _anywhere(random: np.random.Generator) -> np.ndarray:
-    return random.uniform([AREA[0] + 0.5, AREA[2] + 0.5], [AREA[1] - 0.5, AREA[3] - 0.5])
-
-
 def furnish(random: np.random.Generator, scenario: Scenario, types: tuple[str, ...]) -> Place:
     """Draw a place in which exactly one hydrant stands behind a cone (or, said falsely, none)."""
     hydrant, cone = types.index("hydrant"), types.index("cone")
     others = [kind for kind in range(len(types)) if kind not in (hydrant, cone)]
+    low, high = [AREA[0] + 0.5, AREA[2] + 0.5], [AREA[1] - 0.5, AREA[3] - 0.5]
     while True:
         landmark = random.uniform([1.5, -6.5], [9.0, 6.5])
         side = -1.0 if scenario.says_false else 1.0
@@ -98,7 +95,7 @@ def furnish(random: np.random.Generator, scenario: Scenario, types: tuple[str, .
         figure = landmark + side * random.uniform(1.2, 2.8) * np.array([np.cos(turn), np.sin(turn)])
         kind = [hydrant, cone] + [hydrant, cone] * scenario.extra_pairs
         kind += list(random.choice(others, scenario.bystanders))
-        at = np.stack([figure, landmark] + [_anywhere(random) for _ in kind[2:]])
+        at = np.stack([figure, landmark] + [random.uniform(low, high) for _ in kind[2:]])
         gap = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1))
         near = np.where(np.eye(len(at), dtype=bool), np.inf, gap)
         crowded = 0.5 if len(at) > 30 else 0.9

@@ -111,17 +111,6 @@ def _by_robot(side: str, relation: str | None, *, is_cone: bool) -> Row:
     )  # fmt: skip
 
 
-def _of_side(side: float, sentence: str) -> Row:
-    """A place of so many metres a side."""
-    return Row(
-        sentence=sentence,
-        draw=functools.partial(pair, near=0.25 * side, far=0.6 * side),
-        area=(0.0, side, -0.5 * side, 0.5 * side),
-        reach=3.0 if side < 20.0 else 5.0,
-        steps=int(80 + 12 * side),
-    )
-
-
 ROWS = {
     "behind": Row(),
     "none": Row(sentence=PLAIN),
@@ -142,10 +131,6 @@ ROWS = {
     for side in _SIDES
     for relation in (None, *_BESIDE)
     for is_cone in (False, True)[: 1 + (relation is not None)]
-} | {
-    f"{name}_{side}": _of_side(float(side), sentence)
-    for side in (8, 14, 25, 40, 60)
-    for name, sentence in (("behind", outside.SENTENCE), ("none", PLAIN))
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import importlib.util
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from recording_fixture import make_recording
 from test_cli_hostile import document, refused
 from test_docs import frozen
 
+import jaxlangnav
 from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
@@ -272,3 +274,45 @@ def test_crowded_worlds_get_the_sizes_for_places_as_they_are(number, slots, tmp_
     # The search prior is of the worlds of the templates: nowhere else is it of use.
     assert float(params.planner.prior_share) == 0.0
     assert float(usual_engine("1H1C", "informed", 32)[0].planner.prior_share) > 0.0
+
+
+# ``jaxlangnav.follow``: the same in one call.
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("go to the car", {}, "no car"),
+        ("the hydrant is behind the cone", {}, "asks for nothing to be done"),
+        ("go to the hydrant", {"sensing_range": 0.0}, "must be positive"),
+        ("go to the hydrant", {"world": "nowhere.toml"}, "nowhere.toml"),
+        ("go to the hydrant", {"policy": "infromed"}, "must be one of"),
+        ("go to the zorbel", {}, "zorbel"),
+    ],
+)
+def test_a_refusal_of_the_function_is_one_line(text: str, options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        jaxlangnav.follow(text, **options)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def as_commands_do(tmp_path: Path) -> Iterator[None]:
+    """Keep programs, as commands do: the episode's is then the one that their tests compile."""
+    program_cache.set_cache_dir(tmp_path / "programs")
+    yield
+    program_cache.set_cache_dir(None)
+
+
+@pytest.mark.usefixtures("as_commands_do")
+def test_a_world_file_is_followed_and_judged(tmp_path: Path) -> None:
+    path = tmp_path / "world.toml"
+    area, it = (0.0, 6.0, -3.0, 3.0), {"x": 4.0, "y": 0.0}
+    path.write_text(world_file(area, ("cone", 4.0, 0.0), goal=it), encoding="utf-8")
+    recording = jaxlangnav.follow("go to the cone", world=path, seed=1)
+    assert bool(recording.result.is_success)
+    assert np.hypot(*(np.asarray(recording.result.final) - [4.0, 0.0])) <= 1.5
+    assert recording.scene.text == "go to the cone"
+    assert abs(recording.scene.known_distance - 4.0) < 1.6
+    again = jaxlangnav.follow("go to the cone", world=path, seed=1)
+    np.testing.assert_array_equal(again.frames.waypoint, recording.frames.waypoint)

@@ -105,11 +105,6 @@ def test_episodes_end_with_a_result(in_lanes: EpisodeResult) -> None:
     assert in_lanes.is_success[::3].mean() > 0.7
 
 
-def run_alone(task: Task, instructions) -> EpisodeResult:
-    given = {"params": navigator.default_params(), "config": config(), "max_steps": MAX_STEPS}
-    return run(task, instructions, **given)
-
-
 def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """Sentences, worlds, ranges, noises and parameters do not compile again."""
     before = lanes._run_batch._cache_size()
@@ -158,7 +153,8 @@ def test_padding_tasks_are_not_run(in_lanes: EpisodeResult, tasks, instructions)
 @pytest.mark.slow
 def test_refilled_lanes_equal_a_vmapped_loop(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """``vmap`` of ``run`` waits for its slowest lane and finds the same episodes."""
-    results = jax.vmap(lambda task: run_alone(task, instructions))(tasks)
+    given = {"params": navigator.default_params(), "config": config(), "max_steps": MAX_STEPS}
+    results = jax.vmap(lambda task: run(task, instructions, **given))(tasks)
     assert_same(jax.tree.map(np.asarray, results), in_lanes)
 
 

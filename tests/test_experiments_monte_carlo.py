@@ -155,12 +155,10 @@ def test_an_arm_sets_its_worlds_and_keeps_their_keys() -> None:
 
 def test_a_grid_is_run_arm_by_arm_and_summed_up_by_setting() -> None:
     done: list[int] = []
-    instructions = ground_sentences(list(SENTENCES.values())).instructions
-    (played,) = run_grid(GRID, instructions, on_progress=done.append)
+    (played,) = run_grid(GRID, INSTRUCTIONS, on_progress=done.append)
     assert sum(done) == 2 * EPISODES
     rows = [summarize(*played.of_setting(place)) for place in range(2)]
-    places = np.arange(2 * EPISODES)
-    columns = GRID.columns(played.arm, places, played.results, played.known_distances)
+    columns = GRID.columns(played.arm, PLACES, played.results, played.known_distances)
     assert columns["range"].to_pylist() == [2.0] * EPISODES + [5.0] * EPISODES
     assert [row.episodes for row in rows] == [EPISODES] * 2
     distance = np.asarray(columns["distance"])

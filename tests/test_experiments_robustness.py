@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlangnav.episode import Task
 from jaxlangnav.experiments import conversation, unknowns
 from jaxlangnav.experiments.conversation import CONVERSATION, ROWS, _run_row
 from jaxlangnav.experiments.dialogue import ground_dialogue
@@ -245,11 +244,6 @@ PRINTED = printed_rows(TABLE_2)
 OPTIONS = Options(seed=3000)
 
 
-def drawn(spec: RowSpec, *, episodes: int, seed: int) -> Task:
-    grid = Grid(settings=[spec.setting(seed=seed)], arms=[], episodes=episodes, names=())
-    return grid.draw(np.arange(episodes))
-
-
 def test_each_variation_sets_one_thing_and_the_first_one_none() -> None:
     blank = Variation(unknown="", value="")
     for place, one in enumerate(VARIATIONS):
@@ -281,7 +275,8 @@ def test_only_sizes_compile_anew() -> None:
 
 
 def test_worlds_are_turned_as_a_whole() -> None:
-    tasks = drawn(RowSpec(world="2H2C", range=3.0, relation="behind"), episodes=64, seed=5)
+    setting = RowSpec(world="2H2C", range=3.0, relation="behind").setting(seed=5)
+    tasks = Grid(settings=[setting], arms=[], episodes=64, names=()).draw(np.arange(64))
     after = _rotated(tasks, 5)
     old, new = tasks.scenario, after.scenario
     before = np.asarray(old.object_x) + 1j * np.asarray(old.object_y)

@@ -276,11 +276,6 @@ def leaf(label="NP", *children):
     return Phrase(label=label, words=(), children=children)
 
 
-def beam_of(odds, width):
-    """Search one phrase; its odds depend on nothing."""
-    return search(leaf(), lambda *_: np.asarray(odds), width=width)
-
-
 def proven(tree, odds):
     return search_exactly(lambda width: search(tree, odds, width=width))
 
@@ -298,7 +293,7 @@ ODDS = {
 @pytest.mark.parametrize("width", [1, 4, 5, 8, 64])
 def test_best_sets_are_those_of_enumeration(name, width):
     odds = ODDS[name]
-    found = beam_of(odds, width)
+    found = search(leaf(), lambda *_: np.asarray(odds), width=width)
     every = [log_probability(one, odds) for one in all_sets(len(odds))]
     possible = sorted((one for one in every if one > -np.inf), reverse=True)
     np.testing.assert_allclose([one.log_probability for one in found], possible[:width], atol=1e-9)

@@ -19,7 +19,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxlangnav.inputs import program_cache as module
-from jaxlangnav.inputs.program_cache import cache_dir, cached_jit, set_cache_dir
+from jaxlangnav.inputs.program_cache import cached_jit, set_cache_dir
 from jaxlangnav.inputs.program_serialization import load_program
 from jaxlangnav.messages import default_motion
 from jaxlangnav.navigator import NavigatorConfig
@@ -139,10 +139,6 @@ def swap(path: Path) -> None:
     other.replace(path)
 
 
-def link(path: Path) -> None:
-    path.symlink_to(path.rename(path.parent.parent / "elsewhere"))
-
-
 @pytest.mark.parametrize(
     ("harm", "why"),
     [
@@ -150,7 +146,7 @@ def link(path: Path) -> None:
         (damage(0.5), "is damaged"),
         (swap, "is another program's"),
         (lambda path: path.chmod(0o620), "others can write it"),
-        (link, "symbolic links"),
+        (lambda path: path.symlink_to(path.rename(path.parent.parent / "elsewhere")), "symbolic"),
     ],
 )
 def test_a_file_that_is_not_what_was_kept_is_compiled_anew_and_said_once(harm, why, folder, said):
@@ -168,19 +164,6 @@ def test_a_file_that_is_not_what_was_kept_is_compiled_anew_and_said_once(harm, w
     (line,) = said
     assert line.startswith(f"compiling anew what was kept in {path}: ")
     assert why in line
-
-
-def test_what_is_kept_is_the_users_alone_or_nothing_is(folder: Path, tmp_path: Path) -> None:
-    """Whatever the umask and the folder: test_files."""
-    another_process()(jax.random.key(3), default_motion())
-    (path,) = folder.iterdir()
-    assert [stat.S_IMODE(one.stat().st_mode) for one in (folder, path)] == [0o700, 0o600]
-    folder.chmod(0o777)
-    for refused, why in (folder, "others can enter it"), (folder / "below", "others can write in"):
-        with pytest.raises(PermissionError, match=why):
-            set_cache_dir(refused)
-        assert cache_dir() is None
-    assert list(folder.iterdir()) == [path]
 
 
 def test_another_process_runs_what_is_kept(folder: Path) -> None:

@@ -8,7 +8,7 @@ from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
-from jaxlangnav.language.phrase import LanguageError, Phrase
+from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.reference import Antecedent
 
 SAME_CONE = ("type:cone", "same")
@@ -24,15 +24,11 @@ CLEAR = {
 }
 
 
-def last(root: Phrase, text: str) -> tuple[str, ...]:
-    """Find the senses of the first word of that text in a clause."""
-    return next(word.senses for word in root.all_words() if word.text == text)
-
-
 @pytest.mark.parametrize("text", CLEAR)
 def test_what_refers_back_has_its_type(text):
     word, senses = CLEAR[text]
-    assert last(parse(text).clauses[-1], word) == senses
+    words = parse(text).clauses[-1].all_words()
+    assert next(one.senses for one in words if one.text == word) == senses
 
 
 STATED = "the hydrant is behind the cone. "

@@ -45,10 +45,6 @@ TRUTH = "world"
 PACKAGE = Path(__file__).parent.parent / "jaxlangnav"
 
 
-def layer_of(path: Path) -> str:
-    return path.relative_to(PACKAGE).with_suffix("").parts[0]
-
-
 def imported_layers(source: str) -> Iterator[tuple[int, str]]:
     """Yield line number and layer of every import from jaxlangnav, nested and guarded ones too."""
     for node in ast.walk(ast.parse(source)):
@@ -87,7 +83,7 @@ MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_run_downhill(path: Path) -> None:
-    layer = layer_of(path)
+    layer = path.relative_to(PACKAGE).with_suffix("").parts[0]
     assert layer in LEVEL, f"{layer} has no place in LAYERS"
     assert violations(layer, path.read_text("utf-8")) == []
 

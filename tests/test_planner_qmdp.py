@@ -21,6 +21,7 @@ OBJECTS = [(0, 6.0, 1.0), (1, 4.0, -2.0), (0, 3.0, 3.0)]
 VIEWER = (1.0, -1.0, 0.4)
 P, SLOTS, M = by_hand.CONFIG.num_particles, by_hand.CONFIG.num_objects, by_hand.M
 DISTANCE = np.exp(np.asarray(default_params().log_distance, float))
+WITHIN = jax.jit(qmdp.mass_within)
 NODES = np.random.default_rng(5).uniform([0, -5], [10, 5], (40, 2))
 
 
@@ -30,11 +31,6 @@ def value_of(belief, behavior, discount):
     goals = gather(belief, behavior, prepare(default_params()), has_open, jnp.float32(0.0))
     x, y = jnp.asarray(NODES[:, 0], jnp.float32), jnp.asarray(NODES[:, 1], jnp.float32)
     return qmdp.values(x, y, goals, discount), goals
-
-
-@jax.jit
-def mass_at(x, y, goals, radius):
-    return qmdp.mass_within(x, y, goals, radius)
 
 
 def believe(seed: int = 0):
@@ -111,7 +107,7 @@ def test_mass_within_reach() -> None:
     goal[:, AT, 0], goal[:, AT, SLOTS + 1] = 0.5, 0.3
     _, goals = value_of(belief, behave(goal), jnp.float32(0.8))
     for x, y, radius in ((6.2, 1.1, 0.5), (6.0, 1.0, 2.0), (0.0, 0.0, 1.0), (5.0, 0.0, 20.0)):
-        everything, confirmed = mass_at(jnp.float32(x), jnp.float32(y), goals, jnp.float32(radius))
+        everything, confirmed = WITHIN(jnp.float32(x), jnp.float32(y), goals, jnp.float32(radius))
         is_object_near = np.hypot(x - 6.0, y - 1.0) <= radius
         near = np.hypot(places[:, SLOTS + 1, 0] - x, places[:, SLOTS + 1, 1] - y) <= radius
         shared = 0.5 * is_object_near + (0.3 * weight * near).sum()

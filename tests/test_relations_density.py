@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.stats
-from differences import central
 from oracles import relations as oracle
+from readings import central
 
 from jaxlangnav.language.geometry import Geometry, PlacedWorld
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT

@@ -41,10 +41,6 @@ def cover(robot: PhysicsRobot) -> None:
     robot.scene.cover(GOAL)
 
 
-def move(robot: PhysicsRobot) -> None:
-    robot.move_object(GOAL, np.nan, np.nan)
-
-
 def step_in(robot: PhysicsRobot) -> None:
     x, y, heading = robot.true_pose
     robot.put_person(x + 1.3 * np.cos(heading), y + 1.3 * np.sin(heading))
@@ -61,7 +57,10 @@ def slip(robot: PhysicsRobot) -> None:
     [
         (lambda one: one.at(4.0, lambda it: setattr(it, "camera_works", False)), {Ending.BLIND}),
         (lambda one: one.at(0.0, cover), {Ending.NOT_FOUND}),
-        (lambda one: near(one, 2.2, move), {Ending.NOT_FOUND}),
+        (
+            lambda one: near(one, 2.2, lambda it: it.move_object(GOAL, np.nan, np.nan)),
+            {Ending.NOT_FOUND},
+        ),
         (lambda one: one.at(3.0, step_in), {Ending.ARRIVED}),
         (lambda one: one.at(2.0, slip), {Ending.ARRIVED, Ending.NOT_FOUND, Ending.BLOCKED}),
     ],

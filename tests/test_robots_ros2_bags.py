@@ -115,11 +115,6 @@ def test_the_bytes_are_those_of_rclpy(scribe, store) -> None:
     np.testing.assert_allclose(conversions.pose_of(back), [1.0, -2.0, 0.5], atol=1e-12)
 
 
-def pose_of_goal(message) -> np.ndarray:
-    at, turn = message.pose.position, message.pose.orientation
-    return np.array([at.x, at.y, conversions.yaw_of(turn)])
-
-
 class ReplayBus:
     """A bus on which a bag is played; its clock goes on only while it is spun."""
 
@@ -164,7 +159,8 @@ def replay(navigator, path, store, *, sensor, area, key) -> list[dict]:
     talk.say(words.data, bus.now())
     talk.go()
     assert told == [json.loads(one.data) for _, one in bus.recorded("navigator_status")]
-    goals = [pose_of_goal(message) for _, message in bus.recorded("goal_pose")]
+    poses = [message.pose for _, message in bus.recorded("goal_pose")]
+    goals = [(one.position.x, one.position.y, conversions.yaw_of(one.orientation)) for one in poses]
     # Programs compiled apart round differently: twenty ulps of f32 at 8 m.
     np.testing.assert_allclose(bus.goals, goals, rtol=0.0, atol=1e-5)
     return told

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-from differences import central
+from readings import central
 from test_semantic_map_enumeration import CASES, OBJECTS, VIEWER, by_category
 
 from jaxlangnav.messages import BEHIND, NEAR, NONE

@@ -95,18 +95,13 @@ def test_each_factor_is_an_example():
     assert sizes == [8 * slots, 8 * slots, 5 + 14 * slots]
 
 
-def scores_of(model, instructions):
-    both = [[one] for one in (model.annotation, model.behavior)]
-    annotation = score_annotations(instructions, both[0], None, TYPES)
-    behavior = score_behaviors(instructions, *both, None, TYPES)
-    return annotation.by_width[4][0], behavior.by_width[4][0]
-
-
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)])
 def test_what_is_spoken_and_held_out_is_read_right(every):
     model = load_shipped()
     instructions = read_examples(load_corpus("corpus_spoken")[::every], TYPES)
-    annotation, behavior = scores_of(model, instructions)
+    both = [[one] for one in (model.annotation, model.behavior)]
+    annotation = score_annotations(instructions, both[0], None, TYPES).by_width[4][0]
+    behavior = score_behaviors(instructions, *both, None, TYPES).by_width[4][0]
     assert annotation.accuracy > 0.995
     assert behavior.accuracy > 0.995
     assert ((annotation.confidence > 0) & (annotation.confidence <= 1 + 1e-9)).all()

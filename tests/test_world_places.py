@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxlangnav.experiments import tasks
 from jaxlangnav.experiments.tasks import Cell, draw_tasks
 from jaxlangnav.messages import NONE, default_motion, default_sensor
 from jaxlangnav.world.places import (
@@ -42,9 +43,9 @@ def cell(law: PlaceLaw) -> Cell:
 def drawn() -> dict[str, object]:
     """All laws in one batch, as the grid draws them; scenarios with leaves [NUMBER, …]."""
     index, numbers = np.repeat(np.arange(len(LAWS)), NUMBER), np.tile(np.arange(NUMBER), len(LAWS))
-    tasks = draw_tasks([cell(law) for law in LAWS.values()], index, numbers)
+    placed = draw_tasks([cell(law) for law in LAWS.values()], index, numbers)
     return {
-        name: jax.tree.map(lambda leaf, at=at: np.asarray(leaf)[index == at], tasks.scenario)
+        name: jax.tree.map(lambda leaf, at=at: np.asarray(leaf)[index == at], placed.scenario)
         for at, name in enumerate(LAWS)
     }
 
@@ -112,10 +113,6 @@ def test_too_many_things_are_refused() -> None:
 
 
 def test_places_and_templates_are_not_drawn_at_once() -> None:
-    mine = cell(LAWS["plain"])
-    paper = Cell(
-        world="1H1C", relation="null", instruction_index=0, sensor=default_sensor(),
-        motion=default_motion(), episodes=1, seed=0,
-    )  # fmt: skip
+    both = [cell(LAWS["plain"]), tasks.cell("1H1C", "null", 0, 3.0, 1, 0)]
     with pytest.raises(ValueError, match="cannot be drawn at once"):
-        draw_tasks([mine, paper], np.array([0, 1]), np.array([0, 0]))
+        draw_tasks(both, np.array([0, 1]), np.array([0, 0]))
