@@ -67,6 +67,3 @@ def corpus(sentences, num_worlds=3, seed=0):
     """Label all sentences."""
     rng = np.random.default_rng(seed)
     return [labelled_instruction(example(text, rng, num_worlds), TYPES) for text in sentences]
-
-
-__all__ = ["TYPES", "corpus", "example", "random_placed", "random_topology"]

@@ -1,4 +1,4 @@
-"""The package as a user gets it: public names, version, typing marker, lightness."""
+"""The package as a user gets it: public names, version, lightness."""
 
 import importlib
 import importlib.metadata
@@ -52,10 +52,6 @@ def test_a_module_that_has_moved_is_found_by_its_old_name(old: str) -> None:
     new = importlib.import_module(f"jaxlangnav.{MOVED[old]}")
     assert all(getattr(found, name) is one for name, one in vars(new).items() if name[:2] != "__")
     assert all(vars(found)[name] is vars(new)[now] for name, now in RENAMED.get(old, {}).items())
-
-
-def test_typing_marker_is_shipped() -> None:
-    assert (Path(jaxlangnav.__file__).parent / "py.typed").is_file()
 
 
 def test_import_is_light() -> None:

@@ -66,7 +66,7 @@ def test_a_body_goes_as_far_as_no_wall_is_in_its_way() -> None:
     first = np.where(hit.any(axis=0), hit.argmax(axis=0) / 800, np.inf)
     expected = np.clip(reach * first - body / length, 0.0, 1.0)
     way = Stretch(*(jnp.asarray(one, jnp.float32) for one in (*p.T, *q.T)))
-    share = walls(*ends).clear_share(way, body)
+    share = jax.jit(lambda view, way: view.clear_share(way, body))(walls(*ends), way)
     assert 0.1 < np.mean(expected < 1.0) < 0.9
     np.testing.assert_allclose(share, expected, atol=2e-3 * reach.max())
     assert OpenField().clear_share(way, body) is None
@@ -115,13 +115,13 @@ def scenario(view: Walls | OpenField) -> Scenario:
 
 
 def test_the_sensor_sees_in_front_of_a_wall_and_not_behind() -> None:
-    sensor = by_hand.sensor(range_max=8.0)
+    sensor, see = by_hand.sensor(range_max=8.0), jax.jit(visible)
     for view, expected in (
         (OpenField(), [True, True, False]),
         (walls(WALL), [False, True, False]),
         (walls((4.0, 1.0, 4.0, 3.0)), [True, True, False]),
     ):
-        np.testing.assert_array_equal(visible(standing(), scenario(view), sensor)[2], expected)
+        np.testing.assert_array_equal(see(standing(), scenario(view), sensor)[2], expected)
 
 
 def test_what_is_behind_a_wall_is_neither_seen_nor_counted_as_absent() -> None:
