@@ -1,4 +1,4 @@
-"""``jaxlangnav follow``: one episode, told and drawn (the whole of section 3)."""
+"""``jaxlangnav follow``: run one episode with its narrative and figures (section 3)."""
 
 import dataclasses
 import itertools
@@ -10,7 +10,7 @@ from jaxlangnav.cli import checks, speech
 from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.runtime import waiting
-from jaxlangnav.cli.settings import SettingPath, apply, equip, read_settings
+from jaxlangnav.cli.settings import SettingPath, apply, apply_to_task, read_settings
 from jaxlangnav.inputs.limits import refuse_below
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class Follow:
     """The sentence, in quotes."""
     world: str = "1H1C"
     """A template, a shipped world or a file."""
-    range: checks.Metres = None
+    range: checks.OptionalMetres = None
     """How far the robot sees; 3 m, or what the world file says, if not given."""
     policy: Literal["informed", "faithful"] = "informed"
     """informed: puts its hypotheses to the test; faithful: the paper's."""
@@ -53,11 +53,11 @@ class Follow:
     """Of the world and of the noise. A table's episode of this seed may differ, by rounding."""
     particles: int = 64
     """Hypotheses of the map kept at once."""
-    max_steps: checks.Number = None
+    max_steps: checks.OptionalInt = None
     """Decisions before a time-out; if not given 120, or three sweeps of the area."""
     out: checks.Folder = None
     """Where to write pictures (PNG, SVG), an interactive page (HTML) and the document."""
-    hear: tyro.conf.UseAppendAction[tuple[checks.ByStep, ...]] = ()
+    hear: tyro.conf.UseAppendAction[tuple[checks.StepText, ...]] = ()
     """What is said under way: the step before whose decision it is heard, a colon, the words, as in
     --hear "5: go to the other hydrant"; may be given several times."""
     ask: bool = False
@@ -84,7 +84,7 @@ class Follow:
     settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:
-        """Run the episode, tell it, and draw it where a folder is given."""
+        """Run the episode, print its narrative, and write figures if a folder is given."""
         script = self._check()
         understood, models, detector = understand_text(
             self.text, output, world=self.world, weights=self.weights
@@ -99,24 +99,24 @@ class Follow:
         from jaxlangnav.task.talk import roomy
 
         refuse_what_it_lacks(self.world, understood)
-        heard = None
+        dialogue = None
         if script or self.ask or self.talk or self.person:
             grounder = GraphGrounder.of_detector(models, detector)
             speech.check_script(script, grounder, understood)
             understood = roomy(understood)
-            heard = {"script": script, "grounder": grounder, "first": understood}
+            dialogue = {"script": script, "grounder": grounder, "first": understood}
         rehearse(alone(understood), emptied(self.world), **sizes)
         prepared = self._open(understood, output)
-        prepared, sizes["params"] = equip(prepared, values, params=sizes["params"])
+        prepared, sizes["params"] = apply_to_task(prepared, values, params=sizes["params"])
         sizes["config"] = without_compass(sizes["config"], prepared.task.motion)
-        recording = self._record(understood, heard, prepared, sizes, output)
+        recording = self._record(understood, dialogue, prepared, sizes, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
         return document
 
     def _check(self) -> dict[int, list[str]]:
-        """Refuse options that cannot be; what is said, by step."""
+        """Validate the options; returns the scripted utterances by step."""
         checks.check_range(self.range)
         checks.check_seed(self.seed)
         refuse_below(2, **{"--particles": self.particles})
@@ -130,8 +130,8 @@ class Follow:
             checks.check_extra("--out draws pictures and needs", "matplotlib", "viz")
         for name in ("gif", "mp4", "rrd"):
             if getattr(self, name) and self.out is None:
-                where = f"--{name} writes episode.{name} into the folder of --out"
-                raise UsageError(f"{where}: add --out DIR")
+                reason = f"--{name} writes episode.{name} into the folder of --out"
+                raise UsageError(f"{reason}: add --out DIR")
         if self.rrd:
             checks.check_extra("--rrd needs the rerun viewer", "rerun", "rerun")
         if self.mp4:
@@ -139,7 +139,7 @@ class Follow:
         return script
 
     def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
-        """Build numbers and sizes; refuse what does not go together, or what no memory holds."""
+        """Build parameters and configuration, and check their validity and memory needs."""
         from jaxlangnav.episode import MAX_STEPS
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.messages import check_sensor
@@ -158,7 +158,7 @@ class Follow:
         return {"params": params, "config": config}
 
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
-        """Open a world in which the sentence can be followed."""
+        """Open the task in its world; notes object types that are missing there."""
         from jaxlangnav.task.opening import absent_types, count_types, nothing_there, open_task
 
         prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
@@ -180,7 +180,7 @@ class Follow:
         sizes: dict[str, Any],
         output: Output,
     ) -> "Recording":
-        """Run the episode and tell it, as it happens or afterwards."""
+        """Run the episode and print its narrative, live or afterwards."""
         from jaxlangnav.episode import recorder
         from jaxlangnav.episode.recording import stack_frames
         from jaxlangnav.task.follow import alone, judged

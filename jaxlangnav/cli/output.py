@@ -34,7 +34,7 @@ class Output:
         self.is_json = is_json
 
     def say(self, *parts: Any) -> None:
-        """Print a line of the narrative; nothing under ``--json``.
+        """Print texts, tables and trees; nothing under ``--json``.
 
         The parts are texts, each within one line, and what rich draws: tables, trees, styled text.
         They may come from others: no markup is read in them, and nothing moves the terminal.

@@ -59,19 +59,19 @@ class Reproduce:
         ]
     ]  # fmt: skip
     """Which experiment."""
-    episodes: checks.Number = None
+    episodes: checks.OptionalInt = None
     """Runs a row; 100, and 500 in robustness, if not given."""
     policy: str = "all"
     """One policy, several with commas between, or all; fig1 and fig4 show faithful if not given."""
-    trials: checks.Number = None
+    trials: checks.OptionalInt = None
     """In table3, trials of each row; 10 if not given. Those that DIR holds are not run again."""
     extra: bool = False
     """In table2, rows that the paper lacks as well: 2H2C, and three hydrants or three cones."""
     ranges: checks.Ranges = None
     """Sensing ranges in place of those of table2's rows and of fig5, with commas between."""
-    seed: checks.Number = None
+    seed: checks.OptionalInt = None
     """Root seed of worlds and noise; 0, and 3000 in unknowns, if not given."""
-    particles: checks.Number = None
+    particles: checks.OptionalInt = None
     """Hypotheses of the map kept at once; 64, and 256 in fig1 and fig4, if not given."""
     out: checks.Folder = None
     """Where to write episodes (Parquet), tables (Markdown), manifests, figures and the report."""

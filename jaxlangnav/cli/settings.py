@@ -123,7 +123,7 @@ def apply(record: _T, values: Mapping[SettingPath, Any], root: str) -> _T:
     return _set_values(record, group_values) if group_values else record
 
 
-def equip(
+def apply_to_task(
     prepared: "Prepared", values: Mapping[SettingPath, Any], *, params: "NavigatorParams"
 ) -> "tuple[Prepared, NavigatorParams]":
     """Set the sensor and the motion of a task, and the motion model of the filter."""

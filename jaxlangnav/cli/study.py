@@ -8,7 +8,7 @@ from typing import Any
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.reproduce import Reproduce
 from jaxlangnav.cli.runtime import waiting
-from jaxlangnav.cli.settings import SettingPath, equip
+from jaxlangnav.cli.settings import SettingPath, apply_to_task
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.policies import navigator_config
@@ -107,7 +107,7 @@ def _figure(
         with CompileClock() as clock, waiting(f"an episode in {name}", output):
             understood = understand_parse(parse(TEXT), load(None))
             prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
-            prepared, params = equip(prepared, settings.values, params=settings.params)
+            prepared, params = apply_to_task(prepared, settings.values, params=settings.params)
             args = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
             episode = record_episode(OpenedEpisode(**args, config=config))
         output.tell(narrate(episode))
