@@ -141,7 +141,7 @@ def arguments() -> tuple[Any, ...]:
 
 
 def written_in(equation: Any) -> str | None:
-    """Tell which file of the package wrote an equation; None: none did."""
+    """Find the file of the package that wrote an equation, or None."""
     trace = equation.source_info.traceback
     names = () if trace is None else (Path(frame.file_name) for frame in trace.frames)
     own = (name for name in names if name.is_relative_to(PACKAGE))

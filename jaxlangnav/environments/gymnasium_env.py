@@ -145,7 +145,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Draw a world and put the robot at its start.
+        """Start an episode in a new world.
 
         Returns the first observation, and the command as text. ``seed`` is of this episode and
         those after it; no ``options`` are known.

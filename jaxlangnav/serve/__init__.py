@@ -1,1 +1,1 @@
-"""``jaxlangnav serve``: a page on this machine to talk to the robot while it searches."""
+"""``jaxlangnav serve``: a local web page to talk to the robot while it searches."""

@@ -152,7 +152,7 @@ def explored_fraction(frame: Frame) -> float:
 
 
 def select_steps(recording: Recording, count: int = 6) -> list[int]:
-    """Select min(number, T) informative steps, in order: the last, and the first if number > 1."""
+    """Select min(count, T) informative steps, in order: the last, and the first if count > 1."""
     refuse_below(1, **{"number of panels": count})
     last, frames = recording.num_steps - 1, recording.frames
     chosen = {0, last} if count > 1 else {last}
