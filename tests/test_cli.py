@@ -155,18 +155,18 @@ def test_without_json_people_read_the_narrative(capsys: pytest.CaptureFixture[st
 
 def test_a_story_hangs_under_its_heads_on_a_terminal(capsys, monkeypatch):
     lines = ["You said: “go”.", f"[    0 ·  0.0 m] {'2.5 m word ' * 20}".rstrip()]
-    Output(is_json=False).tell(lines)
+    Output(is_json=False).narrate(lines)
     assert capsys.readouterr().out.splitlines() == lines
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "72")
-    Output(is_json=False).tell(lines)
+    Output(is_json=False).narrate(lines)
     told = capsys.readouterr().out.splitlines()
     assert max(map(len, told)) <= 72
     assert len(told) > 4
     assert all(line.startswith(" " * 17) for line in told[2:])
     assert not any(line.endswith("2.5") for line in told)
     assert " ".join(" ".join(told[1:]).split()) == " ".join(lines[1].split())
-    Output(is_json=True).tell(lines)
+    Output(is_json=True).narrate(lines)
     assert capsys.readouterr().out == ""
 
 

@@ -171,7 +171,7 @@ def test_every_way_out_makes_text_printable(text: str, capsys: pytest.CaptureFix
     table.add_column(text)
     table.add_row(text)
     output.say(text, table)
-    output.tell([text])
+    output.narrate([text])
     output.note(text)
     captured = capsys.readouterr()
     assert all(one.isprintable() for one in (captured.out + captured.err).split("\n"))

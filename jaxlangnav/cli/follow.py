@@ -9,7 +9,7 @@ import tyro
 from jaxlangnav.cli import checks, speech
 from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
-from jaxlangnav.cli.runtime import waiting
+from jaxlangnav.cli.runtime import spinner
 from jaxlangnav.cli.settings import SettingPath, apply, apply_to_task, read_settings
 from jaxlangnav.inputs.limits import refuse_below
 
@@ -175,7 +175,7 @@ class Follow:
     def _record(
         self,
         understood: "Understanding",
-        heard: dict[str, Any] | None,
+        dialogue: dict[str, Any] | None,
         prepared: "Prepared",
         sizes: dict[str, Any],
         output: Output,
@@ -186,22 +186,22 @@ class Follow:
         from jaxlangnav.task.follow import alone, judged
         from jaxlangnav.task.opening import usual_steps
         from jaxlangnav.task.talk import with_talk
-        from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
+        from jaxlangnav.viz.narrative import closing, narrate, narrate_live, opening
 
         instructions, task = alone(understood), prepared.task
-        named = {"text": self.text, "type_names": understood.type_names}
-        given = task.scenario, task.sensor, understood.instruction
-        scene = recorder.scene_of(*given, **named, **sizes)
-        ear = None
-        if heard is not None:
-            who = {name: getattr(self, name) for name in ("person", "ask", "talk")}
-            ear = speech.ear_of(output, **who, **heard, scene=scene)
-        most = self.max_steps or usual_steps(task.scenario, task.sensor)
-        steps = recorder.play(task, instructions, max_steps=most, ear=ear, **sizes)
-        note = "compiling the robot's mind; what is compiled is kept for the next run"
-        with waiting(note, output):
+        labels = {"text": self.text, "type_names": understood.type_names}
+        inputs = task.scenario, task.sensor, understood.instruction
+        scene = recorder.scene_of(*inputs, **labels, **sizes)
+        source = None
+        if dialogue is not None:
+            speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
+            source = speech.listener(output, **speakers, **dialogue, scene=scene)
+        max_steps = self.max_steps or usual_steps(task.scenario, task.sensor)
+        steps = recorder.play(task, instructions, max_steps=max_steps, ear=source, **sizes)
+        message = "compiling the robot's mind; what is compiled is kept for the next run"
+        with spinner(message, output):
             first = next(steps)
-        steps, said = itertools.chain([first], steps), [] if ear is None else ear.said
+        steps, said = itertools.chain([first], steps), [] if source is None else source.said
         if self.live:
             from rich.console import Console
 
@@ -211,17 +211,17 @@ class Follow:
             recording = watch(scene, steps, said=said, console=Console(stderr=self.json))
         else:
             if self.talk:
-                output.tell(opening(scene))
-                steps = tell_on(scene, steps, said, output.tell)
+                output.narrate(opening(scene))
+                steps = narrate_live(scene, steps, said, output.narrate)
             frames, results = zip(*steps, strict=True)
             recording = stack_frames(scene, list(frames), results[-1])
         recording = judged(recording, prepared, has_person=self.person is not None)
-        recording = recording if ear is None else with_talk(recording, ear)
+        recording = recording if source is None else with_talk(recording, source)
         if self.live or self.talk:
             output.say("")
-            output.tell(closing(recording.last_scene, recording.at(-1), recording.result))
+            output.narrate(closing(recording.last_scene, recording.at(-1), recording.result))
         else:
-            output.tell(narrate(recording))
+            output.narrate(narrate(recording))
         return recording
 
     def _document(

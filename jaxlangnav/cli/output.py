@@ -47,7 +47,7 @@ class Output:
             console = Console(file=sys.stdout, width=_MAX_TABLE_WIDTH, soft_wrap=True, **plain)
             console.print(*(sanitize(it) if isinstance(it, str) else Plain(it) for it in parts))
 
-    def tell(self, lines: Sequence[str]) -> None:
+    def narrate(self, lines: Sequence[str]) -> None:
         """Print narrative lines; a terminal wraps them with a hanging indent."""
         if self.is_json:
             return

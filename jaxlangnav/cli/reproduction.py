@@ -12,7 +12,7 @@ from typing import Any
 
 from jaxlangnav import __version__
 from jaxlangnav.cli.output import Document, Output, document_text
-from jaxlangnav.cli.runtime import progress_bar, waiting
+from jaxlangnav.cli.runtime import progress_bar, spinner
 from jaxlangnav.cli.settings import apply
 from jaxlangnav.cli.study import FACTOR_GRAPH, FIGURE_1, FIGURE_4, Settings, Study, StudyResult
 from jaxlangnav.episode import MAX_STEPS
@@ -102,7 +102,7 @@ def _episode_study(name: str, settings: Settings) -> Study:
 
 def _run_timing(settings: Settings, output: Output) -> StudyResult:
     """Measure the run time of each part of a decision cycle with the settings' parameters."""
-    with waiting("timing the parts of a cycle", output):
+    with spinner("timing the parts of a cycle", output):
         document: dict[str, Any] = cycle_parts(params=settings.params)
     total, parts = document["cycle_us"], document["parts_us"]
     for part, micros in sorted(parts.items(), key=lambda item: -item[1]):

@@ -55,21 +55,21 @@ def keep_compiled_programs() -> None:
 
 
 @contextlib.contextmanager
-def waiting(what: str, output: Output) -> Iterator[None]:
+def spinner(label: str, output: Output) -> Iterator[None]:
     """Show a spinner on a terminal; elsewhere print a note after five seconds."""
-    timer = threading.Timer(5.0, output.note, [what])
+    timer = threading.Timer(5.0, output.note, [label])
     timer.daemon = True
     if not sys.stderr.isatty():
         timer.start()
     try:
-        with progress_bar(what, None):
+        with progress_bar(label, None):
             yield
     finally:
         timer.cancel()
 
 
 @contextlib.contextmanager
-def progress_bar(what: str, total: int | None) -> Iterator[Advance]:
+def progress_bar(label: str, total: int | None) -> Iterator[Advance]:
     """Show a progress bar on a terminal, a spinner without total; yields its advance function."""
     if not sys.stderr.isatty():
         yield lambda _done: None
@@ -83,4 +83,4 @@ def progress_bar(what: str, total: int | None) -> Iterator[Advance]:
         columns = [text, rich.BarColumn(), rich.MofNCompleteColumn(), elapsed]
         columns += ["left", rich.TimeRemainingColumn()]
     with rich.Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
-        yield functools.partial(bar.advance, bar.add_task(what, total=total))
+        yield functools.partial(bar.advance, bar.add_task(label, total=total))

@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.reproduce import Reproduce
-from jaxlangnav.cli.runtime import waiting
+from jaxlangnav.cli.runtime import spinner
 from jaxlangnav.cli.settings import SettingPath, apply_to_task
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
@@ -104,13 +104,13 @@ def _figure(
         known = [key for key in settings.options.policies if key in POLICIES]
         policy = known[0] if len(known) == 1 else "faithful"
         config = navigator_config(policy, settings.particles_drawn)
-        with CompileClock() as clock, waiting(f"an episode in {name}", output):
+        with CompileClock() as clock, spinner(f"an episode in {name}", output):
             understood = understand_parse(parse(TEXT), load(None))
             prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = apply_to_task(prepared, settings.values, params=settings.params)
             args = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
             episode = record_episode(OpenedEpisode(**args, config=config))
-        output.tell(narrate(episode))
+        output.narrate(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result
         document = {
             "experiment": name,

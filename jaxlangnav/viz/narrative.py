@@ -214,16 +214,16 @@ def narrate(recording: Recording) -> list[str]:
     return lines + closing(recording.last_scene, recording.at(-1), recording.result)
 
 
-def tell_on(
+def narrate_live(
     scene: StaticScene,
     steps: Iterable[tuple[Frame, EpisodeResult]],
     said: Sequence[Remark],
-    tell: Callable[[list[str]], object],
+    write: Callable[[list[str]], object],
 ) -> Iterator[tuple[Frame, EpisodeResult]]:
-    """Narrate an episode while it runs, passing its steps on; ``said`` may grow meanwhile."""
+    """Narrate an episode while it runs, and yield its steps; ``said`` may grow meanwhile."""
     for moment in moments(scene, steps, said):
         if moment.said or not _is_uneventful(moment):
-            tell([f"{_prefix(moment)} {' '.join(narrate_step(moment))}"])
+            write([f"{_prefix(moment)} {' '.join(narrate_step(moment))}"])
         yield moment.frame, moment.result
 
 
