@@ -73,18 +73,18 @@ def check_script(
                 raise UsageError(f'--hear "{step}: {shorten(text)}": {refusal}') from refusal
 
 
-def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **rest: Any) -> "Earshot":
-    """Build the utterance source of ``recorder.play``; ``rest``: its other fields."""
+def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw: Any) -> "Earshot":
+    """Build the utterance source of ``recorder.play``; ``kw``: its other fields."""
     from jaxlangnav.task.talk import YOU, Earshot, Watcher
 
     if person is not None:
         watcher = Watcher.named(person)
-        return Earshot(**rest, voices={person: watcher.speak}, is_awaited=watcher.is_there)
+        return Earshot(**kw, voices={person: watcher.speak}, is_awaited=watcher.is_there)
     if not (ask or talk):
-        return Earshot(**rest)
+        return Earshot(**kw)
     user = TerminalUser(output, is_talking=talk)
     voices = {YOU: user.say}
-    return Earshot(**rest, voices=voices, is_awaited=user.is_there, on_said=user.reply)
+    return Earshot(**kw, voices=voices, is_awaited=user.is_there, on_said=user.reply)
 
 
 class TerminalUser:
