@@ -6,7 +6,7 @@ import readings as by_hand
 from placed import placed
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.episode.recording import Frame, Recording, StaticScene, stack_frames
+from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene, stack_frames
 from jaxlangnav.messages import AT, BEHIND, NONE, Readings, Status, default_sensor
 from jaxlangnav.planner.config import as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
@@ -43,7 +43,7 @@ def make_scene(*, policy: str = "faithful", text: str = TEXT) -> StaticScene:
     )
 
 
-def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Generator) -> Frame:
+def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Generator) -> Snapshot:
     """Drive from (0, 0) to (8.5, 1): the cone is seen at half time, the hydrant at the end."""
     share = step / max(1, num_steps - 1)
     position = np.array([8.5 * share, share], np.float32)
@@ -74,7 +74,7 @@ def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Gen
         (np.arange(CELLS)[:, None] + 0.5) * 18 / CELLS - 9 - position[1],
     )
     no = np.zeros(SLOTS + 1, np.float32)
-    return Frame(
+    return Snapshot(
         position=position,
         heading=np.float32(0.1),
         odometry=position + np.float32(0.05),

@@ -22,9 +22,9 @@ from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.inputs import program_cache
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.follow import follow as follow_text, judged, usual_engine
+from jaxlangnav.task.follow import follow as follow_text, score, params_and_config
 from jaxlangnav.task.labelled import meant_goals
-from jaxlangnav.task.opening import Prepared, detector_of, emptied, open_task, usual_steps
+from jaxlangnav.task.opening import PreparedTask, detector_of, empty_world, open_task, step_limit
 from jaxlangnav.viz.narrative import closing
 from jaxlangnav.world.files import open_world
 
@@ -150,12 +150,12 @@ def test_numbers_on_the_command_line_reach_the_engine(capsys: pytest.CaptureFixt
     assert plain_steps.max() == pytest.approx(1.0, abs=0.1)
 
 
-def prepare(text: str, world: str, seed: int = 0) -> Prepared:
+def prepare(text: str, world: str, seed: int = 0) -> PreparedTask:
     understood = understand(text, load_shipped())
     return open_task(world, understood, sensing_range=None, seed=seed)
 
 
-def places(prepared: Prepared) -> dict[str, list[np.ndarray]]:
+def places(prepared: PreparedTask) -> dict[str, list[np.ndarray]]:
     scenario = prepared.task.scenario
     found: dict[str, list[np.ndarray]] = {"hydrant": [], "cone": []}
     for slot in np.flatnonzero(np.asarray(scenario.is_object)):
@@ -208,7 +208,7 @@ def test_the_known_way_goes_by_where_earlier_commands_end(tmp_path):
     assert (goals[0].position, car[0].position) == ((18.0, -9.0), (6.0, 0.0))
     found = follow_text(text, world=world, max_steps=1).scene
     assert found.known_distance == pytest.approx(math.hypot(18.0, 9.0) + math.hypot(12.0, 9.0))
-    assert usual_steps(found.scenario, found.sensor) == 3 * 400 / 6.0
+    assert step_limit(found.scenario, found.sensor) == 3 * 400 / 6.0
 
 
 def bare(path: Path, number: int) -> str:
@@ -230,7 +230,7 @@ def test_a_world_of_own_nouns_needs_no_lexicon(tmp_path, capsys):
     )
 
 
-def prepare_own(text: str, world: str) -> Prepared:
+def prepare_own(text: str, world: str) -> PreparedTask:
     return open_task(
         world, understand(text, load_shipped(), detector_of(world, ())), sensing_range=None, seed=0
     )
@@ -244,36 +244,36 @@ def test_a_world_without_a_goal_is_judged_by_what_is_said(tmp_path: Path) -> Non
     # Its start stands in for a goal, and is none: here nothing fits.
     nothing = prepare_own("go to the bench behind the statue in front of the car", world)
     assert not nothing.is_meant
-    assert nothing.unjudged == "nothing there fits the sentence (no statue is in front of the car)"
+    assert nothing.unscored == "nothing there fits the sentence (no statue is in front of the car)"
 
 
 def test_a_world_without_a_goal_is_not_judged_where_several_fit_alike(tmp_path: Path) -> None:
     """Two statues and no word of which: whoever stands at one of them has not failed."""
     world = bare(tmp_path / "bare.toml", 4)
-    assert not prepare_own("go to the statue behind the car", world).unjudged
+    assert not prepare_own("go to the statue behind the car", world).unscored
     either = prepare_own("go to the statue", world)
-    assert either.unjudged == "2 places fit the sentence alike, and nothing says which is meant"
+    assert either.unscored == "2 places fit the sentence alike, and nothing says which is meant"
     recording = make_recording(3, 5)
     end = replace(recording.result, ending=np.int32(Status.ARRIVED), goal_distance=np.float32(8.3))
     recording = dataclasses.replace(recording, result=end)
-    found = judged(recording, either)
+    found = score(recording, either)
     assert "Cannot be judged: 2 places" in " ".join(
         closing(found.last_scene, found.at(-1), found.result)
     )
     # A simulated person has one of them in mind.
-    assert judged(recording, either, has_person=True).scene.is_judged
+    assert score(recording, either, has_person=True).scene.is_scored
 
 
 @pytest.mark.parametrize(("number", "slots"), [(4, 8), (12, 16)])
 def test_crowded_worlds_get_the_sizes_for_places_as_they_are(number, slots, tmp_path):
     world = bare(tmp_path / "bare.toml", number)
-    params, config = usual_engine(world, "informed", 32)
-    assert emptied(world).is_object.shape == (slots,)
+    params, config = params_and_config(world, "informed", 32)
+    assert empty_world(world).is_object.shape == (slots,)
     assert config.map.num_particles == 32
     assert config.map.has_doubts == (slots > 8)
     # The search prior is of the worlds of the templates: nowhere else is it of use.
     assert float(params.planner.prior_share) == 0.0
-    assert float(usual_engine("1H1C", "informed", 32)[0].planner.prior_share) > 0.0
+    assert float(params_and_config("1H1C", "informed", 32)[0].planner.prior_share) > 0.0
 
 
 # ``jaxlangnav.follow``: the same in one call.

@@ -157,7 +157,7 @@ REFUSED: list[tuple[list[str], str]] = [
 def test_what_is_wrong_is_one_line_and_nothing_is_begun(words, why, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
-    for begins in ("jaxlangnav.task.follow.rehearse", "jaxlangnav.episode.recorder.play"):
+    for begins in ("jaxlangnav.task.follow.precompile_cycle", "jaxlangnav.episode.recorder.play"):
         monkeypatch.setattr(begins, lambda *_, **__: pytest.fail("begun"))
     assert why in refused([*words, "--json"], capsys)
     assert not list(tmp_path.iterdir())

@@ -13,7 +13,7 @@ from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.follow import alone
+from jaxlangnav.task.follow import batched
 from jaxlangnav.task.opening import open_task
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
@@ -102,7 +102,7 @@ def task() -> Task:
 @functools.cache
 def followed(text: str) -> Followed:
     config, params = navigator_config("informed"), default_params()
-    told = alone(understand(text, load_shipped()))
+    told = batched(understand(text, load_shipped()))
     shown = list(play(task(), told, params=params, config=config, max_steps=STEPS))
     frames, results = zip(*shown, strict=True)
     path = np.array([*(frame.position for frame in frames), results[-1].final])

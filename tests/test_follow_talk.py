@@ -13,7 +13,7 @@ from test_navigator_step import AREA, HYDRANT
 
 from jaxlangnav.cli import main as cli, speech
 from jaxlangnav.cli.output import Output
-from jaxlangnav.episode.recording import Remark
+from jaxlangnav.episode.recording import Utterance
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator.candidates import Candidate
@@ -33,9 +33,9 @@ class Episode:
     navigator: object
 
 
-def ear_of(robot, **fields) -> tuple[talk.Earshot, Episode]:
-    first = talk.roomy(understand(NULL, load_shipped()))
-    ear = talk.Earshot(grounder=robot.grounder, first=first, scene=make_scene(text=NULL), **fields)
+def ear_of(robot, **fields) -> tuple[talk.Dialogue, Episode]:
+    first = talk.padded(understand(NULL, load_shipped()))
+    ear = talk.Dialogue(grounder=robot.grounder, first=first, scene=make_scene(text=NULL), **fields)
     return ear, ear.begin(Episode(robot.start(NULL, area=AREA)))
 
 
@@ -55,8 +55,8 @@ def test_what_was_said_is_kept_with_what_it_changed(robot) -> None:
     ear, episode = ear_of(robot, script={3: ["no, the other one", "stop"], 5: ["go on"]})
     assert ear.hear(2, episode) is episode
     after = ear.hear(3, at_a_hydrant(episode))
-    assert [(one.step, one.kind) for one in ear.said] == [(3, "correction"), (3, "halt")]
-    assert [(one.slot, one.type_name) for one in ear.said[0].ruled_out] == [(0, "hydrant")]
+    assert [(one.step, one.kind) for one in ear.utterances] == [(3, "correction"), (3, "halt")]
+    assert [(one.slot, one.type_name) for one in ear.utterances[0].ruled_out] == [(0, "hydrant")]
     assert int(after.navigator.talk.ruled_out) == 1
     assert bool(after.navigator.is_halted)
     assert ear.expects(after)  # "go on" is still to come
@@ -67,14 +67,14 @@ def test_what_was_said_is_kept_with_what_it_changed(robot) -> None:
 def test_what_the_state_refuses_changes_nothing(robot) -> None:
     ear, episode = ear_of(robot, script={0: ["no, the other one"]})
     assert ear.hear(0, episode) is episode
-    assert ear.said[0].kind == ""
-    assert "nothing is being approached yet" in ear.said[0].refusal
+    assert ear.utterances[0].kind == ""
+    assert "nothing is being approached yet" in ear.utterances[0].refusal
 
 
 def test_a_statement_sets_the_scene_anew(robot) -> None:
     ear, episode = ear_of(robot, script={0: ["the hydrant is behind the car"]})
     ear.hear(0, episode)
-    scene = ear.said[0].scene
+    scene = ear.utterances[0].scene
     assert scene is not None
     assert (scene.readings.relation >= 0).any()
     assert ear.scene.readings is not scene.readings
@@ -82,7 +82,7 @@ def test_a_statement_sets_the_scene_anew(robot) -> None:
 
 def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
     typist = speech.TerminalUser(Output(is_json=True), is_talking=False, lines=["the first\n"])
-    ear, episode = ear_of(robot, voices={"you": typist.say}, is_awaited=typist.is_there)
+    ear, episode = ear_of(robot, speakers={"you": typist.say}, is_present=typist.is_there)
     episode = at_a_hydrant(episode)
     state = episode.navigator
     share = state.talk.candidate.at[0].set(0.5).at[1].set(0.5)
@@ -97,7 +97,7 @@ def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
     assert ear.expects(Episode(state))
     assert len(ear.candidates) == 2
     after = ear.hear(0, Episode(state))
-    assert [one.kind for one in ear.said] == ["answer"]
+    assert [one.kind for one in ear.utterances] == ["answer"]
     assert int(after.navigator.talk.ruled_out) != 0
     assert "Which one?" in capsys.readouterr().err
 
@@ -105,19 +105,19 @@ def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
 def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
     lines = ["stop\n", "go on\n"]
     typist = speech.TerminalUser(Output(is_json=True), is_talking=True, lines=lines)
-    ear, episode = ear_of(robot, voices={"you": typist.say}, is_awaited=typist.is_there)
+    ear, episode = ear_of(robot, speakers={"you": typist.say}, is_present=typist.is_there)
     after = ear.hear(0, episode)
-    assert [one.kind for one in ear.said][:1] == ["halt"]
+    assert [one.kind for one in ear.utterances][:1] == ["halt"]
     assert not bool(ear.hear(1, after).navigator.is_halted)
     assert not ear.expects(after)
 
 
 def test_story_page_and_document_tell_what_was_said() -> None:
     said = (
-        Remark(step=2, text="the other one", refusal="nothing is being approached yet"),
-        Remark(step=5, text="no, the other one", kind="correction", ruled_out=(OTHER,)),
+        Utterance(step=2, text="the other one", refusal="nothing is being approached yet"),
+        Utterance(step=5, text="no, the other one", kind="correction", ruled_out=(OTHER,)),
     )
-    recording = dataclasses.replace(make_recording(), said=said, candidates=(OTHER,))
+    recording = dataclasses.replace(make_recording(), utterances=said, candidates=(OTHER,))
     story = "\n".join(narrate(recording))
     assert "Hears “the other one”, and keeps to its task: nothing is being approached" in story
     assert "Hears “no, the other one”, a correction. Rules out the hydrant" in story
@@ -132,12 +132,12 @@ def test_story_page_and_document_tell_what_was_said() -> None:
 def test_what_may_mean_another_goal_is_not_judged(robot) -> None:
     ear, episode = ear_of(robot, script={0: ["go to the cone"]})
     ear.hear(0, episode)
-    recording = talk.with_talk(make_recording(), ear)
-    assert not recording.scene.is_judged
+    recording = talk.add_talk(make_recording(), ear)
+    assert not recording.scene.is_scored
     assert not bool(recording.result.is_success)
     ear, episode = ear_of(robot, script={0: ["avoid the cone"]})
     ear.hear(0, episode)
-    assert talk.with_talk(make_recording(), ear).scene.is_judged
+    assert talk.add_talk(make_recording(), ear).scene.is_scored
 
 
 @pytest.mark.slow

@@ -149,9 +149,9 @@ def test_a_batch_is_halted_as_one_is(robot) -> None:
     one = robot.start(TEXT, area=AREA)
     both = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), one)
     for act in Act:
-        alone = speech_acts.obey(one, act)
+        alone = speech_acts.apply_act(one, act)
         twice = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), alone)
-        jax.tree.map(np.testing.assert_array_equal, speech_acts.obey(both, act), twice)
+        jax.tree.map(np.testing.assert_array_equal, speech_acts.apply_act(both, act), twice)
 
 
 def test_a_fault_changes_no_status(robot, arrived) -> None:

@@ -10,12 +10,12 @@ from recording_fixture import make_recording
 from test_episode_batch import MAX_STEPS, SENTENCES, config, in_lanes, instructions, tasks
 
 from jaxlangnav.episode import Task, recorder
-from jaxlangnav.episode.recording import Frame, Recording
+from jaxlangnav.episode.recording import Snapshot, Recording
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.navigator import default_params
-from jaxlangnav.task.follow import alone
+from jaxlangnav.task.follow import batched
 
 __all__ = ["in_lanes", "instructions", "tasks"]
 TEXT, RANGES = SENTENCES[0], (2.0, 3.0, 5.0, 20.0, 3.0, 5.0)
@@ -28,7 +28,7 @@ def first(tasks: Task, number: int = 0) -> Task:
 @pytest.fixture(scope="module")
 def record() -> Callable[..., Recording]:
     """Record by the program that ``follow`` runs, and other tests have compiled."""
-    told, numbers = alone(understand(TEXT, load_shipped())), default_params()
+    told, numbers = batched(understand(TEXT, load_shipped())), default_params()
     given = {"params": numbers, "config": navigator_config("informed"), "text": TEXT}
 
     def of(seed: int, max_steps: int = MAX_STEPS) -> Recording:
@@ -63,7 +63,7 @@ def test_the_same_key_gives_the_same_episode_as_in_a_batch(tasks, instructions, 
 
 def test_a_recording_repeats_bit_by_bit(recordings, record):
     again = record(0)
-    for field in dataclasses.fields(Frame):
+    for field in dataclasses.fields(Snapshot):
         mine = getattr(recordings[0].frames, field.name)
         assert np.array_equal(mine, getattr(again.frames, field.name)), field.name
 
@@ -89,7 +89,7 @@ def test_it_ends_with_the_stop_the_way_adds_up_and_weights_are_a_distribution(re
 
 def test_leaves_are_numpy_with_a_leading_axis(recordings):
     one = recordings[0]
-    for field in dataclasses.fields(Frame):
+    for field in dataclasses.fields(Snapshot):
         leaf = getattr(one.frames, field.name)
         assert isinstance(leaf, np.ndarray), field.name
         assert leaf.shape[0] == one.num_steps, field.name

@@ -162,7 +162,7 @@ def follow(cases: list[tuple[str, Place]]) -> list[tuple[np.ndarray, Status, int
         )
         ways = lanes.run_batch(
             tasks, stack([told[text] for text, _ in some]), params=robot.params,
-            config=robot.config, num_lanes=LANES, max_steps=STEPS, count=number, course=COURSE,
+            config=robot.config, num_lanes=LANES, max_steps=STEPS, count=number, program=COURSE,
         )  # fmt: skip
         found += [
             (path[~np.isnan(path[:, 0])], Status(int(ended)), int(steps))

@@ -112,7 +112,7 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
     sentences = read_sentences(write(tmp_path / "a.jsonl", *lines))
     scores = score_sentences(sentences, load_shipped())
     assert [one.outcome for one in scores] == ["right", "right", "wrong"]
-    assert "zorbel" in scores[2].why
+    assert "zorbel" in scores[2].reason
 
 
 PARTS = {

@@ -129,7 +129,7 @@ def test_walls_are_drawn_and_told_and_one_that_halts_the_robot_too():
     drawn = [line.get_xydata().tolist() for line in axes.lines if line.get_color() == style.WALL]
     assert drawn == pytest.approx(np.reshape(terrain.view.ends[:2], (2, 2, 2)))
     assert "two walls and nothing that stands there" in narrate(one)[3]
-    halts = [step for step, now in enumerate(one.moments) if describe_collision(now)]
+    halts = [step for step, now in enumerate(one.steps) if describe_collision(now)]
     assert 3 in halts
     assert html.page_data(one)["walls"] == terrain.view.ends[:2].tolist()
 

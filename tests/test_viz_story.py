@@ -8,7 +8,7 @@ import pytest
 import readings as by_hand
 from recording_fixture import make_recording, make_scene
 
-from jaxlangnav.episode.recording import Frame, Moment, Recording
+from jaxlangnav.episode.recording import Recording, Snapshot, Step
 from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
@@ -98,7 +98,7 @@ def test_things_are_counted(nouns, said):
 def test_what_is_asked_for_is_told_with_its_constraints():
     scene = dataclasses.replace(
         make_scene(),
-        asks=(
+        commands=(
             CommandSummary("navigate", "normal", AT, 0, 0.99, ((NEAR, 1, 0.9),)),
             CommandSummary("find", "carefully", AT, 1, 0.7, ()),
             CommandSummary("navigate", "quickly", BEHIND, 1, 1.0, ()),
@@ -116,7 +116,7 @@ def test_what_is_asked_for_is_told_with_its_constraints():
 
 def test_what_cannot_be_judged_is_not_called_a_failure():
     recording = make_recording(3, 5)
-    scene = dataclasses.replace(recording.scene, is_judged=False)
+    scene = dataclasses.replace(recording.scene, is_scored=False)
     unjudged = dataclasses.replace(recording, scene=scene)
     told = " ".join(narrative.closing(scene, unjudged.at(-1), unjudged.result))
     assert "Cannot be judged" in told
@@ -127,8 +127,8 @@ def test_what_cannot_be_judged_is_not_called_a_failure():
 def test_no_walk_beats_the_known_map_by_where_it_stops():
     """The straight way ends where the robot may stop, not on the goal."""
     scene = dataclasses.replace(make_scene(), known_distance=6.2)
-    assert scene.straight_distance == pytest.approx(4.7)
-    assert dataclasses.replace(scene, known_distance=1.0).straight_distance == 0.0
+    assert scene.shortest_distance == pytest.approx(4.7)
+    assert dataclasses.replace(scene, known_distance=1.0).shortest_distance == 0.0
 
 
 def test_the_unseen_goal_has_a_share_only_where_there_is_doubt(one):
@@ -173,8 +173,8 @@ def test_the_closing_tells_failures_apart():
     assert "In 5 steps it stood still, for what cannot be was reported to it." in said
 
 
-def moment(one: Recording, frame: Frame, before: Frame | None) -> Moment:
-    return Moment(3, one.scene, frame, before, (), one.result)
+def moment(one: Recording, frame: Snapshot, before: Snapshot | None) -> Step:
+    return Step(3, one.scene, frame, before, (), one.result)
 
 
 def test_an_ending_without_a_goal_is_told_and_named():
@@ -227,7 +227,7 @@ def test_a_long_search_is_told_ten_steps_a_line(one):
 
 
 def test_headlines_say_what_happened(one):
-    heads = [narrative.headline(moment) for moment in one.moments]
+    heads = [narrative.headline(moment) for moment in one.steps]
     assert heads[:2] == ["hears the sentence, sees nothing", "not there: 25 % refuted"]
     assert heads[4:9:2] == ["discovers a cone", "discovers a hydrant", "says stop"]
 

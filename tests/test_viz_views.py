@@ -215,7 +215,7 @@ def test_pictures_of_a_robot_go_with_their_steps():
     one = make_recording(3, 5)
     assert page_data(one)["pictures"] == []
     pictures = tuple({"From outside": b"\xff\xd8" + bytes([step])} for step in range(3))
-    page, data = read(dataclasses.replace(one, pictures=pictures, ended="blocked: <no way>"))
+    page, data = read(dataclasses.replace(one, pictures=pictures, end_reason="blocked: <no way>"))
     assert "views" in page.ids
     kept = [base64.b64decode(step["From outside"]) for step in data["pictures"]]
     assert kept == [step["From outside"] for step in pictures]

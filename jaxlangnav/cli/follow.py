@@ -16,7 +16,7 @@ from jaxlangnav.inputs.limits import refuse_below
 if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
     from jaxlangnav.grounding.instruction import Understanding
-    from jaxlangnav.task.opening import Prepared
+    from jaxlangnav.task.opening import PreparedTask
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -94,18 +94,18 @@ class Follow:
         sizes = self._sizes(values)
         from jaxlangnav.experiments.policies import without_compass
         from jaxlangnav.grounding import GraphGrounder
-        from jaxlangnav.task.follow import alone, rehearse
-        from jaxlangnav.task.opening import emptied, refuse_what_it_lacks
-        from jaxlangnav.task.talk import roomy
+        from jaxlangnav.task.follow import batched, precompile_cycle
+        from jaxlangnav.task.opening import empty_world, check_template
+        from jaxlangnav.task.talk import enlarge
 
-        refuse_what_it_lacks(self.world, understood)
+        check_template(self.world, understood)
         dialogue = None
         if script or self.ask or self.talk or self.person:
             grounder = GraphGrounder.of_detector(models, detector)
             speech.check_script(script, grounder, understood)
-            understood = roomy(understood)
+            understood = enlarge(understood)
             dialogue = {"script": script, "grounder": grounder, "first": understood}
-        rehearse(alone(understood), emptied(self.world), **sizes)
+        precompile_cycle(batched(understood), empty_world(self.world), **sizes)
         prepared = self._open(understood, output)
         prepared, sizes["params"] = apply_to_task(prepared, values, params=sizes["params"])
         sizes["config"] = without_compass(sizes["config"], prepared.task.motion)
@@ -144,11 +144,11 @@ class Follow:
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
-        from jaxlangnav.task.follow import usual_engine
+        from jaxlangnav.task.follow import params_and_config
         from jaxlangnav.task.opening import sensor_of
         from jaxlangnav.task.talk import allow_questions
 
-        params, config = usual_engine(self.world, self.policy, self.particles)
+        params, config = params_and_config(self.world, self.policy, self.particles)
         params, config = apply(params, values, "params"), apply(config, values, "config")
         params = allow_questions(params) if self.ask else params
         check_sensor(apply(sensor_of(self.world, self.range), values, "sensor"))
@@ -157,51 +157,51 @@ class Follow:
         check_recording(config, self.max_steps or MAX_STEPS)
         return {"params": params, "config": config}
 
-    def _open(self, understood: "Understanding", output: Output) -> "Prepared":
+    def _open(self, understood: "Understanding", output: Output) -> "PreparedTask":
         """Open the task in its world; notes object types that are missing there."""
-        from jaxlangnav.task.opening import absent_types, count_types, nothing_there, open_task
+        from jaxlangnav.task.opening import absent_types, count_types, mismatch_message, open_task
 
         prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
         missing = absent_types(scenario, understood.annotations, names)
         if not prepared.is_meant and prepared.is_drawn:
-            raise UsageError(nothing_there(prepared.world, count_types(scenario, names), ()))
+            raise UsageError(mismatch_message(prepared.world, count_types(scenario, names), ()))
         for name in missing:
             output.note(f"note: world {prepared.world} has no {name}")
-        if prepared.unjudged and not (prepared.is_meant and self.person):
-            output.note(f"note: {prepared.unjudged}, so success cannot be judged")
+        if prepared.unscored and not (prepared.is_meant and self.person):
+            output.note(f"note: {prepared.unscored}, so success cannot be judged")
         return prepared
 
     def _record(
         self,
         understood: "Understanding",
         dialogue: dict[str, Any] | None,
-        prepared: "Prepared",
+        prepared: "PreparedTask",
         sizes: dict[str, Any],
         output: Output,
     ) -> "Recording":
         """Run the episode and print its narrative, live or afterwards."""
         from jaxlangnav.episode import recorder
         from jaxlangnav.episode.recording import stack_frames
-        from jaxlangnav.task.follow import alone, judged
-        from jaxlangnav.task.opening import usual_steps
-        from jaxlangnav.task.talk import with_talk
+        from jaxlangnav.task.follow import batched, score
+        from jaxlangnav.task.opening import step_limit
+        from jaxlangnav.task.talk import add_talk
         from jaxlangnav.viz.narrative import closing, narrate, narrate_live, opening
 
-        instructions, task = alone(understood), prepared.task
+        instructions, task = batched(understood), prepared.task
         labels = {"text": self.text, "type_names": understood.type_names}
         inputs = task.scenario, task.sensor, understood.instruction
-        scene = recorder.scene_of(*inputs, **labels, **sizes)
+        scene = recorder.make_scene(*inputs, **labels, **sizes)
         source = None
         if dialogue is not None:
             speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
             source = speech.listener(output, **speakers, **dialogue, scene=scene)
-        max_steps = self.max_steps or usual_steps(task.scenario, task.sensor)
+        max_steps = self.max_steps or step_limit(task.scenario, task.sensor)
         steps = recorder.play(task, instructions, max_steps=max_steps, ear=source, **sizes)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
         with spinner(message, output):
             first = next(steps)
-        steps, said = itertools.chain([first], steps), [] if source is None else source.said
+        steps, said = itertools.chain([first], steps), [] if source is None else source.utterances
         if self.live:
             from rich.console import Console
 
@@ -215,8 +215,8 @@ class Follow:
                 steps = narrate_live(scene, steps, said, output.narrate)
             frames, results = zip(*steps, strict=True)
             recording = stack_frames(scene, list(frames), results[-1])
-        recording = judged(recording, prepared, has_person=self.person is not None)
-        recording = recording if source is None else with_talk(recording, source)
+        recording = score(recording, prepared, has_person=self.person is not None)
+        recording = recording if source is None else add_talk(recording, source)
         if self.live or self.talk:
             output.say("")
             output.narrate(closing(recording.last_scene, recording.at(-1), recording.result))
@@ -237,14 +237,14 @@ class Follow:
             "seed": self.seed,
             "range": scene.sensor.range_max,
             "particles": self.particles,
-            "success": result.is_success if scene.is_judged else None,
+            "success": result.is_success if scene.is_scored else None,
             "stopped": result.is_stopped,
             "ending": Status(int(result.ending)).word,
             "missing": recording.missing,
             **speech.describe_talk(recording),
             "distance": result.distance,
             "known_distance": scene.known_distance,
-            "straight_distance": scene.straight_distance,
+            "straight_distance": scene.shortest_distance,
             "goal_distance": result.goal_distance,
             "steps": result.steps,
             "goal": scene.scenario.goal,

@@ -209,7 +209,7 @@ class Ground:
             "world": prepared.world,
             "objects": [{"type": kind, "position": [x, y]} for kind, x, y in labelled.objects],
             "behaviors": list_behaviors(understood.instruction, labelled, understood.type_names),
-            "unjudged": prepared.unjudged,
+            "unjudged": prepared.unscored,
         }
 
 

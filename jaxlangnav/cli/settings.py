@@ -16,7 +16,7 @@ from jaxlangnav.cli.output import UsageError
 
 if TYPE_CHECKING:
     from jaxlangnav.navigator import NavigatorParams
-    from jaxlangnav.task.opening import Prepared
+    from jaxlangnav.task.opening import PreparedTask
 
 _T = TypeVar("_T")
 SettingPath = tuple[str, ...]  # such as ("params", "planner", "discount")
@@ -124,8 +124,8 @@ def apply(record: _T, values: Mapping[SettingPath, Any], root: str) -> _T:
 
 
 def apply_to_task(
-    prepared: "Prepared", values: Mapping[SettingPath, Any], *, params: "NavigatorParams"
-) -> "tuple[Prepared, NavigatorParams]":
+    prepared: "PreparedTask", values: Mapping[SettingPath, Any], *, params: "NavigatorParams"
+) -> "tuple[PreparedTask, NavigatorParams]":
     """Set the sensor and the motion of a task, and the motion model of the filter."""
     new = {name: apply(getattr(prepared.task, name), values, name) for name in ("sensor", "motion")}
     prepared = dataclasses.replace(prepared, task=dataclasses.replace(prepared.task, **new))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.navigator.candidates import Candidate
-    from jaxlangnav.task.talk import Earshot
+    from jaxlangnav.task.talk import Speech
 
 _STEP_SECONDS = 0.4  # minimum duration of a step while the user may type
 
@@ -73,18 +73,18 @@ def check_script(
                 raise UsageError(f'--hear "{step}: {shorten(text)}": {refusal}') from refusal
 
 
-def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw: Any) -> "Earshot":
+def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw: Any) -> "Speech":
     """Build the utterance source of ``recorder.play``; ``kw``: its other fields."""
-    from jaxlangnav.task.talk import YOU, Earshot, Watcher
+    from jaxlangnav.task.talk import YOU, Speech, SimulatedPerson
 
     if person is not None:
-        watcher = Watcher.named(person)
-        return Earshot(**kw, voices={person: watcher.speak}, is_awaited=watcher.is_there)
+        watcher = SimulatedPerson.named(person)
+        return Speech(**kw, speakers={person: watcher.speak}, is_present=watcher.is_there)
     if not (ask or talk):
-        return Earshot(**kw)
+        return Speech(**kw)
     user = TerminalUser(output, is_talking=talk)
-    voices = {YOU: user.say}
-    return Earshot(**kw, voices=voices, is_awaited=user.is_there, on_said=user.reply)
+    speakers = {YOU: user.say}
+    return Speech(**kw, speakers=speakers, is_present=user.is_there, on_heard=user.reply)
 
 
 class TerminalUser:
@@ -162,7 +162,7 @@ def describe_talk(recording: "Recording") -> dict[str, Any]:
                 "notes": list(remark.notes),
                 "refusal": remark.refusal or None,
             }
-            for remark in recording.said
+            for remark in recording.utterances
         ],
         "candidates": [
             {**to_dict(it), "probability": it.probability} for it in recording.candidates

@@ -152,8 +152,8 @@ def default_params(
             raise ValueError(f"world {source.name} has no instruction of its own: give one")
         understood = understand(text, model, detector_of(world, model.type_names))
         prepared = open_task(world, understood, sensing_range=sensing_range, seed=0)
-        if prepared.unjudged:
-            raise ValueError(f"world {source.name}: {prepared.unjudged}")
+        if prepared.unscored:
+            raise ValueError(f"world {source.name}: {prepared.unscored}")
         task, is_find = prepared.task, prepared.is_find
         worlds = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], task.scenario)
         sensor, motion = task.sensor, task.motion

@@ -1,6 +1,6 @@
-"""An episode: a navigator in a world until it stops, as one function of arrays (``run``).
+"""Simulated episode: navigator and world in closed loop until it stops (``run``, a pure function).
 
-Its result depends on its own key only; ``lanes`` runs many.
+The result depends on the task's key only; ``lanes`` runs batches.
 """
 
 import functools
@@ -28,37 +28,37 @@ MAX_STEPS = 120  # decision cycles after which an episode that has not stopped c
 class Task:
     """One episode to run."""
 
-    key: Array  # typed key, the episode's own
+    key: Array  # typed key of this episode
     scenario: Scenario
-    instruction_index: Array  # i32[] which of the batch's instructions
+    instruction_index: Array  # i32[] index into the batch's instructions
     sensor: SensorParams
     motion: MotionParams
-    body: Body = HOLONOMIC  # how the robot moves
-    told: SensorParams | None = None  # what it takes its detector for; None: what it is
+    body: Body = HOLONOMIC  # motion model of the robot
+    assumed_sensor: SensorParams | None = None  # sensor model of the belief; None: true one
 
 
 @pytree
 class EpisodeResult:
-    """How an episode ended; one row of every results table."""
+    """Outcome and statistics of an episode: one row of a results table."""
 
-    is_success: Array  # bool[] arrived, by its own account, within 1.5 m of the intended goal
-    is_stopped: Array  # bool[] the task ended; otherwise it ran out of time
-    ending: Array  # i32[] a messages.Status: at the end; under way where it ran out of time
+    is_success: Array  # bool[] reported arrival within 1.5 m of the intended goal
+    is_stopped: Array  # bool[] the task ended; otherwise it timed out
+    ending: Array  # i32[] final messages.Status; that of the last cycle after a time-out
     distance: Array  # f32[] metres truly travelled
     steps: Array  # i32[] decision cycles
-    final: Array  # f32[2] metres, map frame: where it truly ended
-    goal_distance: Array  # f32[] metres from there to the goal
+    final: Array  # f32[2] metres, map frame: true final position
+    goal_distance: Array  # f32[] metres from the final position to the goal
     overflow: Array  # i32[] detections that found no free slot
-    degenerate: Array  # i32[] steps at which all weights had died
+    degenerate: Array  # i32[] steps at which all particle weights vanished
     contradictions: Array  # i32[] steps at which the observation contradicted the map
-    faults: Array  # i32[] steps at which the robot stood still for what cannot be was reported
+    faults: Array  # i32[] steps at which the robot stood still because of a fault
     mean_effective_sample_size: Array  # f32[] over the steps
-    is_valid: Array  # bool[] the scenario met its template's law
+    is_valid: Array  # bool[] the scenario satisfies its template's constraints
 
 
 @pytree
 class EpisodeState:
-    """An episode under way."""
+    """State of a running episode: loop carry of ``run``."""
 
     task: Task
     navigator: NavigatorState
@@ -72,92 +72,92 @@ class EpisodeState:
 
 
 def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> EpisodeState:
-    """Put robot and navigator at the start of a task; ``instructions``: leaves [I, …]."""
+    """Initialize robot and navigator for a task; ``instructions``: leaves [I, …]."""
     scenario = task.scenario
     chex.assert_shape([scenario.start, scenario.area, scenario.goal], [(3,), (4,), (2,)])
     chex.assert_rank([task.key, task.instruction_index, task.sensor.range_max], 0)
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
     chex.assert_type([scenario.object_type, scenario.is_object], [int, bool])
     instruction = select_row(instructions, task.instruction_index)
-    place, none = (scenario.start, scenario.area), jnp.int32(0)
-    world = {"terrain": scenario.terrain, "sensor_model": scenario.sensor_model}
+    pose_and_area, zero = (scenario.start, scenario.area), jnp.int32(0)
+    environment = {"terrain": scenario.terrain, "sensor_model": scenario.sensor_model}
     return EpisodeState(
         task=task,
-        navigator=navigator.start(instruction, *place, config=config, **world),
+        navigator=navigator.start(instruction, *pose_and_area, config=config, **environment),
         world=simulator.reset(scenario),
-        steps=none,
-        overflow=none,
-        degenerate=none,
-        contradictions=none,
-        faults=none,
+        steps=zero,
+        overflow=zero,
+        degenerate=zero,
+        contradictions=zero,
+        faults=zero,
         sum_effective_sample_size=jnp.float32(0.0),
     )
 
 
-def _step_keys(progress: EpisodeState) -> Array:
-    """Derive the next step's keys, key[3]: to sense, to decide, to move."""
-    return jax.random.split(jax.random.fold_in(progress.task.key, progress.steps), 3)
+def _step_keys(state: EpisodeState) -> Array:
+    """Derive the next step's keys, key[3]: sensing, decision, motion."""
+    return jax.random.split(jax.random.fold_in(state.task.key, state.steps), 3)
 
 
-def observe(progress: EpisodeState) -> Observation:
-    """Sense what the next step is decided by; the same however often it is asked for."""
-    task, key = progress.task, _step_keys(progress)[0]
-    return sense(key, progress.world, task.scenario, task.sensor, task.told)
+def observe(state: EpisodeState) -> Observation:
+    """Simulate the observation of the next step; deterministic in the state."""
+    task, key = state.task, _step_keys(state)[0]
+    return sense(key, state.world, task.scenario, task.sensor, task.assumed_sensor)
 
 
 def advance(
-    progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
+    state: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[EpisodeState, NavigatorInfo]:
-    """Run one cycle: sense, decide, move; the episode a step later, and why it did what it did."""
-    return cycle(progress, params=params, config=config)[:2]
+    """Run one cycle: sense, decide, move; return the next state and the decision's diagnostics."""
+    return cycle(state, params=params, config=config)[:2]
 
 
 def cycle(
-    progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
+    state: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[EpisodeState, NavigatorInfo, Observation]:
-    """Run one cycle as ``advance`` does, and return what was sensed in it, too."""
-    task, (_, decide_key, move_key) = progress.task, _step_keys(progress)
-    observation = observe(progress)
-    state, action, info = navigator.step(
-        decide_key, progress.navigator, observation, params=params, config=config
+    """Run one cycle as ``advance`` does, and return its observation, too."""
+    task, (_, decide_key, move_key) = state.task, _step_keys(state)
+    observation = observe(state)
+    agent, action, info = navigator.step(
+        decide_key, state.navigator, observation, params=params, config=config
     )
-    moved = task.body.move(move_key, progress.world, action, task.motion)
-    world = halted(progress.world, moved, task.scenario.terrain)
-    sums = count(progress, info)
-    after = replace(progress, navigator=state, world=world, steps=progress.steps + 1, **sums)
-    return after, info, observation
+    proposed = task.body.move(move_key, state.world, action, task.motion)
+    world = halted(state.world, proposed, task.scenario.terrain)
+    counts = add_counts(state, info)
+    next_state = replace(state, navigator=agent, world=world, steps=state.steps + 1, **counts)
+    return next_state, info, observation
 
 
-def count(progress: EpisodeState, info: NavigatorInfo) -> dict[str, Array]:
-    """Add what one cycle says of itself to the sums of an episode, by the names of their fields."""
-    seen, weights = info.filter, int(Fault.WEIGHTS)
-    more = {
-        "overflow": seen.overflow,
+def add_counts(state: EpisodeState, info: NavigatorInfo) -> dict[str, Array]:
+    """Add the diagnostics of one cycle to the episode's counters, by field name."""
+    filter_info, weights = info.filter, int(Fault.WEIGHTS)
+    increments = {
+        "overflow": filter_info.overflow,
         "degenerate": ((info.fault & weights) != 0).astype(jnp.int32),
-        "contradictions": seen.is_contradiction.astype(jnp.int32),
+        "contradictions": filter_info.is_contradiction.astype(jnp.int32),
         "faults": ((info.fault & ~weights) != 0).astype(jnp.int32),
-        "sum_effective_sample_size": seen.effective_sample_size,
+        "sum_effective_sample_size": filter_info.effective_sample_size,
     }
-    return {name: getattr(progress, name) + one for name, one in more.items()}
+    return {name: getattr(state, name) + value for name, value in increments.items()}
 
 
-def finish(progress: EpisodeState) -> EpisodeResult:
-    """Judge an episode."""
-    status, world, scenario = progress.navigator.status, progress.world, progress.task.scenario
-    steps = jnp.maximum(progress.steps, 1).astype(jnp.float32)
+def finish(state: EpisodeState) -> EpisodeResult:
+    """Compute the result of an episode from its final state."""
+    status, world, scenario = state.navigator.status, state.world, state.task.scenario
+    steps = jnp.maximum(state.steps, 1).astype(jnp.float32)
     return EpisodeResult(
         is_success=simulator.is_success(world, scenario, status == Status.ARRIVED),
-        is_stopped=progress.navigator.is_done,
+        is_stopped=state.navigator.is_done,
         ending=status,
         distance=world.distance,
-        steps=progress.steps,
+        steps=state.steps,
         final=world.position,
         goal_distance=simulator.goal_distance(world, scenario),
-        overflow=progress.overflow,
-        degenerate=progress.degenerate,
-        contradictions=progress.contradictions,
-        faults=progress.faults,
-        mean_effective_sample_size=progress.sum_effective_sample_size / steps,
+        overflow=state.overflow,
+        degenerate=state.degenerate,
+        contradictions=state.contradictions,
+        faults=state.faults,
+        mean_effective_sample_size=state.sum_effective_sample_size / steps,
         is_valid=scenario.is_valid,
     )
 
@@ -177,11 +177,11 @@ def run(
     ``max_steps``: cycles until a time-out.
     """
 
-    def is_running(progress: EpisodeState) -> Array:
-        return ~progress.navigator.is_done & (progress.steps < max_steps)
+    def is_running(state: EpisodeState) -> Array:
+        return ~state.navigator.is_done & (state.steps < max_steps)
 
-    def body(progress: EpisodeState) -> EpisodeState:
-        return advance(progress, params=params, config=config)[0]
+    def body(state: EpisodeState) -> EpisodeState:
+        return advance(state, params=params, config=config)[0]
 
-    start = begin(task, instructions, config=config)
-    return finish(jax.lax.while_loop(is_running, body, start))
+    state0 = begin(task, instructions, config=config)
+    return finish(jax.lax.while_loop(is_running, body, state0))

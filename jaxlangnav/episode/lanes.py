@@ -1,8 +1,7 @@
-"""Many episodes in refilled lanes.
+"""Batches of episodes in a fixed number of ``vmap`` lanes, refilled as episodes end.
 
-``run_batch`` keeps a fixed number of lanes busy: a lane whose episode has ended takes the next one,
-so that the slowest episode does not hold the rest. An episode's result depends on its own key only,
-never on its place in the batch.
+In ``run_batch`` a lane whose episode has ended takes the next one, so that the slowest episode does
+not hold the rest. An episode's result depends only on its key, never on its index in the batch.
 """
 
 import functools
@@ -21,15 +20,15 @@ from jaxlangnav.pytree import pytree, replace, strong_types
 
 
 class EpisodeProgram(NamedTuple):
-    """What lanes run: an episode, or one with more kept of it; part of the compiled program."""
+    """The functions that lanes run, by default a plain episode's; static under ``jit``."""
 
-    begin: Callable[..., Any]  # as ``begin``: a state from a task and the instructions
-    advance: Callable[..., Any]  # as ``advance``: the next state, and something that is not used
-    finish: Callable[[Any], Any]  # as ``finish``: the result of a state
+    begin: Callable[..., Any]  # as ``begin``: initial state from a task and the instructions
+    advance: Callable[..., Any]  # as ``advance``: next state, and an output that is ignored
+    finish: Callable[[Any], Any]  # as ``finish``: result of the final state
     progress: Callable[[Any], Any]
-    """Takes the episode out of a state, or what else counts its ``steps``."""
+    """Selects the ``EpisodeState`` in a state, or another record that counts its ``steps``."""
     is_done: Callable[[Any], Array] = operator.attrgetter("progress.navigator.is_done")
-    """Takes out of a state whether it is over, even before time is."""
+    """Selects from a state whether the episode has ended, time-outs aside."""
 
 
 EPISODE = EpisodeProgram(
@@ -45,10 +44,10 @@ EPISODE = EpisodeProgram(
 class _Lanes:
     """Carry of the refilled loop; L lanes."""
 
-    state: Any  # of the course; leaves [L, …]
-    episode: Array  # i32[L] which task a lane runs; E once there is none left
+    state: Any  # of the program; leaves [L, …]
+    episode: Array  # i32[L] task index of each lane; ``count`` once none is left
     next_episode: Array  # i32[]
-    results: Any  # of the course; leaves [E, …]
+    results: Any  # of the program; leaves [E, …]
 
 
 def run_batch(
@@ -60,46 +59,44 @@ def run_batch(
     num_lanes: int = 32,
     max_steps: int = MAX_STEPS,
     count: Array | int | None = None,
-    course: EpisodeProgram = EPISODE,
+    program: EpisodeProgram = EPISODE,
 ) -> Any:
     """Run many episodes in lanes that are refilled as episodes end.
 
     Args:
-        tasks: leaves [E, …]; a number of sensor or motion may be one for all.
-        instructions: leaves [I, …], or what else the course begins with.
-        params: the navigator's numbers, or what else the course goes on by; shared, traced.
+        tasks: leaves [E, …]; scalar sensor and motion parameters are shared.
+        instructions: leaves [I, …], or what else ``program.begin`` takes.
+        params: the navigator's parameters, or what else ``program.advance`` takes; shared, traced.
         config: sizes and policy.
-        num_lanes: L, episodes under way at once.
+        num_lanes: L, episodes that run at once.
         max_steps: cycles until a time-out.
         count: i32[], how many of the tasks to run; the rest is padding whose results are zero.
             All by default.
-        course: what is kept of an episode; its result by default.
+        program: functions of the episode; ``EPISODE`` by default.
 
     Returns:
-        Results, leaves [E, …], in the order of the tasks: an ``EpisodeResult``, or what the course
-        finishes with.
+        Results, leaves [E, …], in the order of the tasks: an ``EpisodeResult``, or what
+        ``program.finish`` returns.
     """
     chex.assert_rank([tasks.key, tasks.instruction_index, tasks.scenario.start], [1, 1, 2])
-    number = tasks.instruction_index.shape[0] if count is None else count
-    tasks, instructions, params, number = strong_types((tasks, instructions, params, number))
-    episodes = tasks.instruction_index.shape[:1]
-    own = {name: getattr(tasks, name) for name in ("sensor", "motion", "told")}
-    own = jax.tree.map(
-        lambda leaf: jnp.broadcast_to(leaf, episodes) if leaf.ndim == 0 else leaf, own
-    )
+    num_tasks = tasks.instruction_index.shape[0] if count is None else count
+    tasks, instructions, params, num_tasks = strong_types((tasks, instructions, params, num_tasks))
+    shape = tasks.instruction_index.shape[:1]
+    per_task = {name: getattr(tasks, name) for name in ("sensor", "motion", "assumed_sensor")}
+    per_task = jax.tree.map(lambda x: x if x.ndim else jnp.broadcast_to(x, shape), per_task)
     return _run_batch(
-        replace(tasks, **own),
+        replace(tasks, **per_task),
         instructions,
         params=params,
-        count=number,
+        count=num_tasks,
         config=config,
         num_lanes=num_lanes,
         max_steps=max_steps,
-        course=course,
+        program=program,
     )
 
 
-@functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps", "course"))
+@functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps", "program"))
 def _run_batch(
     tasks: Task,
     instructions: Any,
@@ -109,48 +106,48 @@ def _run_batch(
     config: NavigatorConfig,
     num_lanes: int,
     max_steps: int,
-    course: EpisodeProgram,
+    program: EpisodeProgram,
 ) -> Any:
-    """Run a batch whose arrays have types of their own, see ``run_batch``."""
+    """Compiled part of ``run_batch``; the arrays are strongly typed."""
     capacity = tasks.instruction_index.shape[0]
-    number = jnp.minimum(count, capacity).astype(jnp.int32)
+    num_tasks = jnp.minimum(count, capacity).astype(jnp.int32)
 
     def load(episode: Array) -> Any:
         task = jax.tree.map(lambda leaf: leaf[jnp.clip(episode, 0, capacity - 1)], tasks)
-        return course.begin(task, instructions, config=config)
+        return program.begin(task, instructions, config=config)
 
     def body(lanes: _Lanes) -> _Lanes:
-        advance = functools.partial(course.advance, params=params, config=config)
+        advance = functools.partial(program.advance, params=params, config=config)
         state, _ = jax.vmap(advance)(lanes.state)
-        is_over = course.is_done(state) | (course.progress(state).steps >= max_steps)
-        is_over = is_over & (lanes.episode < number)
-        target = jnp.where(is_over, lanes.episode, capacity)  # an index of E is dropped
+        is_finished = program.is_done(state) | (program.progress(state).steps >= max_steps)
+        is_finished = is_finished & (lanes.episode < num_tasks)
+        row = jnp.where(is_finished, lanes.episode, capacity)  # an index of E is dropped
         results = jax.tree.map(
-            lambda store, value: store.at[target].set(value, mode="drop"),
+            lambda store, value: store.at[row].set(value, mode="drop"),
             lanes.results,
-            jax.vmap(course.finish)(state),
+            jax.vmap(program.finish)(state),
         )
-        order = lanes.next_episode + jnp.cumsum(is_over) - 1
-        episode = jnp.where(is_over, jnp.minimum(order, number), lanes.episode)
+        index = lanes.next_episode + jnp.cumsum(is_finished) - 1
+        episode = jnp.where(is_finished, jnp.minimum(index, num_tasks), lanes.episode)
 
-        def take(is_new: Array, new: Any, old: Any) -> Any:
+        def where(is_new: Array, new: Any, old: Any) -> Any:
             return jax.tree.map(functools.partial(jnp.where, is_new), new, old)
 
         return _Lanes(
-            state=jax.vmap(take)(is_over, jax.vmap(load)(episode), state),
+            state=jax.vmap(where)(is_finished, jax.vmap(load)(episode), state),
             episode=episode.astype(jnp.int32),
-            next_episode=lanes.next_episode + jnp.sum(is_over),
+            next_episode=lanes.next_episode + jnp.sum(is_finished),
             results=results,
         )
 
-    first = jnp.arange(num_lanes, dtype=jnp.int32)
-    state = jax.vmap(load)(first)
-    shape = jax.eval_shape(course.finish, jax.tree.map(lambda leaf: leaf[0], state))
+    lane = jnp.arange(num_lanes, dtype=jnp.int32)
+    state = jax.vmap(load)(lane)
+    shape = jax.eval_shape(program.finish, jax.tree.map(lambda leaf: leaf[0], state))
     results = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shape)
     lanes = _Lanes(
         state=state,
-        episode=jnp.minimum(first, number),
+        episode=jnp.minimum(lane, num_tasks),
         next_episode=jnp.int32(num_lanes),
         results=results,
     )
-    return jax.lax.while_loop(lambda one: jnp.any(one.episode < number), body, lanes).results
+    return jax.lax.while_loop(lambda lanes: jnp.any(lanes.episode < num_tasks), body, lanes).results

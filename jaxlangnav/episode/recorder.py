@@ -1,7 +1,7 @@
-"""Running an episode step by step, to be looked at as it happens or kept (section 4).
+"""Step-by-step simulation of an episode, for display and recording (section 4).
 
-A Python loop over one compiled cycle, ``episode.advance``: ``play`` yields each step, ``record``
-keeps them all as NumPy arrays.
+A Python loop over one compiled cycle, ``episode.cycle``: ``play`` yields each step, ``record``
+stacks them as NumPy arrays.
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
-from jaxlangnav.episode.recording import Frame, Recording, StaticScene, stack_frames
+from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene, stack_frames
 from jaxlangnav.grounding.asked import summarize_commands
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.limits import refuse_below
@@ -29,7 +29,7 @@ from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, WorldState
 
 
-def scene_of(
+def make_scene(
     scenario: Scenario,
     sensor: SensorParams,
     instruction: Instruction,
@@ -39,15 +39,14 @@ def scene_of(
     config: NavigatorConfig,
     type_names: tuple[str, ...] | None = None,
 ) -> StaticScene:
-    """Gather what stays the same, whoever moves the robot.
+    """Build the static part of a recording, for a simulated or a real robot.
 
-    ``scenario``: the truth; ``sensor``: what the belief is told of the detector; ``instruction``:
-    the sentence, grounded, and ``text``, for people; ``type_names``: of the detector's labels, the
-    lexicon's types by default.
+    ``scenario``: the truth; ``sensor``: sensor model of the belief; ``instruction``: the grounded
+    sentence, ``text`` its wording; ``type_names``: of the detector's labels, the lexicon's types by
+    default.
     """
-    instruction, scenario, sensor, planner = jax.device_get(
-        (instruction, scenario, sensor, params.planner)
-    )
+    records = (instruction, scenario, sensor, params.planner)
+    instruction, scenario, sensor, planner = jax.device_get(records)
     return StaticScene(
         text=text,
         type_names=load_lexicon().type_names if type_names is None else type_names,
@@ -59,7 +58,7 @@ def scene_of(
         planner=planner,
         num_clauses=int(instruction.num_clauses),
         known_distance=float(known_distance(scenario)),
-        asks=tuple(summarize_commands(instruction)),
+        commands=tuple(summarize_commands(instruction)),
     )
 
 
@@ -70,31 +69,31 @@ def play(
     params: NavigatorParams,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
-    ear: Any = None,
-) -> Iterator[tuple[Frame, EpisodeResult]]:
-    """Run an episode step by step: each step, and how it would be judged if it ended with it.
+    dialogue: Any = None,
+) -> Iterator[tuple[Snapshot, EpisodeResult]]:
+    """Run an episode step by step; yield each step and the episode's result if it ended there.
 
-    The same ``task.key`` gives the same episode as ``episode.run``. The episode goes on for
-    ``max_steps`` cycles (at least 1) or until it ends, or as long as its ``ear`` expects more to be
-    said (``task.talk.Earshot``: it begins with a state, hears before each step).
+    The same ``task.key`` gives the same episode as ``episode.run``. The episode runs for
+    ``max_steps`` cycles (at least 1), or until it ends and ``dialogue`` (a ``task.talk.Dialogue``,
+    polled before each step) expects no further utterance.
 
     Raises:
         ValueError: ``max_steps`` is less than 1.
     """
     refuse_below(1, max_steps=max_steps)
-    progress = _begin(task, instructions, config=config)
-    if ear is not None:
-        progress = ear.begin(progress)
+    state = _begin(task, instructions, config=config)
+    if dialogue is not None:
+        state = dialogue.begin(state)
     for step in range(max_steps):
-        if ear is not None:
-            progress = ear.hear(step, progress)
-        progress, frame, result = _advance(progress, params=params, config=config)
-        shown, judged = jax.device_get((frame, result))
-        if bool(progress.navigator.is_halted):
+        if dialogue is not None:
+            state = dialogue.hear(step, state)
+        state, device_frame, device_result = _advance(state, params=params, config=config)
+        frame, result = jax.device_get((device_frame, device_result))
+        if bool(state.navigator.is_halted):
             halted = np.int32(Status.HALTED)
-            shown, judged = replace(shown, status=halted), replace(judged, ending=halted)
-        yield shown, judged
-        if bool(progress.navigator.is_resting) and (ear is None or not ear.expects(progress)):
+            frame, result = replace(frame, status=halted), replace(result, ending=halted)
+        yield frame, result
+        if bool(state.navigator.is_resting) and (dialogue is None or not dialogue.expects(state)):
             return
 
 
@@ -108,11 +107,11 @@ def record(
     text: str = "",
     type_names: tuple[str, ...] | None = None,
 ) -> Recording:
-    """Run an episode as ``play`` does and keep it; text and names as ``scene_of``."""
-    index = int(task.instruction_index)
-    instruction = jax.tree.map(lambda leaf: leaf[index], jax.device_get(instructions))
-    given = {"text": text, "type_names": type_names}
-    scene = scene_of(task.scenario, task.sensor, instruction, params=params, config=config, **given)
+    """Record an episode that is run as by ``play``; text and names as of ``make_scene``."""
+    row = int(task.instruction_index)
+    instruction = jax.tree.map(lambda leaf: leaf[row], jax.device_get(instructions))
+    kw = {"text": text, "type_names": type_names}
+    scene = make_scene(task.scenario, task.sensor, instruction, params=params, config=config, **kw)
     steps = list(play(task, instructions, params=params, config=config, max_steps=max_steps))
     return stack_frames(scene, [frame for frame, _ in steps], steps[-1][1])
 
@@ -125,36 +124,36 @@ def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) ->
 
 @cached_jit(static_argnames=("config",))
 def _advance(
-    progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
-) -> tuple[EpisodeState, Frame, EpisodeResult]:
-    """Run one cycle and gather what it looked like."""
-    after, info, observation = episode.cycle(progress, params=params, config=config)
-    frame = frame_of(progress.world, progress.navigator, after.navigator, info, observation)
-    return after, frame, episode.finish(after)
+    state: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[EpisodeState, Snapshot, EpisodeResult]:
+    """Run one cycle; return the next state, the frame and the result if it ended here."""
+    next_state, info, observation = episode.cycle(state, params=params, config=config)
+    frame = make_frame(state.world, state.navigator, next_state.navigator, info, observation)
+    return next_state, frame, episode.finish(next_state)
 
 
-def frame_of(
+def make_frame(
     world: WorldState,
-    before: NavigatorState,
+    previous: NavigatorState,
     after: NavigatorState,
     info: NavigatorInfo,
     observation: Observation,
-) -> Frame:
-    """Gather one step: the world before the motion, the belief after the step."""
-    belief, goals, choice = after.belief, info.goals, info.choice
-    particles, nodes = belief.particles, choice.nodes
-    num_objects = particles.object_type.shape[0]
+) -> Snapshot:
+    """Build the record of one step: the world before the motion, the belief after the update."""
+    belief, goals, decision = after.belief, info.goals, info.choice
+    particles, nodes = belief.particles, decision.nodes
+    num_slots = particles.object_type.shape[0]
     variance = jnp.diagonal(particles.covariance, axis1=0, axis2=1).T  # [O + 1, P]
-    mention_type = before.instruction.readings.mention_type[particles.reading].T  # [M, P]
+    mention_type = previous.instruction.readings.mention_type[particles.reading].T  # [M, P]
     region = jnp.argmax(info.behavior.goal, axis=0).astype(jnp.int32)  # [N + 1]
-    own = {
+    derived = {
         "odometry": world.odometry[:2],
-        "clause": before.clause,
+        "clause": previous.clause,
         "weight": jnp.exp(belief.log_weight),
         "object_type": label_of(particles.object_type),
-        "object_x": particles.mean_x[:num_objects],
-        "object_y": particles.mean_y[:num_objects],
-        "object_sd": jnp.sqrt(jnp.maximum(variance[:num_objects], 0.0)),
+        "object_x": particles.mean_x[:num_slots],
+        "object_y": particles.mean_y[:num_slots],
+        "object_sd": jnp.sqrt(jnp.maximum(variance[:num_slots], 0.0)),
         "mention_type": jnp.where(particles.is_mentioned, label_of(mention_type), NONE),
         "is_hypothesised": particles.is_hypothesised,
         "miss": jnp.exp(belief.coverage.log_miss),
@@ -170,11 +169,11 @@ def frame_of(
         },
         **{f"node_{name}": vars(nodes)[name] for name in ("x", "y", "kind")},
         "is_node": nodes.is_node,
-        "waypoint": jnp.stack([choice.waypoint_x, choice.waypoint_y]),
-        "waypoint_kind": choice.kind,
+        "waypoint": jnp.stack([decision.waypoint_x, decision.waypoint_y]),
+        "waypoint_kind": decision.kind,
         "is_done": after.is_done,
     }
-    # What else a frame holds has the same name in one of these, the first of them that has it.
-    records = (info, choice, info.filter, info.behavior, observation, particles, after, world)
-    found = ChainMap(own, *map(vars, records))
-    return Frame(**{field.name: found[field.name] for field in dataclasses.fields(Frame)})
+    # The other fields are copied from the first of these records with a field of that name.
+    records = (info, decision, info.filter, info.behavior, observation, particles, after, world)
+    fields = ChainMap(derived, *map(vars, records))
+    return Snapshot(**{f.name: fields[f.name] for f in dataclasses.fields(Snapshot)})

@@ -1,6 +1,6 @@
-"""A recorded episode, of ``recorder``: what a picture, a story or a live view needs of every step.
+"""Recording of an episode: simulated truth, observation, belief and decision of every step.
 
-The truth is recorded beside the belief, for people only: nothing here is read by the navigator.
+It feeds figures, narratives and live views; the navigator reads nothing of it.
 Further axis letter: **T** steps of the episode.
 """
 
@@ -28,7 +28,7 @@ Leaf: TypeAlias = Any  # a JAX array inside the compiled cycle, a NumPy array in
 
 
 @pytree
-class Frame:
+class Snapshot:
     """One step: the robot as it has sensed and decided, before it moves.
 
     Positions are metres in the map frame. In a ``Recording`` every array has a leading axis T.
@@ -37,9 +37,9 @@ class Frame:
     position: Leaf  # f32[2] true position
     heading: Leaf  # f32[] radians
     odometry: Leaf  # f32[2] dead reckoning from the start
-    robot: Leaf  # f32[2] believed position, mean over particles
+    robot: Leaf  # f32[2] posterior mean position
     distance: Leaf  # f32[] metres truly travelled so far
-    clause: Leaf  # i32[] the command being carried out
+    clause: Leaf  # i32[] index of the current command
     # What was sensed
     detection_type: Leaf  # i32[D]
     detection_range: Leaf  # f32[D] metres
@@ -47,30 +47,30 @@ class Frame:
     is_detection: Leaf  # bool[D]
     # What is believed, after the step of the filter
     weight: Leaf  # f32[P] sums to 1
-    reading: Leaf  # i32[P] the reading each particle believes
+    reading: Leaf  # i32[P] interpretation of the instruction, by particle
     object_type: Leaf  # i32[O, P] NONE in empty slots
     object_x: Leaf  # f32[O, P]
     object_y: Leaf  # f32[O, P]
     object_sd: Leaf  # f32[O, P] metres, standard deviation on each axis within the particle
-    mention_type: Leaf  # i32[M, P] type of what each mention speaks of
+    mention_type: Leaf  # i32[M, P] object type of each mention
     referent: Leaf  # i32[M, P] observed slot a mention refers to; NONE
-    is_hypothesised: Leaf  # bool[M, P] the mention is only a hypothesis yet
+    is_hypothesised: Leaf  # bool[M, P] the referent is not yet observed
     hypothesis_x: Leaf  # f32[M, P]
     hypothesis_y: Leaf  # f32[M, P]
-    miss: Leaf  # f32[G, G] probability that an object there would have been missed; [y, x]
+    miss: Leaf  # f32[G, G] probability that an object in the cell was missed; [y, x]
     effective_sample_size: Leaf  # f32[]
     is_resampled: Leaf  # bool[]
-    num_regrounded: Leaf  # i32[] particles whose words were grounded anew
-    is_news: Leaf  # bool[] an object was seen for the first time, or words came in
+    num_regrounded: Leaf  # i32[] particles whose groundings were resampled
+    is_news: Leaf  # bool[] a new object or a new utterance
     fault: Leaf  # i32[] bits of messages.Fault: why the robot stands still
     overflow: Leaf  # i32[]
     # Goals and behavior
-    goal_x: Leaf  # f32[O + 1] goal place at each observed object; the robot last
+    goal_x: Leaf  # f32[O + 1] goal position at each observed object; the robot last
     goal_y: Leaf  # f32[O + 1]
     goal_mass: Leaf  # f32[O + 1] probability that it is the goal
     goal_confirmed: Leaf  # f32[O + 1] … with everything mentioned observed
     is_goal: Leaf  # bool[O + 1]
-    goal_region: Leaf  # i32[O + 1] index into messages.REGIONS: what is asked for there
+    goal_region: Leaf  # i32[O + 1] likeliest region, index into messages.REGIONS
     hypothesis_goal_x: Leaf  # f32[P]
     hypothesis_goal_y: Leaf  # f32[P]
     hypothesis_goal_mass: Leaf  # f32[P]
@@ -87,16 +87,16 @@ class Frame:
     cost: Leaf  # f32[A]
     waypoint: Leaf  # f32[2]
     waypoint_kind: Leaf  # i32[]
-    is_kept: Leaf  # bool[] the former waypoint was kept
+    is_kept: Leaf  # bool[] the previous waypoint was kept
     is_stop: Leaf  # bool[] the present command has been carried out
-    status: Leaf  # i32[] a messages.Status: what the robot says of its task
-    is_done: Leaf  # bool[] the task has ended: it is carried out, or cannot be
+    status: Leaf  # i32[] a messages.Status: task status
+    is_done: Leaf  # bool[] the task has ended, with or without success
     stop_mass: Leaf  # f32[] goal probability within reach
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StaticScene:
-    """What stays the same over an episode; leaves are NumPy arrays."""
+    """Static part of a recording: what no step changes; leaves are NumPy arrays."""
 
     text: str
     type_names: tuple[str, ...]
@@ -107,15 +107,15 @@ class StaticScene:
     readings: Readings
     planner: PlannerParams
     num_clauses: int
-    known_distance: float  # metres from the start to the goal, by where earlier commands end
-    asks: tuple[CommandSummary, ...] = ()  # what each command asks for
-    stop_radius: float = SUCCESS_RADIUS  # metres from the goal, within which it may stop
-    is_judged: bool = True  # something there fits the sentence, so that success can be told
-    unjudged: str = "nothing there fits the sentence"  # why not, where it cannot be told
+    known_distance: float  # metres from the start to the goal, via the ends of earlier commands
+    commands: tuple[CommandSummary, ...] = ()  # what each command asks for
+    stop_radius: float = SUCCESS_RADIUS  # success radius around the goal, metres
+    is_scored: bool = True  # success is defined: the sentence has one goal there
+    unscored: str = "nothing there fits the sentence"  # why it is not
 
     @property
-    def straight_distance(self) -> float:
-        """Metres straight from the start to where it may stop: the least that any robot walks."""
+    def shortest_distance(self) -> float:
+        """Minimum travel distance from the start to within the stop radius, metres."""
         return max(0.0, self.known_distance - self.stop_radius)
 
     @property
@@ -135,48 +135,49 @@ class StaticScene:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Remark:
-    """An utterance that the robot heard under way, and what came of it."""
+class Utterance:
+    """An utterance heard during the episode, and its outcome."""
 
-    step: int  # heard before this decision
+    step: int  # index of the step before whose decision it was heard
     text: str
-    kind: str = ""  # what it was taken for, a ``language.utterance.Kind``; "" where refused
+    kind: str = ""  # its speech act, a ``language.utterance.Kind``; "" where refused
     speaker: str = "you"  # or the simulated person's name
-    ruled_out: tuple[Candidate, ...] = ()  # things that it says are not meant
-    notes: tuple[str, ...] = ()  # what else people should know, a line each
-    refusal: str = ""  # why the robot kept to its task, where it did
-    scene: StaticScene | None = None  # what is understood from then on; None: as before
+    ruled_out: tuple[Candidate, ...] = ()  # objects that it excludes
+    notes: tuple[str, ...] = ()  # messages for people, a line each
+    refusal: str = ""  # why it was refused, where it was
+    scene: StaticScene | None = None  # static scene from then on; None: unchanged
 
 
 @dataclasses.dataclass(frozen=True)
-class Moment:
-    """A step as pictures and the story take it."""
+class Step:
+    """A step of a recording in context, as figures and narratives use it."""
 
     step: int
-    scene: StaticScene  # with what was understood by then
-    frame: Frame
-    before: Frame | None  # the step before it; None at first
-    said: tuple[Remark, ...]  # heard just before its decision
+    scene: StaticScene  # as of this step
+    frame: Snapshot
+    before: Snapshot | None  # previous frame; None at the first step
+    utterances: tuple[Utterance, ...]  # heard just before its decision
     result: EpisodeResult
 
 
-def moments(
-    scene: StaticScene, steps: Iterable[tuple[Frame, EpisodeResult]], said: Sequence[Remark]
-) -> Iterator[Moment]:
-    """Set each step of an episode beside what was said and seen before it.
+def replay(
+    scene: StaticScene,
+    steps: Iterable[tuple[Snapshot, EpisodeResult]],
+    dialogue: Sequence[Utterance],
+) -> Iterator[Step]:
+    """Yield each step with the previous frame and the utterances heard before it.
 
-    ``steps``: as they happen, from ``recorder.play``, or as they were recorded; ``said``:
-    utterances, a list that may grow as the episode runs.
+    ``steps``: of ``recorder.play`` or a recording; ``dialogue`` may grow as the episode runs.
     """
-    names = ("stop_radius", "known_distance", "is_judged", "unjudged")
-    own = {name: getattr(scene, name) for name in names}
+    names = ("stop_radius", "known_distance", "is_scored", "unscored")
+    unchanged = {name: getattr(scene, name) for name in names}
     before = None
     for step, (frame, result) in enumerate(steps):
-        now = tuple(one for one in said if one.step == step)
-        for one in now:
-            if one.scene is not None:
-                scene = dataclasses.replace(one.scene, **own)
-        yield Moment(step, scene, frame, before, now, result)
+        heard = tuple(utterance for utterance in dialogue if utterance.step == step)
+        for utterance in heard:
+            if utterance.scene is not None:
+                scene = dataclasses.replace(utterance.scene, **unchanged)
+        yield Step(step, scene, frame, before, heard, result)
         before = frame
 
 
@@ -185,12 +186,12 @@ class Recording:
     """A whole episode; leaves are NumPy arrays."""
 
     scene: StaticScene
-    frames: Frame  # leaves [T, …]
+    frames: Snapshot  # leaves [T, …]
     result: EpisodeResult
-    said: tuple[Remark, ...] = ()  # under way, in order
-    candidates: tuple[Candidate, ...] = ()  # what may be meant, where it ended with a question
-    pictures: tuple[Mapping[str, bytes], ...] = ()  # of each step, JPEG by title; () without
-    ended: str = ""  # how, in words, where no status tells it: "blind: no picture for 5 s"
+    utterances: tuple[Utterance, ...] = ()  # in order
+    candidates: tuple[Candidate, ...] = ()  # candidates of the question that it ended with
+    pictures: tuple[Mapping[str, bytes], ...] = ()  # camera images of each step, JPEG by title
+    end_reason: str = ""  # where no status says it: "blind: no picture for 5 s"
 
     @property
     def num_steps(self) -> int:
@@ -204,42 +205,42 @@ class Recording:
 
     @property
     def missing(self) -> list[str]:
-        """Types that the sentence speaks of and no look has shown by the end."""
+        """Object types that the sentence mentions and that were never observed."""
         return missing_names(self.last_scene, self.at(-1))
 
     @functools.cached_property
-    def moments(self) -> list[Moment]:
-        """All steps, each with what is needed to tell it."""
+    def steps(self) -> list[Step]:
+        """All steps in context."""
         steps = ((self.at(step), self.result) for step in range(self.num_steps))
-        return list(moments(self.scene, steps, self.said))
+        return list(replay(self.scene, steps, self.utterances))
 
     @property
     def last_scene(self) -> StaticScene:
-        """The scene with what was understood in the end."""
-        return self.moments[-1].scene
+        """The static scene after the last utterance."""
+        return self.steps[-1].scene
 
-    def at(self, step: int) -> Frame:
-        """Take the step in [−T, T) out, leaves without the axis T."""
+    def at(self, step: int) -> Snapshot:
+        """Return the frame of a step in [−T, T), leaves without the axis T."""
         return jax.tree.map(lambda leaf: leaf[step], self.frames)
 
 
-def missing_names(scene: StaticScene, frame: Frame) -> list[str]:
-    """Name types that bear on the goal of the present command and no look has shown by a step.
+def missing_names(scene: StaticScene, frame: Snapshot) -> list[str]:
+    """Name the unobserved types that bear on the goal of the current command.
 
-    In the order of the sentence: of the goal and of what it is placed against; of all that the
-    sentence speaks of where the goal is not one of these.
+    In the order of the sentence: types of the goal and of its landmarks; of all mentions where the
+    goal is none.
     """
     missing = missing_types(scene.readings, frame.object_type)
     clause = int(frame.clause)
-    if clause < len(scene.asks) and scene.asks[clause].mention != NONE:
-        one, kinds = scene.asks[clause], scene.readings.mention_type
+    if clause < len(scene.commands) and scene.commands[clause].mention != NONE:
+        command, types = scene.commands[clause], scene.readings.mention_type
         best = int(np.argmax(scene.readings.log_probability))
-        wanted = {int(kinds[best][mention]) for mention in (one.mention, *one.against)}
-        missing = [kind for kind in missing if kind in wanted]
-    return [scene.type_name(kind) for kind in missing]
+        needed = {int(types[best][mention]) for mention in (command.mention, *command.against)}
+        missing = [object_type for object_type in missing if object_type in needed]
+    return [scene.type_name(object_type) for object_type in missing]
 
 
-def stack_frames(scene: StaticScene, frames: list[Frame], result: EpisodeResult) -> Recording:
-    """Stack the steps of an episode, at least one; ``result`` is of the last."""
-    stacked: Frame = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
+def stack_frames(scene: StaticScene, frames: list[Snapshot], result: EpisodeResult) -> Recording:
+    """Stack at least one frame into a recording; ``result`` is of the last step."""
+    stacked: Snapshot = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
     return Recording(scene=scene, frames=stacked, result=result)

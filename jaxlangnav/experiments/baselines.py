@@ -188,7 +188,7 @@ def _advance(
     task = run.task
     # The keys of episode.advance: common random numbers for all policies.
     sense_key, _, move_key = jax.random.split(jax.random.fold_in(task.key, run.steps), 3)
-    observation = sense(sense_key, run.world, task.scenario, task.sensor, task.told)
+    observation = sense(sense_key, run.world, task.scenario, task.sensor, task.assumed_sensor)
     explorer = _update_target(run.explorer, observation, run.figure_type)
     explorer = explore_on(explorer, observation.pose, task.sensor)
     # It drives to the target if there is one, and stops where the navigator would.

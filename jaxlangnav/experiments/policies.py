@@ -22,7 +22,7 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.messages import MotionParams, is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
-from jaxlangnav.navigator.deployment import with_numbers
+from jaxlangnav.navigator.deployment import set_params
 from jaxlangnav.planner.config import POLICIES, AnyPolicy, PlannerConfig, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
@@ -111,7 +111,7 @@ class Arm:
         """Replace parameters of the navigator by name, if it has any; no recompilation."""
         if self.params is None or not values:
             return self
-        return dataclasses.replace(self, params=with_numbers(values, params=self.params))
+        return dataclasses.replace(self, params=set_params(values, params=self.params))
 
     def run(
         self,

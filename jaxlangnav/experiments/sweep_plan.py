@@ -27,7 +27,7 @@ from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.tasks import Cell
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator import NavigatorParams, check, default_params
-from jaxlangnav.navigator.deployment import with_numbers
+from jaxlangnav.navigator.deployment import set_params
 from jaxlangnav.planner.config import POLICIES, SHIPPED
 from jaxlangnav.pytree import replace
 
@@ -216,7 +216,7 @@ def _setting(config: SweepConfig, index: int) -> Cell:
 
 
 def _params(point: Mapping[str, Any]) -> NavigatorParams:
-    return with_numbers(_table_values(point, "motion", "map", "planner"), params=default_params())
+    return set_params(_table_values(point, "motion", "map", "planner"), params=default_params())
 
 
 def parse_shard(text: str) -> tuple[int, int]:

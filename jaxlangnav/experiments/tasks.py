@@ -138,7 +138,7 @@ def _draw(shared: dict[str, Any], *ids: ArrayLike) -> Task:
             instruction_index=cell["instruction_index"],
             sensor=cell["sensor"],
             motion=cell["motion"],
-            told=cell["assumed_sensor"],
+            assumed_sensor=cell["assumed_sensor"],
         )
 
     return jax.vmap(draw)(shared, *map(jnp.asarray, ids))

@@ -33,8 +33,8 @@ from jaxlangnav.language.halting import act_of
 from jaxlangnav.messages import Action, Observation, SensorParams, Status, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.navigator.candidates import Candidate, candidates, mentioned_types, unseen_types
-from jaxlangnav.navigator.canonicalize import MOST_BITS, canonicalize, check_state
-from jaxlangnav.navigator.deployment import deployment_config, deployment_params, with_numbers
+from jaxlangnav.navigator.canonicalize import MAX_BITS, canonicalize, check_state
+from jaxlangnav.navigator.deployment import deployment_config, deployment_params, set_params
 from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_measures
 from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
@@ -95,7 +95,7 @@ class Navigator:
         if grounder is None:
             grounder = GraphGrounder(load_shipped(), labels, attributes)
         static, arrays = split_arrays(policy)
-        params = replace(with_numbers(numbers, params=deployment_params()), policy=arrays)
+        params = replace(set_params(numbers, params=deployment_params()), policy=arrays)
         config = deployment_config(static, params=params)
         return cls(grounder=grounder, params=params, config=config)
 
@@ -104,8 +104,8 @@ class Navigator:
         navigator.check(self.params, policy=self.config.planner.chosen)
         num_objects, num_mentions = self.config.map.num_objects, self.capacity.num_mentions
         for name, size in {"num_objects": num_objects, "num_mentions": num_mentions}.items():
-            if size > MOST_BITS:
-                most = f"at most {MOST_BITS} are told apart in a conversation"
+            if size > MAX_BITS:
+                most = f"at most {MAX_BITS} are told apart in a conversation"
                 raise ValueError(f"{name} is {quote(size)}, but {most}")
 
     @property

@@ -15,7 +15,7 @@ from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.navigator.records import NavigatorState
 from jaxlangnav.pytree import replace
 
-MOST_BITS = 31
+MAX_BITS = 31
 """Maximum number of slots and mentions of a bit set."""
 _FILLERS: dict[str, tuple[Any, Any]] = {
     "detection_type": (np.int32, NONE),

@@ -19,7 +19,7 @@ from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 
-OBJECTS, BYSTANDERS = 12, 64
+NUM_OBJECTS, NUM_BYSTANDERS = 12, 64
 """Things that a sentence may mean, and others, that are remembered: for places as they are."""
 _NUMBERS = {
     "concentration": 1.2,
@@ -63,7 +63,7 @@ One whose unit is not known here is a plain number."""
 
 def deployment_params() -> NavigatorParams:
     """Build the default numbers for places that are unlike the planner's training worlds."""
-    return with_numbers(_NUMBERS, params=default_params())
+    return set_params(_NUMBERS, params=default_params())
 
 
 def deployment_config(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorConfig:
@@ -72,8 +72,8 @@ def deployment_config(policy: AnyPolicy, *, params: NavigatorParams) -> Navigato
     The parameters are concrete: a heading that drifts takes a program of its own.
     """
     sizes = MapConfig(
-        num_objects=OBJECTS,
-        num_bystanders=BYSTANDERS,
+        num_objects=NUM_OBJECTS,
+        num_bystanders=NUM_BYSTANDERS,
         has_doubts=True,
         has_drift=is_drifting(params.map.motion),
         pools_counts=True,
@@ -81,7 +81,7 @@ def deployment_config(policy: AnyPolicy, *, params: NavigatorParams) -> Navigato
     return NavigatorConfig(map=sizes, planner=PlannerConfig(policy=policy))
 
 
-def with_numbers(numbers: Mapping[str, float | str], *, params: NavigatorParams) -> NavigatorParams:
+def set_params(numbers: Mapping[str, float | str], *, params: NavigatorParams) -> NavigatorParams:
     """Set single numbers by their names, wherever among the records they stand (host only).
 
     Args:

@@ -26,7 +26,7 @@ from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState, speech_acts
 from jaxlangnav.navigator.candidates import believed_pose, candidates, chosen_by, type_at
-from jaxlangnav.navigator.speech_acts import How
+from jaxlangnav.navigator.speech_acts import TaskUpdate
 
 _ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
 _BY_ACT = {act: kind for kind, act in _ACTS.items()}
@@ -66,7 +66,7 @@ class Listener:
         said = classify(text, is_asked=is_asked)
         if said.kind is not None and said.kind in _ACTS:
             outcome = UtteranceOutcome(text=text, kind=said.kind)
-            return speech_acts.obey(state, _ACTS[said.kind]), outcome
+            return speech_acts.apply_act(state, _ACTS[said.kind]), outcome
         if said.wording is not None:
             return self._by_wording(state, text, said)
         opening = opening_of(text)
@@ -94,7 +94,7 @@ class Listener:
             f"{refusal}"
         )
         outcome = UtteranceOutcome(text=text, kind=Kind.HALT, notes=(note,))
-        return speech_acts.obey(state, Act.HALT), outcome
+        return speech_acts.apply_act(state, Act.HALT), outcome
 
     def _opened(self, state: NavigatorState, text: str, act: Act, rest: str) -> _Updated:
         """Halt, or drop the task, and then take in the rest of what was said."""
@@ -103,7 +103,7 @@ class Listener:
         except ValueError as refusal:
             done = "halted" if act == Act.HALT else "the task is dropped"
             _log.warning("%s; the rest of what was said is left out: %s", done, refusal)
-            return speech_acts.obey(state, act), UtteranceOutcome(text=text, kind=_BY_ACT[act])
+            return speech_acts.apply_act(state, act), UtteranceOutcome(text=text, kind=_BY_ACT[act])
         heard = dataclasses.replace(heard, text=text)
         return _acted(after, heard, act) if heard.kind in _NO_COMMAND[act] else (after, heard)
 
@@ -157,14 +157,14 @@ class Listener:
         pose, notes = state.belief.last_pose, grounded.notes
         if int(grounded.instruction.num_clauses) == 0:
             kind = Kind.CONSTRAINT if spoken.avoided else Kind.STATEMENT
-            joined = self._join(state, grounded, how=How.INFORM)
-            after = _tell(state, joined, pose, how=How.INFORM)
+            joined = self._join(state, grounded, how=TaskUpdate.INFORM)
+            after = _tell(state, joined, pose, how=TaskUpdate.INFORM)
             notes += _dropped(state, after)
             return after, UtteranceOutcome(text=text, kind=kind, notes=notes)
-        how = How.REPLACE
+        how = TaskUpdate.REPLACE
         has_more = int(state.instruction.num_clauses) > 0 and not bool(state.is_done)
         if said.kind == Kind.ADDITION and has_more:
-            how = How.APPEND
+            how = TaskUpdate.APPEND
             left = int(state.instruction.num_clauses) - int(state.clause)
             wanted, most = left + int(grounded.instruction.num_clauses), state.talk.viewer.shape[0]
             if wanted > most:
@@ -182,8 +182,8 @@ class Listener:
         kind = label_of(about)
         is_answer = is_asked and len(spoken.goals) == 1 and kind in spoken.may_be(spoken.goals[0])
         is_again = said.kind == Kind.CORRECTION or is_answer
-        out = self._ruled_out(state, said, grounded, text) if how is How.REPLACE else NONE
-        joined = self._join(state, grounded, how=how, is_loose=is_again or how is How.APPEND)
+        out = self._ruled_out(state, said, grounded, text) if how is TaskUpdate.REPLACE else NONE
+        joined = self._join(state, grounded, how=how, is_loose=is_again or how is TaskUpdate.APPEND)
         after = _tell(state, joined, pose, how=how)
         if out != NONE:
             after = _rule_out(after, jnp.int32(1 << out))
@@ -198,7 +198,7 @@ class Listener:
         state: NavigatorState,
         grounded: Grounded,
         *,
-        how: How = How.REPLACE,
+        how: TaskUpdate = TaskUpdate.REPLACE,
         is_loose: bool = True,
     ) -> Merged:
         """Merge the new reading with the dialogue state."""
@@ -207,9 +207,9 @@ class Listener:
             state.talk.words,
             grounded.instruction,
             grounded.spoken,
-            is_new_task=how is How.REPLACE,
+            is_new_task=how is TaskUpdate.REPLACE,
             is_loose=is_loose,
-            is_asked=how is not How.INFORM,
+            is_asked=how is not TaskUpdate.INFORM,
         )
 
     def _about(self, state: NavigatorState) -> tuple[int, bool]:
@@ -246,7 +246,7 @@ class Listener:
         """Compile all that an utterance may do to a state, so that nobody waits for it."""
         grounded = Grounded(instruction=come_here(), annotations=())
         joined, slot = self._join(state, grounded), jnp.int32(0)
-        for how in How:
+        for how in TaskUpdate:
             _tell(state, joined, state.belief.last_pose, how=how)
         _come_back(state, joined)
         _choose(state, slot)
@@ -258,7 +258,7 @@ class Listener:
 
 def _acted(state: NavigatorState, heard: UtteranceOutcome, act: Act) -> _Updated:
     """Halt, or drop the task, as an utterance began that goes on without a command."""
-    return speech_acts.obey(state, act), dataclasses.replace(heard, kind=_BY_ACT[act])
+    return speech_acts.apply_act(state, act), dataclasses.replace(heard, kind=_BY_ACT[act])
 
 
 def check_measures(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:

@@ -20,11 +20,11 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import to_map_frame
 from jaxlangnav.semantic_map.gating import is_pose
 
-CLOSER, CLOSEST = 0.5, 0.25
+CLOSENESS_STEP, MIN_CLOSENESS = 0.5, 0.25
 """Share of the reach by which "closer" shortens it, and the least of the usual one that is left."""
 
 
-class How(enum.Enum):
+class TaskUpdate(enum.Enum):
     """Effect of a new utterance on the task."""
 
     REPLACE = enum.auto()  # it is the task from now on
@@ -32,7 +32,7 @@ class How(enum.Enum):
     INFORM = enum.auto()  # the task stays
 
 
-def obey(state: NavigatorState, act: Act) -> NavigatorState:
+def apply_act(state: NavigatorState, act: Act) -> NavigatorState:
     """Halt, go on, or drop the task, whatever the robot is at; nothing is computed or compiled.
 
     Halted it stands still, however often it is stepped, and keeps looking about; to go on is to
@@ -59,7 +59,7 @@ def obey(state: NavigatorState, act: Act) -> NavigatorState:
     )
 
 
-def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: How) -> NavigatorState:
+def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: TaskUpdate) -> NavigatorState:
     """Take in what has been joined with what was said before: the words are grounded anew.
 
     The map is kept, and what earlier utterances said of it. Of a new task the robot begins at the
@@ -84,7 +84,7 @@ def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: How) -> Nav
         instruction=replace(state.instruction, readings=joined.instruction.readings),
         talk=replace(talk, words=joined.words, context=_merged_context(talk.context, joined, pose)),
     )
-    if how is How.REPLACE:
+    if how is TaskUpdate.REPLACE:
         begun = _arranged(heard, joined, pose, jnp.int32(0))
         # What was being approached is then what was gone up to before the task.
         former, talk = begun.previous_goal, begun.talk
@@ -99,7 +99,7 @@ def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: How) -> Nav
             may_ask=jnp.asarray(True),
         )
         return _under_way(replace(begun, previous_goal=former, talk=talk))
-    if how is How.APPEND:
+    if how is TaskUpdate.APPEND:
         left = state.instruction.num_clauses - state.clause
         return _arranged(heard, joined, pose, jnp.maximum(left, 0))
     # There is news of the map: take up again a search that has ended without a goal.
@@ -188,12 +188,12 @@ def choose_freely(state: NavigatorState) -> NavigatorState:
 
 def come_closer(state: NavigatorState) -> NavigatorState:
     """Go on to half the distance at which the robot would have arrived; a quarter is the least."""
-    closeness = jnp.maximum(state.talk.closeness * CLOSER, CLOSEST)
+    closeness = jnp.maximum(state.talk.closeness * CLOSENESS_STEP, MIN_CLOSENESS)
     return _under_way(replace(state, talk=replace(state.talk, closeness=closeness)))
 
 
 def come_back(state: NavigatorState, joined: Merged) -> NavigatorState:
     """Return to where the conversation began; ``joined`` has ``returning`` as the new task."""
-    heard = tell(state, joined, state.belief.last_pose, how=How.REPLACE)
+    heard = tell(state, joined, state.belief.last_pose, how=TaskUpdate.REPLACE)
     talk = heard.talk
     return replace(heard, talk=replace(talk, viewer=jnp.broadcast_to(talk.home, talk.viewer.shape)))

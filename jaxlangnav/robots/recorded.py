@@ -11,8 +11,8 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.episode.recorder import frame_of, scene_of
-from jaxlangnav.episode.recording import Frame, Recording, stack_frames
+from jaxlangnav.episode.recorder import make_frame, make_scene
+from jaxlangnav.episode.recording import Recording, Snapshot, stack_frames
 from jaxlangnav.messages import Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.navigator.api import Navigator
@@ -24,7 +24,7 @@ from jaxlangnav.robots.robot import Ending, NavigationRun, Step, observe
 from jaxlangnav.robots.views import Views
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
-_frame_of = jax.jit(frame_of)
+_frame_of = jax.jit(make_frame)
 
 
 class DriveRecorder:
@@ -40,7 +40,7 @@ class DriveRecorder:
         self._views = Views(robot, navigator.type_names) if has_camera else None
         self._world = robot.world_state
         self._taken: Mapping[str, bytes] = {}
-        self._frames: list[Frame] = []
+        self._frames: list[Snapshot] = []
         self._pictures: list[Mapping[str, bytes]] = []
         self._clause, self._contradictions = np.int32(0), 0
         robot.on_look = self._on_look
@@ -81,7 +81,7 @@ class DriveRecorder:
         if not self._frames:
             raise ValueError("nothing was recorded: give drive on_step=recorder.on_step")
         navigator = self._navigator
-        scene = scene_of(
+        scene = make_scene(
             self._scenario,
             self._robot.sensor,
             ended.state.instruction,
@@ -93,7 +93,7 @@ class DriveRecorder:
         told = stack_frames(scene, self._frames, self._result(ended))
         why = "" if ended.ending is Ending.ARRIVED else f"{ended.ending.value}: {ended.why}"
         pictures = tuple(self._pictures) if self._views is not None else ()
-        return dataclasses.replace(told, pictures=pictures, ended=why)
+        return dataclasses.replace(told, pictures=pictures, end_reason=why)
 
     def _result(self, ended: NavigationRun) -> EpisodeResult:
         """Judge the drive by where the robot truly is."""

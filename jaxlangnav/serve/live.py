@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from jaxlangnav.episode import EpisodeResult, EpisodeState, recorder
-from jaxlangnav.episode.recording import Frame, Recording, stack_frames
+from jaxlangnav.episode.recording import Snapshot, Recording, stack_frames
 from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.grounding import GraphGrounder, GroundingModel
 from jaxlangnav.inputs.documents import parse_json, parse_toml
@@ -21,9 +21,9 @@ from jaxlangnav.inputs.schema import PlainText, bad_choice
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.follow import OpenedEpisode, alone, judged, open_episode
-from jaxlangnav.task.opening import detector_of, usual_steps
-from jaxlangnav.task.talk import YOU, Earshot, allow_questions, name_candidates, roomy, with_talk
+from jaxlangnav.task.follow import OpenedEpisode, batched, score, open_episode
+from jaxlangnav.task.opening import detector_of, step_limit
+from jaxlangnav.task.talk import YOU, Dialogue, allow_questions, name_candidates, padded, add_talk
 from jaxlangnav.viz.html import page_data
 from jaxlangnav.viz.sentences import percent
 from jaxlangnav.world.files import (
@@ -107,14 +107,14 @@ class LiveEpisode:
                 model=model,
             )
         task = opened.prepared.task
-        self._max_steps = request.max_steps or usual_steps(task.scenario, task.sensor)
+        self._max_steps = request.max_steps or step_limit(task.scenario, task.sensor)
         check_recording(opened.config, self._max_steps)
         grounder = GraphGrounder.of_detector(
             model, detector_of(self._world, opened.understood.type_names)
         )
         self._opened = self._enable_dialogue(opened)
         self._source = self._utterance_source(grounder)
-        self._steps: list[tuple[Frame, EpisodeResult]] = []
+        self._steps: list[tuple[Snapshot, EpisodeResult]] = []
         self._queue: queue.Queue[str | None] = queue.Queue(_QUEUE_SIZE)
         self._question: list[dict[str, str]] = []
         self._is_resting, self._last_step = False, -1
@@ -135,11 +135,11 @@ class LiveEpisode:
     def _enable_dialogue(self, opened: OpenedEpisode) -> OpenedEpisode:
         """Reserve capacity for later utterances, and allow questions."""
         params = allow_questions(opened.params) if self.request.may_ask else opened.params
-        return dataclasses.replace(opened, understood=roomy(opened.understood), params=params)
+        return dataclasses.replace(opened, understood=padded(opened.understood), params=params)
 
-    def _utterance_source(self, grounder: GraphGrounder) -> Earshot:
+    def _utterance_source(self, grounder: GraphGrounder) -> Dialogue:
         understood, task = self._opened.understood, self._opened.prepared.task
-        scene = recorder.scene_of(
+        scene = recorder.make_scene(
             task.scenario,
             task.sensor,
             understood.instruction,
@@ -148,13 +148,13 @@ class LiveEpisode:
             params=self._opened.params,
             config=self._opened.config,
         )
-        return Earshot(
+        return Dialogue(
             grounder=grounder,
             first=understood,
             scene=scene,
-            voices={YOU: self._read},
-            is_awaited=lambda progress: not self._closed.is_set(),
-            on_said=lambda _: self._notify(),
+            speakers={YOU: self._read},
+            is_present=lambda progress: not self._closed.is_set(),
+            on_heard=lambda _: self._notify(),
         )
 
     def start(self) -> None:
@@ -165,11 +165,11 @@ class LiveEpisode:
         opened = self._opened
         steps = recorder.play(
             opened.prepared.task,
-            alone(opened.understood),
+            batched(opened.understood),
             params=opened.params,
             config=opened.config,
             max_steps=self._max_steps,
-            ear=self._source,
+            dialogue=self._source,
         )
         try:
             with _compile_lock:
@@ -263,7 +263,7 @@ class LiveEpisode:
             return None
         frames, results = zip(*steps, strict=True)
         recording = stack_frames(self._source.scene, list(frames), results[-1])
-        return with_talk(judged(recording, self._opened.prepared), self._source)
+        return add_talk(score(recording, self._opened.prepared), self._source)
 
     def describe(self) -> dict[str, Any]:
         """Build the JSON state for the page; an episode with an open question is under way."""
@@ -272,7 +272,7 @@ class LiveEpisode:
         is_under_way = not is_over and (bool(question) or not is_resting)
         utterances = [
             {"text": sanitize(item.text), "kind": item.kind, "refusal": sanitize(item.refusal)}
-            for item in list(self._source.said)
+            for item in list(self._source.utterances)
         ]
         return {
             "episode": recording and page_data(recording, is_under_way=is_under_way),

@@ -1,9 +1,9 @@
-"""What a label means against what the trained graph makes of its sentence (section 4.1).
+"""Comparison of a grounded sentence with its labelled meaning (section 4.1).
 
-The label is grounded too, as a form, without words. They agree where both say the same of the
-world, and where each of their commands asks for the same, nothing asked twice. That is tried in a
-world of the label's things, related as the label has it, and of one more of each type of which
-something is said, which is not.
+The label is grounded directly from its form. The two agree if they have the same types and
+relations, and if their commands infer the same behaviors, repeated commands left out. Behaviors are
+compared in a world of the label's objects, related as the label says, with an unrelated distractor
+of the type of each figure.
 """
 
 import dataclasses
@@ -20,133 +20,132 @@ from jaxlangnav.grounding.worlds import World
 from jaxlangnav.inputs.object_types import noun_of
 from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, ROBOT
 from jaxlangnav.relations.table import REGISTRY, SYMBOL
-from jaxlangnav.task.labelled import ALIKE, LEAST, Meaning
+from jaxlangnav.task.labelled import MIN_GOAL_PROB, TIE_RATIO, Meaning
 
-_EXACT = 0.01
-"""Metres by which a distance may differ from the label's, which may leave it out."""
+_TOLERANCE = 0.01
+"""Tolerance of a distance against the label's, metres; a label may leave it out."""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Asked:
-    """What one command asks for in a world."""
+class _Behavior:
+    """Behavior that one command infers in a world."""
 
     action: str
     mode: str
-    ends: frozenset[tuple[int, int]]  # region and slot of each goal that fits as well as any
+    goals: frozenset[tuple[int, int]]  # region and slot of each goal tied with the best
     avoided: frozenset[int]
-    metres: float  # from its landmark, where they are told
-    frame: tuple[float, ...]  # from where it is meant, in the robot's frame
+    metres: float  # stated distance from the landmark
+    frame: tuple[float, ...]  # viewpoint of the command, in the robot's frame
 
 
 def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...]) -> str:
-    """Say how an instruction differs first from what its label means; empty where nothing does."""
+    """Describe the first difference between an instruction and its label; empty if none."""
     try:
-        types = tuple(
-            names.index(meaning.type_of(one)) for one in range(len(meaning.reading.types))
-        )
+        num_objects = len(meaning.reading.types)
+        types = tuple(names.index(meaning.type_of(index)) for index in range(num_objects))
     except ValueError:
         return "speaks of other types"
     reading = dataclasses.replace(meaning.reading, types=types)
     label = form_instruction(Form((reading,), ()))
-    for said, wanted in zip(_said(instruction, names), _said(label, names), strict=True):
-        if said != wanted:
-            return f"says {_listed(said)}, not {_listed(wanted)}"
+    found = _content(instruction, names)
+    for actual, expected in zip(found, _content(label, names), strict=True):
+        if actual != expected:
+            return f"says {_listed(actual)}, not {_listed(expected)}"
     world = _world(reading)
-    asked, meant = _asked(instruction, world), _asked(label, world)
-    if len(asked) != len(reading.commands):
-        return f"gives {len(asked)} commands, not {len(reading.commands)}"
-    for index, (one, wanted) in enumerate(zip(asked, meant, strict=True), start=1):
-        if why := _difference(one, wanted, world, names):
-            return f"command {index} {why}"
+    commands, labelled = _behaviors(instruction, world), _behaviors(label, world)
+    if len(commands) != len(reading.commands):
+        return f"gives {len(commands)} commands, not {len(reading.commands)}"
+    for index, pair in enumerate(zip(commands, labelled, strict=True), start=1):
+        if text := _compare(*pair, world, names):
+            return f"command {index} {text}"
     return ""
 
 
-def _difference(one: _Asked, wanted: _Asked, world: World, names: tuple[str, ...]) -> str:
-    """Say how one command differs; empty where it does not."""
+def _compare(actual: _Behavior, expected: _Behavior, world: World, names: tuple[str, ...]) -> str:
+    """Describe the first difference between the behaviors of a command; empty if none."""
 
-    def places(ends: Iterable[tuple[int, int]]) -> set[tuple[Any, ...]]:
-        """Describe where a command ends: of two things that nothing tells apart either will do."""
-        kinds, related, ranked = world.object_type, world.is_related, world.is_ranked
+    def classes(goals: Iterable[tuple[int, int]]) -> set[tuple[Any, ...]]:
+        """Group goals into classes of objects with the same type and relations."""
+        types, related, ranked = world.object_type, world.is_related, world.is_ranked
         return {
-            (region, kinds[slot], related[:, slot].tobytes(), ranked[:, :, slot].tobytes())
-            for region, slot in ends
+            (region, types[slot], related[:, slot].tobytes(), ranked[:, :, slot].tobytes())
+            for region, slot in goals
         }
 
-    for given, meant in ((one.action, wanted.action), (one.mode, wanted.mode)):
-        if given != meant:
-            return f"asks for {given}, not {meant}"
-    if not one.ends or not places(one.ends) <= places(wanted.ends):
-        kinds = [noun_of(kind, names) if kind >= 0 else "robot" for kind in world.object_type]
+    for value, label in ((actual.action, expected.action), (actual.mode, expected.mode)):
+        if value != label:
+            return f"asks for {value}, not {label}"
+    if not actual.goals or not classes(actual.goals) <= classes(expected.goals):
+        nouns = [noun_of(index, names) if index >= 0 else "robot" for index in world.object_type]
         ends, end = (
-            ", ".join(f"{REGIONS[region]} {kinds[slot]} ({slot})" for region, slot in sorted(of))
-            for of in (one.ends, wanted.ends)
+            ", ".join(f"{REGIONS[region]} {nouns[slot]} ({slot})" for region, slot in sorted(goals))
+            for goals in (actual.goals, expected.goals)
         )
         return f"ends {ends or 'nowhere'}, not {end}"
-    if wanted.metres and abs(one.metres - wanted.metres) > _EXACT:
-        return f"goes {one.metres:.3g} m, not {wanted.metres:.3g} m"
-    if one.avoided != wanted.avoided:
-        return f"keeps away from {len(one.avoided)} things, not {len(wanted.avoided)}"
+    if expected.metres and abs(actual.metres - expected.metres) > _TOLERANCE:
+        return f"goes {actual.metres:.3g} m, not {expected.metres:.3g} m"
+    if actual.avoided != expected.avoided:
+        return f"keeps away from {len(actual.avoided)} things, not {len(expected.avoided)}"
     return ""
 
 
-def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], set[str]]:
-    """Collect the types and relations of the likeliest reading."""
-    fields = instruction.readings
-    kinds = np.asarray(fields.mention_type[0])
+def _content(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], set[str]]:
+    """Collect the types and relations of the most probable interpretation."""
+    readings = instruction.readings
+    types = np.asarray(readings.mention_type[0])
 
     def name(mention: int) -> str:
-        kind = kinds[mention]
-        return "robot" if kind == ROBOT else noun_of(kind, names)
+        return "robot" if types[mention] == ROBOT else noun_of(types[mention], names)
 
     relations = set()
-    for figure, relation, landmark, rank in fields.edges():
+    for figure, relation, landmark, rank in readings.edges():
         if relation == NONE:
             continue
-        own, other = name(figure), name(landmark)
+        first, second = name(figure), name(landmark)
         converse = REGISTRY[relation].converse
-        # A tree behind a cone is the same as a cone before it.
-        if other < own and not rank and "robot" not in (own, other) and converse is not None:
-            own, relation, other = other, converse, own
-        at = f", rank {rank}" if rank else ""
-        relations.add(f"{own} {REGISTRY[relation].name} {other}{at}")
-    return {noun_of(kind, names) for kind in kinds if kind >= 0}, relations
+        # Canonical order: "tree behind cone" and "cone in front of tree" are the same relation.
+        if second < first and not rank and "robot" not in (first, second) and converse is not None:
+            first, relation, second = second, converse, first
+        suffix = f", rank {rank}" if rank else ""
+        relations.add(f"{first} {REGISTRY[relation].name} {second}{suffix}")
+    return {noun_of(index, names) for index in types if index >= 0}, relations
 
 
 def _listed(parts: Iterable[str]) -> str:
     return "; ".join(sorted(parts)) or "nothing"
 
 
-def _asked(instruction: Instruction, world: World) -> list[_Asked]:
-    """Infer what each command asks for; one that asks for what is done already is left out."""
-    found: list[_Asked] = []
+def _behaviors(instruction: Instruction, world: World) -> list[_Behavior]:
+    """Infer the behavior of each command; a repetition of the previous one is left out."""
+    behaviors: list[_Behavior] = []
     for clause, behavior in enumerate(infer_commands(instruction, world)):
         goal = behavior.goal
-        least = max(LEAST, ALIKE * float(goal.max()))
-        asked = _Asked(
+        limit = max(MIN_GOAL_PROB, TIE_RATIO * float(goal.max()))
+        found = _Behavior(
             action=ACTIONS[int(behavior.action.argmax())],
             mode=MODES[int(behavior.mode.argmax())],
-            ends=frozenset((region, slot) for region, slot in np.argwhere(goal >= least).tolist()),
+            goals=frozenset((region, slot) for region, slot in np.argwhere(goal >= limit).tolist()),
             avoided=frozenset(np.flatnonzero(behavior.constraint.max(axis=0) > 0.5).tolist()),
             metres=float(instruction.metres[clause]),
             frame=tuple(np.asarray(instruction.frame)[clause].tolist()),
         )
-        if not found or asked != found[-1]:
-            found.append(asked)
-    return found
+        if not behaviors or found != behaviors[-1]:
+            behaviors.append(found)
+    return behaviors
 
 
 def _world(reading: FormReading) -> World:
-    """Build a world in which exactly what the label says holds; the robot has the last slot."""
-    # Each thing has a slot, and so has another one of it if something is said.
-    figures = dict.fromkeys(reading.types[one.figure] for one in reading.relations)
-    kinds, related, ranked = [*reading.types, *figures], [], []
+    """Build a world in which exactly the label's relations hold; the robot has the last slot."""
+    # The label's objects, then one distractor of the type of each figure.
+    figures = dict.fromkeys(reading.types[edge.figure] for edge in reading.relations)
+    types, related, ranked = [*reading.types, *figures], [], []
     for figure, relation, landmark, rank in reading.relations:
-        edge = SYMBOL[relation], figure, len(kinds) if landmark == ROBOT else landmark
+        edge = SYMBOL[relation], figure, len(types) if landmark == ROBOT else landmark
         converse = REGISTRY[relation].converse
         if rank == 0 or relation == NEAR:
             related.append(edge)
-        if rank > 0:  # the device has one table of later ranks: whichever the sentence means
+        if rank > 0:  # all ranks above 1 share one table
             ranked.append((min(rank, 2) - 1, *edge))
         elif converse is not None and landmark != ROBOT:
             related.append((SYMBOL[converse], landmark, figure))
-    return World.of_edges([*kinds, ROBOT], related, ranked)
+    return World.of_edges([*types, ROBOT], related, ranked)

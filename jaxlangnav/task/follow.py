@@ -1,7 +1,7 @@
-"""One episode in one call: from a sentence and a world to a recording (the whole of section 3).
+"""Simulate and record one episode from a sentence and a world (all of section 3).
 
-What ``jaxlangnav follow`` does on the command line, for notebooks and scripts. Many episodes at
-once go through ``experiments.policies.run_policy``, a robot of one's own through ``Navigator``.
+The function behind ``jaxlangnav follow``, for notebooks and scripts. Batches of episodes run by
+``experiments.policies.run_policy``; a real robot uses ``Navigator``.
 """
 
 import contextlib
@@ -28,13 +28,13 @@ from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.opening import (
-    Prepared,
+    PreparedTask,
+    check_template,
     count_types,
     detector_of,
-    nothing_there,
+    mismatch_message,
     open_task,
-    refuse_what_it_lacks,
-    usual_steps,
+    step_limit,
 )
 from jaxlangnav.world.files import open_world
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -44,11 +44,11 @@ from jaxlangnav.world.templates import Template
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class OpenedEpisode:
-    """An episode that can be run: what was said, where, and by what robot."""
+    """An episode ready to run: grounded sentence, task, parameters and configuration."""
 
     text: str
     understood: Understanding
-    prepared: Prepared
+    prepared: PreparedTask
     params: NavigatorParams
     config: NavigatorConfig
 
@@ -65,21 +65,21 @@ def follow(
     params: NavigatorParams | None = None,
     model: GroundingModel | None = None,
 ) -> Recording:
-    """Follow a sentence in a world never seen, until the robot says stop.
+    """Simulate a robot that follows a sentence in an unknown world, until it stops.
 
     Args:
         text: the sentence.
         world: a template (1H1C, 1H2C, 2H1C, 2H2C), a shipped world, or a file.
         sensing_range: how far the robot sees, metres; 3, or what the world's file says, if None.
-        policy: "informed", "faithful", or a policy of somebody's own.
-        seed: of the world, where it is drawn from a template, and of the noise.
-        particles: P, hypotheses of the map kept at once.
-        max_steps: decisions after which it ends as a time-out; ``usual_steps`` if None.
-        params: the navigator's numbers; its defaults if None.
-        model: trained models of language; the shipped ones if None.
+        policy: "informed", "faithful", or a custom policy.
+        seed: of the world, where it is sampled from a template, and of the noise.
+        particles: P, number of particles.
+        max_steps: decisions after which it times out; ``step_limit`` if None.
+        params: the navigator's parameters; its defaults if None.
+        model: trained language models; the shipped ones if None.
 
     Returns:
-        The episode, for ``viz`` or for a look at any array in it.
+        The recorded episode.
 
     Raises:
         ValueError: the sentence, the world or an option is refused; one line.
@@ -102,20 +102,20 @@ def open_episode(
     model: GroundingModel,
     params: NavigatorParams | None = None,
 ) -> OpenedEpisode:
-    """Understand a sentence and open a world for it; arguments and errors as of ``follow``."""
+    """Ground a sentence and open a world for it; arguments and errors as of ``follow``."""
     world = str(world)
     understood = understand(text, model, detector_of(world, model.type_names))
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
-    refuse_what_it_lacks(world, understood)
-    usual, config = usual_engine(world, policy, particles)
-    params = usual if params is None else replace(params, policy=usual.policy)
+    check_template(world, understood)
+    defaults, config = params_and_config(world, policy, particles)
+    params = defaults if params is None else replace(params, policy=defaults.policy)
     prepared = open_task(world, understood, sensing_range=sensing_range, seed=seed)
     motion = prepared.task.motion
     if prepared.is_drawn and not prepared.is_meant:
         counts = count_types(prepared.task.scenario, understood.type_names)
-        raise ValueError(nothing_there(prepared.world, counts, ()))
+        raise ValueError(mismatch_message(prepared.world, counts, ()))
     return OpenedEpisode(
         text=text,
         understood=understood,
@@ -132,52 +132,52 @@ def navigator_params() -> NavigatorParams:
     return default_params()
 
 
-def usual_engine(
+def params_and_config(
     world: str, policy: AnyPolicy, particles: int
 ) -> tuple[NavigatorParams, NavigatorConfig]:
-    """Choose the navigator's numbers and sizes by what it has to hold.
+    """Choose the navigator's default parameters and capacities for a world.
 
-    In worlds drawn from their templates those of the paper's tables, in any other the numbers of
-    ``Navigator.pretrained``; its sizes too where more things stand than the tables' hold.
+    In worlds sampled from templates those of the paper's tables, in any other the parameters of
+    ``Navigator.pretrained``; its capacities too where a world has more objects than the tables'.
 
     Args:
         world: a template, a shipped world or a file.
-        policy: "informed", "faithful", or a policy of somebody's own.
+        policy: "informed", "faithful", or a custom policy.
         particles: P.
 
     Raises:
         ValueError: no such world or policy, or a bad file.
     """
-    place, (static, arrays) = open_world(world), split_arrays(policy)
-    if isinstance(place, Template):
+    opened, (static, arrays) = open_world(world), split_arrays(policy)
+    if isinstance(opened, Template):
         return replace(navigator_params(), policy=arrays), navigator_config(static, particles)
-    anywhere = Navigator.pretrained(policy)
-    if place.scenario.is_object.size <= NUM_SLOTS:
-        return anywhere.params, navigator_config(static, particles)
-    sizes = dataclasses.replace(anywhere.config.map, num_particles=particles)
-    return anywhere.params, dataclasses.replace(anywhere.config, map=sizes)
+    pretrained = Navigator.pretrained(policy)
+    if opened.scenario.is_object.size <= NUM_SLOTS:
+        return pretrained.params, navigator_config(static, particles)
+    sizes = dataclasses.replace(pretrained.config.map, num_particles=particles)
+    return pretrained.params, dataclasses.replace(pretrained.config, map=sizes)
 
 
-def alone(understood: Understanding) -> Instruction:
-    """Make a batch of one instruction, leaves [1, …] on the host."""
+def batched(understood: Understanding) -> Instruction:
+    """Build a batch of one instruction, leaves [1, …] on the host."""
     return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
 
 
-def rehearse(
+def precompile_cycle(
     instructions: Instruction, empty: Scenario, *, params: NavigatorParams, config: NavigatorConfig
 ) -> None:
-    """Load or compile the decision cycle in a thread, while other things are done.
+    """Load or compile the decision cycle in a background thread.
 
-    A step of an episode in an empty world asks for it: shapes are the same for every sentence,
-    leaves [1, …], in every world with as many slots and walls. Where no programs are kept nothing
-    is done, as two threads would compile the same.
+    It runs one step of an episode in an empty world: shapes are the same for every sentence,
+    leaves [1, …], in every world with as many slots and walls. Without a program cache nothing is
+    done, as two threads would compile the same.
     """
     if cache_dir() is None:
         return
     task = any_task(empty)
 
     def step() -> None:
-        # What goes wrong here goes wrong again where it is asked for, and is told there.
+        # Any error occurs again in the foreground and is reported there.
         with contextlib.suppress(Exception):
             next(recorder.play(task, instructions, params=params, config=config))
 
@@ -185,38 +185,37 @@ def rehearse(
 
 
 def record_episode(opened: OpenedEpisode, max_steps: int | None = None) -> Recording:
-    """Run one episode, and judge it by what its command asks for; steps as of ``follow``."""
+    """Record one episode and evaluate its success; steps as of ``follow``."""
     task, understood = opened.prepared.task, opened.understood
     recording = recorder.record(
         task,
-        alone(understood),
+        batched(understood),
         params=opened.params,
         config=opened.config,
-        max_steps=max_steps or usual_steps(task.scenario, task.sensor),
+        max_steps=max_steps or step_limit(task.scenario, task.sensor),
         text=opened.text,
         type_names=understood.type_names,
     )
-    return judged(recording, opened.prepared)
+    return score(recording, opened.prepared)
 
 
-def judged(recording: Recording, prepared: Prepared, *, has_person: bool = False) -> Recording:
-    """Judge an episode by what its command asks for.
+def score(recording: Recording, prepared: PreparedTask, *, has_person: bool = False) -> Recording:
+    """Evaluate the success of an episode by the command's action.
 
-    To navigate is to stop within 1.5 m of the goal, which the episode has judged itself; to find
-    is to stop with the goal in view. Where nothing fits, or several places do and nothing says
-    which is meant, there is nothing to judge: no success. A simulated person who speaks
-    (``has_person``) has one of several places in mind.
+    To navigate is to stop within 1.5 m of the goal; to find is to stop with the goal in view. Where
+    no place fits, or several do and nothing says which is meant, success is undefined and set to
+    False. A simulated person who speaks (``has_person``) means one of several places.
     """
     result, scene = recording.result, recording.scene
-    in_view = float(scene.sensor.range_max) if prepared.is_find else 0.0
-    radius = max(in_view, SUCCESS_RADIUS)
-    is_judged = prepared.is_meant and (has_person or not prepared.unjudged)
-    is_arrived = (result.ending == Status.ARRIVED) & is_judged
+    sensor_range = float(scene.sensor.range_max) if prepared.is_find else 0.0
+    radius = max(sensor_range, SUCCESS_RADIUS)
+    is_scored = prepared.is_meant and (has_person or not prepared.unscored)
+    is_arrived = (result.ending == Status.ARRIVED) & is_scored
     is_success = np.asarray(is_arrived & (result.goal_distance <= radius))
     world = scene.scenario
-    places = [tuple(world.start[:2]), *prepared.via, tuple(world.goal)]
-    legs = (world.terrain.travel.metres(*a, *b) for a, b in itertools.pairwise(places))
-    told = {"known_distance": float(sum(legs)), "unjudged": prepared.unjudged or scene.unjudged}
-    scene = dataclasses.replace(scene, stop_radius=radius, is_judged=is_judged, **told)
+    stops = [tuple(world.start[:2]), *prepared.via, tuple(world.goal)]
+    legs = (world.terrain.travel.metres(*a, *b) for a, b in itertools.pairwise(stops))
+    fields = {"known_distance": float(sum(legs)), "unscored": prepared.unscored or scene.unscored}
+    scene = dataclasses.replace(scene, stop_radius=radius, is_scored=is_scored, **fields)
     result = replace(result, is_success=is_success)
     return dataclasses.replace(recording, scene=scene, result=result)

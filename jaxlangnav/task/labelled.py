@@ -1,12 +1,12 @@
-"""Anyone's labelled sentences: what each means, or that it must be refused (section 4.1).
+"""Labelled sentences, each with its meaning or the label "refuse" (section 4.1).
 
 A file of JSON lines. Each line is an object with
 
 - ``text``: the sentence;
-- ``label``: ``"refuse"``, or one reading of the published form (``grounding.form``) without its
-  probability: ``things``, ``relations`` among them, and ``commands`` in order;
-- ``construction``: what the sentence is an example of; may be left out.
-- ``set``: by whom, or when, it was written down; may be left out.
+- ``label``: ``"refuse"``, or one interpretation in the published form (``grounding.form``) without
+  its probability: ``things``, ``relations`` among them, and ``commands`` in order;
+- ``construction``: grammatical construction of the sentence; optional.
+- ``set``: subset of the file, such as its annotator; optional.
 
     {"text": "stop behind the car", "label": {"things": [{"id": "c", "type": "car"}],
      "commands": [{"goal": {"region": "behind", "thing": "c"}}]}, "construction": "regions"}
@@ -40,25 +40,25 @@ from jaxlangnav.relations import default_params, prepare
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
-LEAST = 0.05
-"""Goals less probable than this are not meant."""
-ALIKE = 0.8
-"""Goals of at least this share of the best one's probability fit as well."""
+MIN_GOAL_PROB = 0.05
+"""Minimum probability of a goal that the sentence may mean."""
+TIE_RATIO = 0.8
+"""Minimum ratio of a goal's probability to the best one's for a tie."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Goal:
-    """A place that a sentence may mean."""
+    """A goal position that a sentence may mean."""
 
     region: int  # index into messages.REGIONS
     index: int  # slot of the scenario; NONE for the robot itself
-    position: tuple[float, float]  # metres, map frame: the typical place of the region
+    position: tuple[float, float]  # metres, map frame: typical position in the region
 
 
 def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[list[Goal]], bool]:
-    """List where the commands of a sentence may end, in a world of which all is known.
+    """List the most probable goals of each command in a fully known world.
 
-    For each command those that fit best, if any does; and whether finding is enough for the last.
+    The second value tells whether the last command is to find, not to navigate.
     """
     placed = place_scenario(scenario, understood.type_names)
     behaviors = _infer_in(understood.instruction, placed, understood.type_names)
@@ -71,42 +71,42 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[lis
 
 
 def _best_goals(
-    told: Instruction, clause: int, behavior: Behavior, placed: PlacedWorld, scenario: Scenario
+    parsed: Instruction, clause: int, behavior: Behavior, placed: PlacedWorld, scenario: Scenario
 ) -> list[Goal]:
-    """List the goals of one command that fit best."""
+    """List the goals of one command that are tied with the most probable one."""
     best = float(behavior.goal.max())
-    if best < LEAST:
+    if best < MIN_GOAL_PROB:
         return []
-    metres, frame = (np.asarray(one)[clause] for one in (told.metres, told.frame))
+    metres, frame = (np.asarray(field)[clause] for field in (parsed.metres, parsed.frame))
     viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
-    kept = np.flatnonzero(np.asarray(scenario.is_object))
+    slots = np.flatnonzero(np.asarray(scenario.is_object))
     goals = []
-    for region, slot in np.argwhere(behavior.goal >= ALIKE * best).tolist():
-        is_robot = slot == len(kept)
+    for region, slot in np.argwhere(behavior.goal >= TIE_RATIO * best).tolist():
+        is_robot = slot == len(slots)
         x, y = viewer[:2].tolist() if is_robot else placed.objects[slot][1:]
         if region != AT:
-            at = np.int32(region), np.float32(x), np.float32(y)
-            offset = _offset(*at, viewer, np.bool_(is_robot), metres)
+            origin = np.int32(region), np.float32(x), np.float32(y)
+            offset = _offset(*origin, viewer, np.bool_(is_robot), metres)
             x, y = x + float(offset[0]), y + float(offset[1])
-        index = NONE if is_robot else int(kept[slot])
+        index = NONE if is_robot else int(slots[slot])
         goals.append(Goal(region=region, index=index, position=(x, y)))
     return goals
 
 
 def is_among(scenario: Scenario, goals: list[Goal]) -> bool:
-    """Tell whether a world's own goal is one of those that a sentence means.
+    """Test whether the goal of a world is among the goals of a sentence.
 
-    It is where its object is meant itself, or where its mere place is within reach of one meant.
+    A goal object has to be a goal itself, a goal position within the success radius of one.
     """
-    own = int(scenario.goal_index)
-    if own != NONE:
-        return any(goal.region == AT and goal.index == own for goal in goals)
+    slot = int(scenario.goal_index)
+    if slot != NONE:
+        return any(goal.region == AT and goal.index == slot for goal in goals)
     x, y = np.asarray(scenario.goal).tolist()
     return any(math.dist((x, y), goal.position) <= SUCCESS_RADIUS for goal in goals)
 
 
 def with_goal(scenario: Scenario, goal: Goal) -> Scenario:
-    """Make a place that is meant the goal of a world."""
+    """Set the goal of a world."""
     index = jnp.int32(goal.index if goal.region == AT else NONE)
     return replace(scenario, goal=jnp.asarray(goal.position, jnp.float32), goal_index=index)
 
@@ -115,22 +115,22 @@ def with_goal(scenario: Scenario, goal: Goal) -> Scenario:
 def _offset(
     region: Array, x: Array, y: Array, viewer: Array, is_robot: Array, metres: Array
 ) -> tuple:
-    """Compute where in a region a robot goes, the way the planner does it."""
+    """Compute the offset of the goal position in a region, by the planner's function."""
     return region_offset(prepare(default_params()), region, x, y, viewer, is_robot, metres)
 
 
 REFUSE = "refuse"
-MOST_SENTENCES = 20_000
-"""Lines that a file may have."""
-_LARGEST_FILE = 32 * 1024 * 1024
-"""Bytes of such a file."""
-_LONGEST_NAME = 60
-"""Characters of the name of a construction."""
+MAX_SENTENCES = 20_000
+"""Maximum number of lines of a file."""
+_MAX_BYTES = 32 * 1024 * 1024
+"""Maximum size of a file."""
+_MAX_NAME = 60
+"""Maximum number of characters of a construction's name."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Meaning:
-    """What a sentence means."""
+    """Labelled meaning of a sentence."""
 
     reading: FormReading
     type_names: tuple[str, ...]  # object types by index; those of the lexicon by their own names
@@ -142,13 +142,13 @@ class Meaning:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LabelledSentence:
-    """One line of a file."""
+    """One line of a file of labelled sentences."""
 
     line: int  # 1-based
     text: str
     construction: str
-    set: str  # which part of its file it belongs to
-    meaning: Meaning | None  # None where it must be refused
+    set: str  # subset of the file
+    meaning: Meaning | None  # None: it must be refused
 
 
 def read_sentences(path: Path) -> list[LabelledSentence]:
@@ -157,28 +157,28 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
     Raises:
         ValueError: no such file, or a line cannot be; one line that names file, line and remedy.
     """
-    lines = read_lines(path, at_most=_LARGEST_FILE)
+    lines = read_lines(path, at_most=_MAX_BYTES)
     if not lines:
         raise ValueError(f"{path}: holds no sentence: write one JSON object a line")
-    if len(lines) > MOST_SENTENCES:
+    if len(lines) > MAX_SENTENCES:
         raise ValueError(
-            f"{path}: holds {len(lines)} sentences; at most {MOST_SENTENCES} are read: split it"
+            f"{path}: holds {len(lines)} sentences; at most {MAX_SENTENCES} are read: split it"
         )
-    found = []
+    sentences = []
     for number, line in lines:
         with naming(f"{path}:{number}"):
-            found.append(_read_line(number, parse_json(line)))
-    return found
+            sentences.append(_read_line(number, parse_json(line)))
+    return sentences
 
 
 class _Line(Schema):
     text: str
     label: Any
-    construction: Annotated[str, Meta(max_length=_LONGEST_NAME)] = ""
+    construction: Annotated[str, Meta(max_length=_MAX_NAME)] = ""
     set: str = ""
 
     def __post_init__(self) -> None:
-        """Take any characters: people may say what they like."""
+        """Accept any characters, unlike the base class."""
 
 
 def _read_line(number: int, document: Any) -> LabelledSentence:
@@ -194,20 +194,20 @@ def _read_line(number: int, document: Any) -> LabelledSentence:
     return LabelledSentence(line=number, **texts, meaning=meaning)
 
 
-_RAREST = 1e-3
-"""Behaviors less probable than this are not listed."""
+_MIN_LISTED_PROB = 1e-3
+"""Minimum probability of a listed behavior."""
 
 
 def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
-    """Reveal a scenario: its objects in the order of their slots, and the robot at its start."""
-    kept = np.flatnonzero(np.asarray(scenario.is_object))
+    """List the true objects of a scenario by slot, and the robot's start pose."""
+    slots = np.flatnonzero(np.asarray(scenario.is_object))
     fields = (scenario.object_type, scenario.object_x, scenario.object_y)
-    objects = zip(*(np.asarray(one)[kept].tolist() for one in fields), strict=True)
+    objects = zip(*(np.asarray(field)[slots].tolist() for field in fields), strict=True)
     x, y, heading = np.asarray(scenario.start).tolist()
     attributes = scenario.object_attribute
-    codes = [] if attributes is None else np.asarray(attributes)[kept].tolist()
+    codes = [] if attributes is None else np.asarray(attributes)[slots].tolist()
     return PlacedWorld(
-        objects=tuple((names[int(kind)], x, y) for kind, x, y in objects),
+        objects=tuple((names[int(object_type)], x, y) for object_type, x, y in objects),
         robot=(x, y, heading),
         attributes=tuple(codes),
     )
@@ -222,11 +222,11 @@ def _infer_in(
 def list_behaviors(
     instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
 ) -> list[dict[str, Any]]:
-    """List what may be to be done in a world of which everything is known.
+    """List the behavior distribution of each command in a fully known world.
 
     Action, mode and goal are independent given the sentence and the world, so the probability of
-    a behavior is the product of theirs. What is missing to 1 is the probability that nothing
-    there fits the command.
+    a behavior is the product of theirs. The remainder to 1 is the probability that no goal there
+    fits the command.
 
     Args:
         instruction: the grounded sentence.
@@ -237,19 +237,19 @@ def list_behaviors(
         Clause by clause, likeliest first: ``clause``, ``action``, ``mode``, ``goal``,
         ``probability``.
     """
-    found: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     for clause, behavior in enumerate(_infer_in(instruction, placed, names)):
         joint = (
             behavior.action[:, None, None, None]
             * behavior.mode[None, :, None, None]
             * behavior.goal[None, None]
         )
-        for index in map(tuple, np.argwhere(joint >= _RAREST).tolist()):
+        for index in map(tuple, np.argwhere(joint >= _MIN_LISTED_PROB).tolist()):
             action, mode, region, slot = index
             is_robot = slot == len(placed.objects)
             name, x, y = ("robot", *placed.robot[:2]) if is_robot else placed.objects[slot]
             goal = {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}
-            found.append(
+            rows.append(
                 {
                     "clause": clause,
                     "action": ACTIONS[action],
@@ -258,4 +258,4 @@ def list_behaviors(
                     "probability": float(joint[index]),
                 }
             )
-    return sorted(found, key=lambda one: (one["clause"], -one["probability"]))
+    return sorted(rows, key=lambda row: (row["clause"], -row["probability"]))

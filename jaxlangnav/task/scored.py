@@ -1,4 +1,4 @@
-"""How many labelled sentences are read as labelled, refused, and read wrongly (section 4.1)."""
+"""Scores of grounders on labelled sentences: right, refused or wrong (section 4.1)."""
 
 import dataclasses
 from collections import Counter
@@ -23,214 +23,214 @@ from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.training.shipped import Judged, TemperatureFit, fit_source_temperature
 
 CORRECT, REFUSED, WRONG = OUTCOMES = ("right", "refused", "wrong")
-WORST_SHOWN = 40
-"""Sentences listed below the table; the document has all that are not right."""
-Wrapping = Callable[[GraphGrounder], Grounder]
-"""Builds the grounder that is scored around the trained graph, anew for each sentence."""
+MAX_LISTED = 40
+"""Maximum number of sentences listed below the table; the document lists all errors."""
+GrounderWrapper = Callable[[GraphGrounder], Grounder]
+"""Builds the grounder to score from the trained graph, anew for each sentence."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """What became of one sentence."""
+    """Outcome of one sentence."""
 
     sentence: LabelledSentence
     outcome: str
-    why: str  # the refusal, or what differs; empty where it is right
-    confidence: float  # probability of the likeliest reading; 0 of a refusal
+    reason: str  # the refusal, or the difference from the label; empty if right
+    confidence: float  # probability of the best interpretation; 0 if refused
 
 
 def score_sentences(
     sentences: Sequence[LabelledSentence],
     model: GroundingModel,
     on_progress: Callable[[int], None] | None = None,
-    arm: Wrapping = lambda graph: graph,
+    wrap: GrounderWrapper = lambda graph: graph,
     least_probability: float = MIN_PROBABILITY,
 ) -> list[Score]:
     """Score labelled sentences, in order.
 
     Args:
-        sentences: with what they mean. The detector tells apart all types that these name, and
-            the lexicon's.
+        sentences: with their labels. The detector has all types that these name, and the
+            lexicon's.
         model: the trained models.
-        on_progress: told after each sentence.
-        arm: what reads them; the trained graph by default.
-        least_probability: of what the trained reader makes of them, in [0, 1]; see ``parse``.
+        on_progress: called after each sentence.
+        wrap: builds the grounder to score; the trained graph by default.
+        least_probability: minimum probability of a parse, in [0, 1]; see ``parse``.
     """
-    scores, labels = [], _labels_of(sentences, model)
+    scores, labels = [], _list_labels(sentences, model)
     for sentence in sentences:
         graph = GraphGrounder(model, labels, least_probability=least_probability)
-        scores.append(_score(sentence, graph, arm))
+        scores.append(_score(sentence, graph, wrap))
         if on_progress is not None:
             on_progress(1)
     return scores
 
 
 def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count scores of ``score_sentences`` in a JSON document.
+    """Summarize scores of ``score_sentences`` in a JSON document.
 
-    Counts of all and by construction, and what is not right, worst first: a wrong reading before a
-    refusal, the surer the worse.
+    Counts overall and by construction, and all errors, worst first: wrong interpretations before
+    refusals, by falling confidence.
     """
     by_name: dict[str, list[Score]] = {}
-    for one in scores:
-        by_name.setdefault(one.sentence.construction, []).append(one)
-    missed = [score for score in scores if score.outcome != CORRECT]
-    missed.sort(key=lambda one: (one.outcome != WRONG, -one.confidence, one.sentence.line))
+    for score in scores:
+        by_name.setdefault(score.sentence.construction, []).append(score)
+    errors = [score for score in scores if score.outcome != CORRECT]
+    errors.sort(key=lambda score: (score.outcome != WRONG, -score.confidence, score.sentence.line))
     return {
         **_count_scores(scores),
-        "by_construction": {name: _count_scores(ones) for name, ones in by_name.items()},
+        "by_construction": {name: _count_scores(group) for name, group in by_name.items()},
         "worst": [
             {
-                "line": one.sentence.line,
-                "text": one.sentence.text,
-                "construction": one.sentence.construction,
-                "outcome": one.outcome,
-                "why": one.why,
-                "confidence": round(one.confidence, 4),
+                "line": score.sentence.line,
+                "text": score.sentence.text,
+                "construction": score.sentence.construction,
+                "outcome": score.outcome,
+                "why": score.reason,
+                "confidence": round(score.confidence, 4),
             }
-            for one in missed
+            for score in errors
         ],
     }
 
 
 def render_scores(document: dict[str, Any]) -> tuple[Any, list[str]]:
-    """Draw a document of ``summarize_scores``: a rich table, and a line for each of the worst."""
+    """Render a ``summarize_scores`` document: a rich table, and lines for the worst sentences."""
     rows = [*document["by_construction"].items(), ("all", document)]
     columns: TableColumns = [
         ("construction", "{name}"),
         *((name, f"{{{name}}}") for name in ("sentences", *OUTCOMES)),
         ("right %", "{right_share:.1f}"),
     ]
-    named = [{**row, "name": name or "-"} for name, row in rows]
-    table = Table.of(named, columns, title="Sentences as labelled, right or rightly refused")
+    labelled = [{**row, "name": name or "-"} for name, row in rows]
+    table = Table.of(labelled, columns, title="Sentences as labelled, right or rightly refused")
     worst = document["worst"]
     lines = [
-        f"{one['outcome']}, line {one['line']}: {one['text']}\n    {one['why']}"
-        for one in worst[:WORST_SHOWN]
+        f"{row['outcome']}, line {row['line']}: {row['text']}\n    {row['why']}"
+        for row in worst[:MAX_LISTED]
     ]
-    if len(worst) > WORST_SHOWN:
-        lines.append(f"and {len(worst) - WORST_SHOWN} more: --json lists them all")
+    if len(worst) > MAX_LISTED:
+        lines.append(f"and {len(worst) - MAX_LISTED} more: --json lists them all")
     return table.text(), lines
 
 
 def _count_scores(scores: Sequence[Score]) -> dict[str, Any]:
     counts = Counter(score.outcome for score in scores)
-    share = 100.0 * counts[CORRECT] / max(len(scores), 1)
+    percent = 100.0 * counts[CORRECT] / max(len(scores), 1)
     return {
         "sentences": len(scores),
         **{outcome: counts[outcome] for outcome in OUTCOMES},
-        "right_share": round(share, 2),
+        "right_share": round(percent, 2),
     }
 
 
 def _context_of(sentence: LabelledSentence) -> Context:
-    """Tell what a grounder is told: only what is meant to inform may ask for nothing."""
+    """Build the context of a sentence: only a label without commands allows a statement."""
     meaning = sentence.meaning
     return Context(is_under_way=meaning is not None and not meaning.reading.commands)
 
 
-def _labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> tuple[str, ...]:
-    """List what a detector tells apart for whom the sentences are meant."""
-    meanings = [one.meaning for one in sentences if one.meaning is not None]
-    named = [n for one in meanings for n in one.type_names if not is_reserved(n.lower())]
+def _list_labels(sentences: Sequence[LabelledSentence], model: GroundingModel) -> tuple[str, ...]:
+    """List the model's object types and those that the labels name."""
+    meanings = [sentence.meaning for sentence in sentences if sentence.meaning is not None]
+    named = [n for meaning in meanings for n in meaning.type_names if not is_reserved(n.lower())]
     return tuple(dict.fromkeys([*model.type_names, *named]))
 
 
-def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Wrapping) -> Score:
+def _score(sentence: LabelledSentence, graph: GraphGrounder, wrap: GrounderWrapper) -> Score:
     meaning = sentence.meaning
     try:
-        grounded = arm(graph).ground(sentence.text, _context_of(sentence))
+        grounded = wrap(graph).ground(sentence.text, _context_of(sentence))
     except ValueError as error:
         outcome = CORRECT if meaning is None else REFUSED
         return Score(sentence, outcome, "" if meaning is None else str(error), 0.0)
     confidence = float(np.exp(grounded.instruction.readings.log_probability[0]))
     if meaning is None:
         return Score(sentence, WRONG, "was read, but must be refused", confidence)
-    why = difference(meaning, grounded.instruction, graph.names)
-    return Score(sentence, WRONG if why else CORRECT, why, confidence)
+    reason = difference(meaning, grounded.instruction, graph.names)
+    return Score(sentence, WRONG if reason else CORRECT, reason, confidence)
 
 
-GRAPH, REWRITES, BOTH = ARMS = ("graph alone", "rewrites alone", "both")
-"""What reads the sentences; both: the graph, and rewritings of what it refuses."""
+GRAPH, REWRITES, BOTH = VARIANTS = ("graph alone", "rewrites alone", "both")
+"""Grounders to compare; both: the graph, and rewrites of sentences that it refuses."""
 
 
-def recorded_of(
+def select_recorded(
     sentences: Sequence[LabelledSentence], recorded: RecordedRewrites
 ) -> list[LabelledSentence]:
-    """Keep the sentences that were recorded, so that all arms are scored on the same.
+    """Select the sentences with recorded rewrites, so that all grounders are scored on the same.
 
     Raises:
         ValueError: none of them was; one line.
     """
-    found = [one for one in sentences if one.text in recorded.answers]
-    if not found:
+    selected = [sentence for sentence in sentences if sentence.text in recorded.answers]
+    if not selected:
         raise ValueError(
             f"none of the {len(sentences)} sentences stands in the file of rewritings: "
             "record the same texts"
         )
-    return found
+    return selected
 
 
-def compare_arms(
+def compare_grounders(
     sentences: Sequence[LabelledSentence],
     recorded: RecordedRewrites,
     model: GroundingModel,
     temperature: float,
     on_progress: Callable[[int], None] | None = None,
 ) -> dict[str, Any]:
-    """Score labelled sentences as the graph reads them, as their rewritings say, and both.
+    """Score labelled sentences with the graph, with their rewrites, and with both.
 
-    ``temperature`` is of the weights of rewritings; ``on_progress`` is told after each sentence of
-    each arm.
+    ``temperature`` is that of the weights of rewrites; ``on_progress`` is called after each
+    sentence of each grounder.
 
     Returns:
-        A JSON document: ``temperature``; ``arms``, by name as ``summarize_scores`` counts, and
-        the same counts of the sentences that are ``meant`` to be read and those ``to_refuse``.
+        A JSON document: ``temperature``; ``summaries``, a summary of ``summarize_scores`` for each
+        grounder, with the same counts of the sentences ``meant`` to be read and ``to_refuse``.
     """
     params = default_rewrite_params(temperature)
 
     def rewritten(graph: GraphGrounder) -> RewriteGrounder:
         return RewriteGrounder(graph, recorded, params=params)
 
-    builds: dict[str, Wrapping] = {
+    builds: dict[str, GrounderWrapper] = {
         GRAPH: lambda graph: graph,
         REWRITES: rewritten,
         BOTH: lambda graph: FirstGrounder(graph, rewritten(graph)),
     }
-    arms = {}
-    for name in ARMS:
+    summaries = {}
+    for name in VARIANTS:
         scores = score_sentences(sentences, model, on_progress, builds[name])
-        arms[name] = {
+        summaries[name] = {
             **summarize_scores(scores),
-            "meant": _count_scores([one for one in scores if one.sentence.meaning is not None]),
-            "to_refuse": _count_scores([one for one in scores if one.sentence.meaning is None]),
+            "meant": _count_scores([each for each in scores if each.sentence.meaning is not None]),
+            "to_refuse": _count_scores([each for each in scores if each.sentence.meaning is None]),
         }
-    return {"temperature": temperature, "arms": arms}
+    return {"temperature": temperature, "arms": summaries}
 
 
 def fit_recorded(
     sentences: Sequence[LabelledSentence], recorded: RecordedRewrites, model: GroundingModel
 ) -> TemperatureFit:
-    """Fit the temperature to recorded rewritings of sentences that are labelled with a meaning.
+    """Fit the temperature to recorded rewrites of sentences that are labelled with a meaning.
 
     Raises:
-        ValueError: they say nothing about it; one line.
+        ValueError: they hold no evidence about it; one line.
     """
-    labels, judged = _labels_of(sentences, model), []
-    for one in sentences:
-        if one.meaning is None:
+    labels, examples = _list_labels(sentences, model), []
+    for item in sentences:
+        if item.meaning is None:
             continue
         graph = GraphGrounder(model, labels)
-        found, _ = verify_rewrites(graph, recorded(one.text), _context_of(one))
+        found, _ = verify_rewrites(graph, recorded(item.text), _context_of(item))
         is_right = [
-            not difference(one.meaning, read.grounded.instruction, graph.names) for read in found
+            not difference(item.meaning, read.grounded.instruction, graph.names) for read in found
         ]
-        judged.append(Judged(tuple(read.log_probability for read in found), tuple(is_right)))
-    return fit_source_temperature(judged)
+        examples.append(Judged(tuple(read.log_probability for read in found), tuple(is_right)))
+    return fit_source_temperature(examples)
 
 
-def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[Any, list[str]]:
-    """Draw a document of ``compare_arms``, and a fit if there was one: a rich table, and lines."""
+def render_variants(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[Any, list[str]]:
+    """Render a ``compare_grounders`` document and the fit, if any: a rich table, and lines."""
     columns: TableColumns = [
         ("", "{name}"),
         *((f"meant: {name}", f"{{meant[{name}]}}") for name in OUTCOMES),
@@ -238,14 +238,14 @@ def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[A
         ("wrong", f"{{to_refuse[{WRONG}]}}"),
         ("all right %", "{right_share:.1f}"),
     ]
-    arms = [{**row, "name": name} for name, row in document["arms"].items()]
-    table = Table.of(arms, columns, title="Sentences as labelled, by what reads them")
+    rows = [{**row, "name": name} for name, row in document["arms"].items()]
+    table = Table.of(rows, columns, title="Sentences as labelled, by what reads them")
     lines = [f"temperature {document['temperature']:.3g}"]
     if fit is not None:
-        told = dataclasses.asdict(fit)
+        values = dataclasses.asdict(fit)
         lines.append(
             "fitted to {used} sentences: mean log-likelihood {log_likelihood:.3f}, at temperature "
-            "1 {log_likelihood_at_one:.3f}; {left_out} say nothing about it".format(**told)
+            "1 {log_likelihood_at_one:.3f}; {left_out} say nothing about it".format(**values)
             + (" (at the bound of what is looked for)" if fit.is_at_bound else "")
         )
     return table.text(), lines

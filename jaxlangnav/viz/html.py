@@ -80,7 +80,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
     scene, frames, world = recording.scene, recording.frames, recording.scene.scenario
     claims = describe_readings(scene, min_prob=0.005)
     # Readings of the first sentence and after each later utterance.
-    scenes = [scene, *(remark.scene for remark in recording.said if remark.scene is not None)]
+    scenes = [scene, *(remark.scene for remark in recording.utterances if remark.scene is not None)]
     readings = (describe_readings(current, min_prob=0.005) for current in scenes)
     all_claims = list(dict.fromkeys(claim for reading in readings for claim, _ in reading))
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
@@ -98,7 +98,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
         "area": list(scene.area),
         "range": float(scene.sensor.range_max),
         "field_of_view": float(scene.sensor.field_of_view),
-        "goal": [float(value) for value in scene.scenario.goal] if scene.is_judged else None,
+        "goal": [float(value) for value in scene.scenario.goal] if scene.is_scored else None,
         "success_radius": scene.stop_radius,
         "walls": scene.walls.tolist(),
         "truth": [
@@ -146,8 +146,8 @@ def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -
         probs = sentences.claim_probabilities(moment.scene, frame)
         claim_probs.append(_rounded(*(probs.get(claim, 0.0) for claim in claims)))
     closing = narrative.closing(recording.last_scene, recording.at(-1), recording.result)
-    if recording.ended:
-        ended = sanitize(recording.ended).replace("_", " ")
+    if recording.end_reason:
+        ended = sanitize(recording.end_reason).replace("_", " ")
         drove = f"It drove {float(recording.result.distance):.1f} m."
         closing = [f"{ended[:1].upper()}{ended[1:]}.", drove]
     if is_under_way:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.episode.recording import Frame, Recording, StaticScene
+from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.viz import style
 from jaxlangnav.viz.summary import observed_objects
@@ -29,7 +29,7 @@ _HEAD, _SIDE, _FOOT = 0.62, 0.55, 0.45
 _DPI = 100
 
 
-def draw_ground(axes: "Axes", scene: StaticScene, frame: Frame) -> "AxesImage":
+def draw_ground(axes: "Axes", scene: StaticScene, frame: Snapshot) -> "AxesImage":
     """Shade the coverage map, white where observed, and set the axes' limits."""
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -67,7 +67,7 @@ def set_area_limits(axes: "Axes", area: tuple[float, float, float, float]) -> No
 
 def draw_truth(axes: "Axes", scene: StaticScene) -> "list[PathCollection]":
     """Draw the true objects faintly and the intended goal as a dotted ring."""
-    return _draw_world(axes, scene.scenario, has_goal=scene.is_judged)
+    return _draw_world(axes, scene.scenario, has_goal=scene.is_scored)
 
 
 def _draw_world(axes: "Axes", world: Scenario, *, has_goal: bool = True) -> "list[PathCollection]":
@@ -89,7 +89,9 @@ def _draw_world(axes: "Axes", world: Scenario, *, has_goal: bool = True) -> "lis
     return marks
 
 
-def draw_hypotheses(axes: "Axes", frame: Frame, *, filled: bool = True) -> "list[PathCollection]":
+def draw_hypotheses(
+    axes: "Axes", frame: Snapshot, *, filled: bool = True
+) -> "list[PathCollection]":
     """Draw hypothesised objects by type with opacity by particle weight, filled or hollow."""
     from matplotlib.colors import to_rgb
 
@@ -109,7 +111,7 @@ def draw_hypotheses(axes: "Axes", frame: Frame, *, filled: bool = True) -> "list
     return artists
 
 
-def draw_objects(axes: "Axes", frame: Frame) -> "list[PathCollection]":
+def draw_objects(axes: "Axes", frame: Snapshot) -> "list[PathCollection]":
     """Draw observed objects as filled marks with opacity by existence probability."""
     return [
         axes.scatter(
@@ -128,7 +130,7 @@ def draw_path(axes: "Axes", recording: Recording, step: int) -> "Line2D":
     return line
 
 
-def draw_view(axes: "Axes", sensor: SensorParams, frame: Frame | WorldState) -> "Patch":
+def draw_view(axes: "Axes", sensor: SensorParams, frame: Snapshot | WorldState) -> "Patch":
     """Draw the field of view as a circle, or as a sector where it is limited."""
     from matplotlib.patches import Circle, Wedge
 
@@ -141,7 +143,7 @@ def draw_view(axes: "Axes", sensor: SensorParams, frame: Frame | WorldState) -> 
     return axes.add_patch(Wedge(center, radius, heading - half, heading + half, **props))
 
 
-def draw_robot(axes: "Axes", frame: Frame | WorldState) -> "PathCollection":
+def draw_robot(axes: "Axes", frame: Snapshot | WorldState) -> "PathCollection":
     """Draw the robot as a notched triangle pointing along its heading."""
     from matplotlib.markers import MarkerStyle
     from matplotlib.path import Path
@@ -155,7 +157,7 @@ def draw_robot(axes: "Axes", frame: Frame | WorldState) -> "PathCollection":
     )  # fmt: skip
 
 
-def draw_waypoint(axes: "Axes", frame: Frame) -> "Line2D":
+def draw_waypoint(axes: "Axes", frame: Snapshot) -> "Line2D":
     """Draw the chosen waypoint and the straight line to it; hidden once the task has ended."""
     ends = np.array([frame.position, frame.waypoint], float)
     (line,) = axes.plot(

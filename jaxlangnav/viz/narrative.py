@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.episode.recording import Frame, Moment, Recording, Remark, StaticScene, moments
+from jaxlangnav.episode.recording import Snapshot, StepView, Recording, Remark, StaticScene, replay
 from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
@@ -101,16 +101,16 @@ def opening(scene: StaticScene) -> list[str]:
     return lines
 
 
-def narrate_step(moment: Moment) -> list[str]:
+def narrate_step(moment: StepView) -> list[str]:
     """Describe a step in sentences: utterances, detections, belief and decision."""
     scene, frame = moment.scene, moment.frame
-    utterances = [sentences.describe_utterance(frame, remark) for remark in moment.said]
+    utterances = [sentences.describe_utterance(frame, remark) for remark in moment.utterances]
     if int(frame.status) in (Status.HALTED, Status.IDLE):
         return [*utterances, sentences.describe_waiting(frame)]
     if int(frame.fault):
         reasons = [words for bit, words in sentences.FAULT_WORDS.items() if int(frame.fault) & bit]
         return [*utterances, f"Stands still: {sentences.join_words(reasons)}."]
-    is_silent = not moment.said  # what was understood before is nothing to compare with
+    is_silent = not moment.utterances  # what was understood before is nothing to compare with
     is_new_clause = moment.before is not None and int(frame.clause) != int(moment.before.clause)
     switch = f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
     parts = [
@@ -126,11 +126,11 @@ def narrate_step(moment: Moment) -> list[str]:
     return [sentence for sentence in parts if sentence]
 
 
-def headline(moment: Moment) -> str:
+def headline(moment: StepView) -> str:
     """Summarize a step in a few words, such as "discovers a cone"."""
     scene, frame, before = moment.scene, moment.frame, moment.before
-    if moment.said:
-        return f"hears “{moment.said[-1].text}”"
+    if moment.utterances:
+        return f"hears “{moment.utterances[-1].text}”"
     if int(frame.fault) and int(frame.status) not in _ENDED:
         return "stands still"
     if int(frame.status) in _ENDED:
@@ -156,7 +156,7 @@ def describe_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -
     ending, radius = int(result.ending), f"{scene.stop_radius:g} m"
     goal_distance = f"{float(result.goal_distance):.1f} m"
     outcome = "success" if bool(result.is_success) else "failure"
-    outcome = outcome if scene.is_judged else "cannot be judged"
+    outcome = outcome if scene.is_scored else "cannot be judged"
     verdicts = (
         (ending == Status.HALTED, "halted",
          "Halted: it stands still as it was told, and keeps its task."),
@@ -167,7 +167,7 @@ def describe_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -
          f"Not found: it says that there is {lack or 'nothing that fits the command'}."),
         (ending == Status.WHICH_ONE, outcome,
          "Asked: it stands still until it is told which one is meant."),
-        (not scene.is_judged, outcome, f"Cannot be judged: {scene.unjudged}."),
+        (not scene.is_scored, outcome, f"Cannot be judged: {scene.unjudged}."),
         (ending == Status.BLOCKED, outcome,
          "Blocked: it made no way, and tried other waypoints before it said so."),
         (bool(result.is_success), outcome,
@@ -178,14 +178,14 @@ def describe_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -
     return next((brief, sentence) for applies, brief, sentence in verdicts if applies)
 
 
-def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str]:
+def closing(scene: StaticScene, frame: Snapshot, result: EpisodeResult) -> list[str]:
     """Describe how the episode ended and compare with the ground truth."""
     missing = sentences.describe_missing(scene, frame)
     path = f"It walked {float(result.distance):.1f} m."
-    if scene.is_judged:
+    if scene.is_scored:
         path += (
             f" With the map known, straight on until it may stop ({scene.stop_radius:g} m from "
-            f"the goal) would have been {scene.straight_distance:.1f} m."
+            f"the goal) would have been {scene.shortest_distance:.1f} m."
         )
     counts = (
         (int(result.overflow), "{} detections found no free slot."),
@@ -202,9 +202,9 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
 
 def narrate(recording: Recording) -> list[str]:
     """Narrate a whole episode line by line; consecutive uneventful steps are merged."""
-    lines, quiet = opening(recording.scene), list[Moment]()
+    lines, quiet = opening(recording.scene), list[StepView]()
     for moment in recording.moments:
-        if not moment.said and _is_uneventful(moment):
+        if not moment.utterances and _is_uneventful(moment):
             quiet.append(moment)
         else:
             lines += _merge_steps(quiet, recording)
@@ -216,18 +216,18 @@ def narrate(recording: Recording) -> list[str]:
 
 def narrate_live(
     scene: StaticScene,
-    steps: Iterable[tuple[Frame, EpisodeResult]],
+    steps: Iterable[tuple[Snapshot, EpisodeResult]],
     said: Sequence[Remark],
     write: Callable[[list[str]], object],
-) -> Iterator[tuple[Frame, EpisodeResult]]:
+) -> Iterator[tuple[Snapshot, EpisodeResult]]:
     """Narrate an episode while it runs, and yield its steps; ``said`` may grow meanwhile."""
-    for moment in moments(scene, steps, said):
-        if moment.said or not _is_uneventful(moment):
+    for moment in replay(scene, steps, said):
+        if moment.utterances or not _is_uneventful(moment):
             write([f"{_prefix(moment)} {' '.join(narrate_step(moment))}"])
         yield moment.frame, moment.result
 
 
-def describe_collision(moment: Moment) -> str:
+def describe_collision(moment: StepView) -> str:
     """Report whether a wall has stopped the robot on the way to its last waypoint."""
     frame, before = moment.frame, moment.before
     if before is None or not len(moment.scene.walls):
@@ -239,7 +239,7 @@ def describe_collision(moment: Moment) -> str:
     return "A wall has halted it." if clear is not None and float(clear) == 0.0 else ""
 
 
-def _is_uneventful(moment: Moment) -> bool:
+def _is_uneventful(moment: StepView) -> bool:
     """Test whether a step needs no line of its own."""
     frame, before = moment.frame, moment.before
     if before is None:
@@ -257,12 +257,12 @@ def _is_uneventful(moment: Moment) -> bool:
     return float(abs(frame.goal_mass - before.goal_mass).max()) < _MIN_SHIFT
 
 
-def _prefix(moment: Moment, steps: str = "") -> str:
+def _prefix(moment: StepView, steps: str = "") -> str:
     """Format the step number or range and the distance at the start of a line."""
     return f"[{steps or moment.step:>5} · {float(moment.frame.distance):4.1f} m]"
 
 
-def _merge_steps(quiet: list[Moment], recording: Recording) -> list[str]:
+def _merge_steps(quiet: list[StepView], recording: Recording) -> list[str]:
     """Merge uneventful steps into one line; at most ten steps of a search."""
     if not quiet:
         return []

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.episode.recording import Frame, Moment, Recording
+from jaxlangnav.episode.recording import Snapshot, StepView, Recording
 from jaxlangnav.messages import Status
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import describe_ending, headline, select_steps
@@ -53,7 +53,7 @@ def _layout(
     return figure, maps[:num_panels], charts[:num_panels]
 
 
-def _title_panel(axes: "Axes", moment: Moment, index: int) -> None:
+def _title_panel(axes: "Axes", moment: StepView, index: int) -> None:
     """Title a panel with its letter, step, distance so far and headline."""
     letter = chr(ord("a") + index % 26)
     title = f"({letter}) step {moment.step} · {float(moment.frame.distance):.1f} m"
@@ -66,21 +66,21 @@ def _title_panel(axes: "Axes", moment: Moment, index: int) -> None:
 
 def outcome(recording: Recording) -> str:
     """Summarize how the episode ended in two or three words."""
-    if recording.ended:
-        return recording.ended.partition(":")[0].replace("_", " ")
+    if recording.end_reason:
+        return recording.end_reason.partition(":")[0].replace("_", " ")
     return describe_ending(recording.scene, recording.result)[0]
 
 
 def verdict(recording: Recording) -> str:
     """Summarize in half a line how the episode ended and how far the robot walked."""
     result, ending = recording.result, outcome(recording)
-    if not recording.scene.is_judged:
+    if not recording.scene.is_scored:
         return f"{recording.scene.policy} policy: {ending}, for {recording.scene.unjudged}"
     error, distance = float(result.goal_distance), float(result.distance)
     return (
         f"{recording.scene.policy} policy: {ending}, {error:.1f} m from the meant goal after "
         f"{distance:.1f} m (known map, to where it may stop: "
-        f"{recording.scene.straight_distance:.1f} m)"
+        f"{recording.scene.shortest_distance:.1f} m)"
     )
 
 
@@ -140,7 +140,7 @@ def belief_figure(
     return figure
 
 
-def best_nodes(frame: Frame, count: int = NUM_BARS) -> np.ndarray:
+def best_nodes(frame: Snapshot, count: int = NUM_BARS) -> np.ndarray:
     """Rank the open nodes of a step by value: i64[≤ number], nearby nodes merged."""
     return distinct_nodes(frame)[:count]
 
@@ -208,7 +208,7 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
     return nodes
 
 
-def _label_nodes(axes: "Axes", frame: Frame) -> None:
+def _label_nodes(axes: "Axes", frame: Snapshot) -> None:
     """Annotate the best waypoints with their ranks."""
     for rank, node in enumerate(best_nodes(frame), start=1):
         axes.annotate(
@@ -218,7 +218,7 @@ def _label_nodes(axes: "Axes", frame: Frame) -> None:
         )  # fmt: skip
 
 
-def _draw_value_terms(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
+def _draw_value_terms(axes: "Axes", frame: Snapshot, *, with_label: bool = True) -> None:
     """Draw the value terms of the best waypoints as stacked bars: goal, information, cost."""
     # Once the task has ended, show the reason instead.
     if bool(frame.is_done):

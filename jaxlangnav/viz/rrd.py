@@ -24,7 +24,7 @@ def write_rrd(recording: Recording, path: Path | str) -> Path:
         stream = rerun.RecordingStream(_APPLICATION, recording_id=recording.scene.text or None)
         stream.save(str(temporary))
         _log_scene(rerun, stream, recording.scene)
-        for moment in recording.moments:
+        for moment in recording.steps:
             stream.set_time("step", sequence=moment.step)
             _log_belief(rerun, stream, recording, moment.step)
             _log_plan(rerun, stream, recording, moment.step)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from jaxlangnav.episode.recording import Frame, Moment, Remark, StaticScene, missing_names
+from jaxlangnav.episode.recording import Snapshot, StepView, Remark, StaticScene, missing_names
 from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, ROBOT, Fault, Status
@@ -138,7 +138,7 @@ def describe_commands(scene: StaticScene) -> list[str]:
         confidence = "" if command.probability >= _SURE else f" ({percent(command.probability)})"
         return f"{verb} {goal}{pace}{away}{confidence}"
 
-    return [describe(command) for command in scene.asks]
+    return [describe(command) for command in scene.commands]
 
 
 def describe_readings(scene: StaticScene, *, min_prob: float = 0.01) -> list[tuple[str, float]]:
@@ -157,19 +157,19 @@ def _sum_by_claim(scene: StaticScene, probs: np.ndarray) -> dict[str, float]:
     return total
 
 
-def new_objects(moment: Moment) -> list[summary.ObservedObject]:
+def new_objects(moment: StepView) -> list[summary.ObservedObject]:
     """List the objects first observed in this step: their slots were empty before."""
     before = () if moment.before is None else summary.observed_objects(moment.before)
     old_slots = {obj.slot for obj in before}
     return [obj for obj in summary.observed_objects(moment.frame) if obj.slot not in old_slots]
 
 
-def _offset(frame: Frame, x: float, y: float) -> str:
+def _offset(frame: Snapshot, x: float, y: float) -> str:
     """Describe a position relative to the robot's believed pose."""
     return describe_offset(x, y, float(frame.robot[0]), float(frame.robot[1]), float(frame.heading))
 
 
-def describe_utterance(frame: Frame, remark: Remark) -> str:
+def describe_utterance(frame: Snapshot, remark: Remark) -> str:
     """Describe an utterance, how it was interpreted and its effects, or why it was refused."""
     who = "Hears" if remark.speaker == "you" else f"Hears {remark.speaker}:"
     if remark.refusal:
@@ -181,13 +181,13 @@ def describe_utterance(frame: Frame, remark: Remark) -> str:
     return " ".join([*sentences, *(f"{note[:1].upper()}{note[1:]}." for note in remark.notes)])
 
 
-def describe_waiting(frame: Frame) -> str:
+def describe_waiting(frame: Snapshot) -> str:
     """Explain why the robot stands still until it hears something."""
     reasons = {Status.IDLE: ": it has no task", Status.HALTED: ", as it was told"}
     return f"Stands still{reasons.get(Status(int(frame.status)), ' until it hears more')}."
 
 
-def describe_detections(moment: Moment) -> str:
+def describe_detections(moment: StepView) -> str:
     """Describe the detections of a step: the new objects, or else those seen again."""
     scene, frame, new = moment.scene, moment.frame, new_objects(moment)
     if new:
@@ -207,7 +207,7 @@ def describe_detections(moment: Moment) -> str:
     return f"Sees {join_words(groups)} again."
 
 
-def describe_refutation(moment: Moment) -> str:
+def describe_refutation(moment: StepView) -> str:
     """Report how many particles' hypotheses were refuted by negative information."""
     frame, before = moment.frame, moment.before
     count, total = int(frame.num_regrounded), frame.weight.shape[0]
@@ -218,13 +218,13 @@ def describe_refutation(moment: Moment) -> str:
     return f"{count} of {total} hypotheses are refuted and drawn anew." if is_open(before) else ""
 
 
-def is_open(frame: Frame) -> bool:
+def is_open(frame: Snapshot) -> bool:
     """Test whether at least a tenth of the particle weight still has hypothesised objects."""
     # Once all objects are observed, regrounding only refits the same objects.
     return float((frame.weight * frame.is_hypothesised.any(axis=0)).sum()) >= 0.1
 
 
-def describe_new_reading(moment: Moment) -> str:
+def describe_new_reading(moment: StepView) -> str:
     """Report the claim that gained the most probability in a step, if it gained a tenth."""
     if moment.before is None:
         return ""
@@ -235,13 +235,13 @@ def describe_new_reading(moment: Moment) -> str:
     return f"It now reads the words as: {claim} ({percent(current[claim])})."
 
 
-def claim_probabilities(scene: StaticScene, frame: Frame) -> dict[str, float]:
+def claim_probabilities(scene: StaticScene, frame: Snapshot) -> dict[str, float]:
     """Compute each claim's posterior probability: the weight of the particles that hold it."""
     num_readings = len(scene.readings.log_probability)
     return _sum_by_claim(scene, np.bincount(frame.reading, frame.weight, minlength=num_readings))
 
 
-def _goal_name(scene: StaticScene, frame: Frame, slot: int) -> str:
+def _goal_name(scene: StaticScene, frame: Snapshot, slot: int) -> str:
     """Name the goal at an observed object: "the hydrant", "the place behind the cone"."""
     region = int(frame.goal_region[slot])
     is_robot = slot == len(frame.goal_mass) - 1
@@ -253,7 +253,7 @@ def _goal_name(scene: StaticScene, frame: Frame, slot: int) -> str:
     return f"the place {REGISTRY[region].words} {name}"
 
 
-def describe_goal(scene: StaticScene, frame: Frame) -> str:
+def describe_goal(scene: StaticScene, frame: Snapshot) -> str:
     """Describe the posterior over the goal position."""
     order = np.argsort(-frame.goal_mass)
     slots = [int(slot) for slot in order if frame.goal_mass[slot] >= 0.05]
@@ -284,7 +284,7 @@ def describe_goal(scene: StaticScene, frame: Frame) -> str:
     return " ".join(sentences)
 
 
-def describe_decision(scene: StaticScene, frame: Frame) -> str:
+def describe_decision(scene: StaticScene, frame: Snapshot) -> str:
     """Describe the policy's decision and its reason."""
     missing = describe_missing(scene, frame)
     if bool(frame.is_stop):
@@ -324,7 +324,7 @@ def describe_decision(scene: StaticScene, frame: Frame) -> str:
     return f"Heads for {describe_waypoint(scene, frame)}: {explanation}."
 
 
-def describe_waypoint(scene: StaticScene, frame: Frame) -> str:
+def describe_waypoint(scene: StaticScene, frame: Snapshot) -> str:
     """Name the waypoint and describe its position."""
     location = _offset(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     if int(frame.waypoint_kind) == VISITED:
@@ -336,6 +336,6 @@ def describe_waypoint(scene: StaticScene, frame: Frame) -> str:
     return f"{_goal_name(scene, frame, slot)} {location}"
 
 
-def describe_missing(scene: StaticScene, frame: Frame) -> str:
+def describe_missing(scene: StaticScene, frame: Snapshot) -> str:
     """Name the mentioned object types not observed so far, "no cone and no bench", or ""."""
     return " and ".join(f"no {name}" for name in missing_names(scene, frame))

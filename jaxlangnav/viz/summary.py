@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxlangnav.episode.recording import Frame, Recording, StaticScene
+from jaxlangnav.episode.recording import Snapshot, Recording, StaticScene
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
 
@@ -30,7 +30,7 @@ class ObservedObject:
     goal_mass: float  # probability that it is the goal
 
 
-def observed_objects(frame: Frame) -> list[ObservedObject]:
+def observed_objects(frame: Snapshot) -> list[ObservedObject]:
     """Compute existence, type and mean position of each observed object over the particles."""
     weight = np.asarray(frame.weight, float)
     objects = []
@@ -60,7 +60,7 @@ def observed_objects(frame: Frame) -> list[ObservedObject]:
     return objects
 
 
-def expected_goal(frames: Frame) -> np.ndarray:
+def expected_goal(frames: Snapshot) -> np.ndarray:
     """Compute the mean goal position, f64[..., 2] metres; NaN where no goal has probability."""
     x, y, mass = _goals(frames)
     total = mass.sum(axis=-1, dtype=float)
@@ -68,7 +68,7 @@ def expected_goal(frames: Frame) -> np.ndarray:
     return np.stack([(mass * coord).sum(axis=-1, dtype=float) / safe for coord in (x, y)], axis=-1)
 
 
-def _goals(frames: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _goals(frames: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Concatenate x, y and probability of observed and hypothesised goals, f32[..., n]."""
     pairs = (
         (frames.goal_x, frames.hypothesis_goal_x),
@@ -79,7 +79,7 @@ def _goals(frames: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return x, y, mass
 
 
-def goal_modes(frame: Frame) -> list[tuple[float, float, float]]:
+def goal_modes(frame: Snapshot) -> list[tuple[float, float, float]]:
     """Find at most two modes of the unseen goal's distribution, the heaviest first.
 
     Each is x, y in metres, map frame, and the fraction of the unseen goal's mass within 1.5 metres;
@@ -107,7 +107,7 @@ def goal_modes(frame: Frame) -> list[tuple[float, float, float]]:
     return modes
 
 
-def chosen_node(frame: Frame) -> int | None:
+def chosen_node(frame: Snapshot) -> int | None:
     """Find the index of the graph node of the waypoint; None where an earlier waypoint is kept."""
     squared = (frame.node_x - frame.waypoint[0]) ** 2 + (frame.node_y - frame.waypoint[1]) ** 2
     squared = np.where(frame.is_node & (frame.node_kind == frame.waypoint_kind), squared, np.inf)
@@ -115,7 +115,7 @@ def chosen_node(frame: Frame) -> int | None:
     return best if squared[best] < 1e-4 else None
 
 
-def distinct_nodes(frame: Frame) -> np.ndarray:
+def distinct_nodes(frame: Snapshot) -> np.ndarray:
     """Rank the open nodes by value, i64[≤ A], with non-maximum suppression of close nodes."""
     order = np.argsort(-np.asarray(frame.value), kind="stable")
     distinct: list[int] = []
@@ -128,7 +128,7 @@ def distinct_nodes(frame: Frame) -> np.ndarray:
     return np.array(distinct, int)
 
 
-def tested_mass(scene: StaticScene, frame: Frame) -> float:
+def tested_mass(scene: StaticScene, frame: Snapshot) -> float:
     """Compute the weight of particles with a hypothesis in range of the path to the waypoint."""
     start, end = np.asarray(frame.robot, float), np.asarray(frame.waypoint, float)
     span = end - start
@@ -139,14 +139,14 @@ def tested_mass(scene: StaticScene, frame: Frame) -> float:
     return float(frame.weight[is_in_range.any(axis=0)].sum())
 
 
-def goal_field(scene: StaticScene, frame: Frame, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def goal_field(scene: StaticScene, frame: Snapshot, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Compute the QMDP value of standing at x, y f64[...], metres, map frame (eq. 11, 12)."""
     goal_x, goal_y, mass = _goals(frame)
     distance = np.hypot(x[..., None] - goal_x, y[..., None] - goal_y)
     return (float(scene.planner.discount) ** distance) @ mass
 
 
-def explored_fraction(frame: Frame) -> float:
+def explored_fraction(frame: Snapshot) -> float:
     """Compute the fraction of the area observed: cells with a miss probability below one half."""
     return float(np.mean(np.asarray(frame.miss) < 0.5))
 

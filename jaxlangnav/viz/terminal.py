@@ -11,12 +11,12 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.episode.recording import (
-    Frame,
-    Moment,
     Recording,
-    Remark,
+    Snapshot,
     StaticScene,
-    moments,
+    Step,
+    Utterance,
+    replay,
     stack_frames,
 )
 from jaxlangnav.inputs.sanitize import Plain
@@ -41,7 +41,7 @@ def _letters(scene: StaticScene) -> dict[int, str]:
     return letters
 
 
-def _draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
+def _draw_map(scene: StaticScene, frame: Snapshot, *, width: int = 48) -> "Text":
     """Draw objects as letters, hypotheses as shades, × the waypoint; dots: unobserved ground."""
     from rich.text import Text
 
@@ -80,7 +80,7 @@ def _draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
     return text
 
 
-def _draw_moment(moment: Moment, *, width: int = 48) -> "RenderableType":
+def _draw_moment(moment: Step, *, width: int = 48) -> "RenderableType":
     """Render a step: the map beside its narrative and bars of probability."""
     from rich.panel import Panel
     from rich.table import Table
@@ -115,15 +115,15 @@ def _draw_moment(moment: Moment, *, width: int = 48) -> "RenderableType":
 
 def watch(
     scene: StaticScene,
-    steps: Iterable[tuple[Frame, EpisodeResult]],
+    steps: Iterable[tuple[Snapshot, EpisodeResult]],
     *,
-    said: Sequence[Remark] = (),
+    said: Sequence[Utterance] = (),
     console: "Console | None" = None,
     seconds_per_step: float = 0.4,
 ) -> Recording:
     """Show an episode in the terminal while it runs; returns the recording, as ``recorder.record``.
 
-    ``scene`` is of ``recorder.scene_of``, ``steps`` of ``recorder.play``, at least one; ``said``
+    ``scene`` is of ``recorder.make_scene``, ``steps`` of ``recorder.play``, at least one; ``said``
     may grow as the episode runs. ``seconds_per_step``: minimum display time of a step.
     """
     import time
@@ -137,9 +137,9 @@ def watch(
     x_min, x_max, y_min, y_max = scene.area
     # The map must fit the screen, or a live display would scroll.
     width = min(width, int(height * _CELL_SHAPE * (x_max - x_min) / (y_max - y_min)))
-    shown: list[Moment] = []
+    shown: list[Step] = []
     with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
-        for moment in moments(scene, steps, said):
+        for moment in replay(scene, steps, said):
             live.update(_draw_moment(moment, width=width), refresh=True)
             shown.append(moment)
             if console.is_terminal:
@@ -150,7 +150,7 @@ def watch(
 
 
 def _shade(
-    scene: StaticScene, frame: Frame, cells: list[list[str]], styles: list[list[str]]
+    scene: StaticScene, frame: Snapshot, cells: list[list[str]], styles: list[list[str]]
 ) -> None:
     """Shade cells by hypothesis density, in the colour of the type with the most weight."""
     x_min, x_max, y_min, y_max = scene.area

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import navigator
-from jaxlangnav.episode import EpisodeResult, EpisodeState, Task, begin, count, finish
+from jaxlangnav.episode import EpisodeResult, EpisodeState, Task, add_counts, begin, finish
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState
@@ -116,7 +116,7 @@ def run_provoked(
             navigator=state,
             world=task.body.move(keys[2], progress.world, action, task.motion),
             steps=step + 1,
-            **count(progress, info),
+            **add_counts(progress, info),
         )
         belief = state.belief
         status = (
