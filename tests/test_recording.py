@@ -10,7 +10,7 @@ from recording_fixture import make_recording
 from test_episode_batch import MAX_STEPS, SENTENCES, config, in_lanes, instructions, tasks
 
 from jaxlangnav.episode import Task, recorder
-from jaxlangnav.episode.recording import Snapshot, Recording
+from jaxlangnav.episode.recording import Recording, Snapshot
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
