@@ -185,15 +185,15 @@ class Evaluate:
         else:
             default_rewrite_params(self.temperature)
             recorded = RecordedRewrites(self.rewrites)
-            labelled = scored.select_recorded(sentences, recorded)
-            if num_missing := len(sentences) - len(labelled):
+            available = scored.select_recorded(sentences, recorded)
+            if num_missing := len(sentences) - len(available):
                 output.note(f"note: {num_missing} sentences were not recorded; left out")
-            fit = scored.fit_recorded(labelled, recorded, model) if self.fit_temperature else None
+            fit = scored.fit_recorded(available, recorded, model) if self.fit_temperature else None
             temperature = self.temperature if fit is None else fit.temperature
             fit_report = None if fit is None else dataclasses.asdict(fit)
             document |= {"rewrites": str(self.rewrites), "fit": fit_report}
-            with progress_bar("sentences", len(labelled) * len(scored.VARIANTS)) as advance:
-                document |= scored.compare_grounders(labelled, recorded, model, temperature, advance)
+            with progress_bar("sentences", len(available) * len(scored.VARIANTS)) as advance:
+                document |= scored.compare(available, recorded, model, temperature, advance)
             table, lines = scored.render_variants(document, fit)
         output.say(table)
         for line in lines:

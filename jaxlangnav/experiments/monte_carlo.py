@@ -139,8 +139,8 @@ def _sharded(config: NavigatorConfig, max_steps: int, program: EpisodeProgram) -
     def on_one_device(tasks: Task, instructions: Any, params: Any, count: jax.Array) -> Any:
         batch, values, size = jax.tree.map(lambda leaf: leaf[0], (tasks, params, count))
         sizes: dict[str, Any] = {"config": config, "num_lanes": LANES, "max_steps": max_steps}
-        results = run_batch(batch, instructions, params=values, count=size, program=program, **sizes)
-        return jax.tree.map(lambda leaf: leaf[None], results)
+        result = run_batch(batch, instructions, params=values, count=size, program=program, **sizes)
+        return jax.tree.map(lambda leaf: leaf[None], result)
 
     split = PartitionSpec(_AXIS)
     # Nothing is replicated and nothing is exchanged, so there is nothing to check; the check

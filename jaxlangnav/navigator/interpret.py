@@ -26,7 +26,7 @@ from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState, speech_acts
 from jaxlangnav.navigator.candidates import believed_pose, candidates, chosen_by, type_at
-from jaxlangnav.navigator.speech_acts import TaskUpdate
+from jaxlangnav.navigator.speech_acts import Effect
 
 _ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
 _BY_ACT = {act: kind for kind, act in _ACTS.items()}
@@ -157,14 +157,14 @@ class Listener:
         pose, notes = state.belief.last_pose, grounded.notes
         if int(grounded.instruction.num_clauses) == 0:
             kind = Kind.CONSTRAINT if spoken.avoided else Kind.STATEMENT
-            joined = self._join(state, grounded, how=TaskUpdate.INFORM)
-            after = _tell(state, joined, pose, how=TaskUpdate.INFORM)
+            joined = self._join(state, grounded, how=Effect.INFORM)
+            after = _tell(state, joined, pose, how=Effect.INFORM)
             notes += _dropped(state, after)
             return after, UtteranceOutcome(text=text, kind=kind, notes=notes)
-        how = TaskUpdate.REPLACE
+        how = Effect.REPLACE
         has_more = int(state.instruction.num_clauses) > 0 and not bool(state.is_done)
         if said.kind == Kind.ADDITION and has_more:
-            how = TaskUpdate.APPEND
+            how = Effect.APPEND
             left = int(state.instruction.num_clauses) - int(state.clause)
             wanted, most = left + int(grounded.instruction.num_clauses), state.talk.viewer.shape[0]
             if wanted > most:
@@ -182,8 +182,8 @@ class Listener:
         kind = label_of(about)
         is_answer = is_asked and len(spoken.goals) == 1 and kind in spoken.may_be(spoken.goals[0])
         is_again = said.kind == Kind.CORRECTION or is_answer
-        out = self._ruled_out(state, said, grounded, text) if how is TaskUpdate.REPLACE else NONE
-        joined = self._join(state, grounded, how=how, is_loose=is_again or how is TaskUpdate.APPEND)
+        out = self._ruled_out(state, said, grounded, text) if how is Effect.REPLACE else NONE
+        joined = self._join(state, grounded, how=how, is_loose=is_again or how is Effect.APPEND)
         after = _tell(state, joined, pose, how=how)
         if out != NONE:
             after = _rule_out(after, jnp.int32(1 << out))
@@ -198,7 +198,7 @@ class Listener:
         state: NavigatorState,
         grounded: Grounded,
         *,
-        how: TaskUpdate = TaskUpdate.REPLACE,
+        how: Effect = Effect.REPLACE,
         is_loose: bool = True,
     ) -> Merged:
         """Merge the new reading with the dialogue state."""
@@ -207,9 +207,9 @@ class Listener:
             state.talk.words,
             grounded.instruction,
             grounded.spoken,
-            is_new_task=how is TaskUpdate.REPLACE,
+            is_new_task=how is Effect.REPLACE,
             is_loose=is_loose,
-            is_asked=how is not TaskUpdate.INFORM,
+            is_asked=how is not Effect.INFORM,
         )
 
     def _about(self, state: NavigatorState) -> tuple[int, bool]:
@@ -246,7 +246,7 @@ class Listener:
         """Compile all that an utterance may do to a state, so that nobody waits for it."""
         grounded = Grounded(instruction=come_here(), annotations=())
         joined, slot = self._join(state, grounded), jnp.int32(0)
-        for how in TaskUpdate:
+        for how in Effect:
             _tell(state, joined, state.belief.last_pose, how=how)
         _come_back(state, joined)
         _choose(state, slot)

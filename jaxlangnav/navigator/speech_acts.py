@@ -24,7 +24,7 @@ CLOSENESS_STEP, MIN_CLOSENESS = 0.5, 0.25
 """Share of the reach by which "closer" shortens it, and the least of the usual one that is left."""
 
 
-class TaskUpdate(enum.Enum):
+class Effect(enum.Enum):
     """Effect of a new utterance on the task."""
 
     REPLACE = enum.auto()  # it is the task from now on
@@ -59,7 +59,7 @@ def apply_act(state: NavigatorState, act: Act) -> NavigatorState:
     )
 
 
-def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: TaskUpdate) -> NavigatorState:
+def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: Effect) -> NavigatorState:
     """Take in what has been joined with what was said before: the words are grounded anew.
 
     The map is kept, and what earlier utterances said of it. Of a new task the robot begins at the
@@ -84,7 +84,7 @@ def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: TaskUpdate)
         instruction=replace(state.instruction, readings=joined.instruction.readings),
         talk=replace(talk, words=joined.words, context=_merged_context(talk.context, joined, pose)),
     )
-    if how is TaskUpdate.REPLACE:
+    if how is Effect.REPLACE:
         begun = _arranged(heard, joined, pose, jnp.int32(0))
         # What was being approached is then what was gone up to before the task.
         former, talk = begun.previous_goal, begun.talk
@@ -99,7 +99,7 @@ def tell(state: NavigatorState, joined: Merged, pose: Array, *, how: TaskUpdate)
             may_ask=jnp.asarray(True),
         )
         return _under_way(replace(begun, previous_goal=former, talk=talk))
-    if how is TaskUpdate.APPEND:
+    if how is Effect.APPEND:
         left = state.instruction.num_clauses - state.clause
         return _arranged(heard, joined, pose, jnp.maximum(left, 0))
     # There is news of the map: take up again a search that has ended without a goal.
@@ -194,6 +194,6 @@ def come_closer(state: NavigatorState) -> NavigatorState:
 
 def come_back(state: NavigatorState, joined: Merged) -> NavigatorState:
     """Return to where the conversation began; ``joined`` has ``returning`` as the new task."""
-    heard = tell(state, joined, state.belief.last_pose, how=TaskUpdate.REPLACE)
+    heard = tell(state, joined, state.belief.last_pose, how=Effect.REPLACE)
     talk = heard.talk
     return replace(heard, talk=replace(talk, viewer=jnp.broadcast_to(talk.home, talk.viewer.shape)))

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from jaxlangnav.episode import EpisodeResult, EpisodeState, recorder
-from jaxlangnav.episode.recording import Snapshot, Recording, stack_frames
+from jaxlangnav.episode.recording import Recording, Snapshot, stack_frames
 from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.grounding import GraphGrounder, GroundingModel
 from jaxlangnav.inputs.documents import parse_json, parse_toml
@@ -21,9 +21,9 @@ from jaxlangnav.inputs.schema import PlainText, bad_choice
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.follow import OpenedEpisode, batched, score, open_episode
+from jaxlangnav.task.follow import OpenedEpisode, batched, open_episode, score
 from jaxlangnav.task.opening import detector_of, step_limit
-from jaxlangnav.task.talk import YOU, Dialogue, allow_questions, name_candidates, padded, add_talk
+from jaxlangnav.task.talk import YOU, Dialogue, add_talk, allow_questions, name_candidates, padded
 from jaxlangnav.viz.html import page_data
 from jaxlangnav.viz.sentences import percent
 from jaxlangnav.world.files import (
