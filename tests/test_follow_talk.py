@@ -13,7 +13,7 @@ from test_navigator_step import AREA, HYDRANT
 
 from jaxlangnav.cli import main as cli, speech
 from jaxlangnav.cli.output import Output
-from jaxlangnav.episode.recording import Utterance
+from jaxlangnav.episode.recording import Remark
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator.candidates import Candidate
@@ -33,9 +33,9 @@ class Episode:
     navigator: object
 
 
-def ear_of(robot, **fields) -> tuple[talk.Dialogue, Episode]:
-    first = talk.padded(understand(NULL, load_shipped()))
-    ear = talk.Dialogue(grounder=robot.grounder, first=first, scene=make_scene(text=NULL), **fields)
+def ear_of(robot, **fields) -> tuple[talk.Speech, Episode]:
+    first = talk.enlarge(understand(NULL, load_shipped()))
+    ear = talk.Speech(grounder=robot.grounder, first=first, scene=make_scene(text=NULL), **fields)
     return ear, ear.begin(Episode(robot.start(NULL, area=AREA)))
 
 
@@ -114,8 +114,8 @@ def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
 
 def test_story_page_and_document_tell_what_was_said() -> None:
     said = (
-        Utterance(step=2, text="the other one", refusal="nothing is being approached yet"),
-        Utterance(step=5, text="no, the other one", kind="correction", ruled_out=(OTHER,)),
+        Remark(step=2, text="the other one", refusal="nothing is being approached yet"),
+        Remark(step=5, text="no, the other one", kind="correction", ruled_out=(OTHER,)),
     )
     recording = dataclasses.replace(make_recording(), utterances=said, candidates=(OTHER,))
     story = "\n".join(narrate(recording))

@@ -8,7 +8,7 @@ import pytest
 import readings as by_hand
 from recording_fixture import make_recording, make_scene
 
-from jaxlangnav.episode.recording import Recording, Snapshot, Step
+from jaxlangnav.episode.recording import Recording, Snapshot, StepView
 from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
@@ -173,8 +173,8 @@ def test_the_closing_tells_failures_apart():
     assert "In 5 steps it stood still, for what cannot be was reported to it." in said
 
 
-def moment(one: Recording, frame: Snapshot, before: Snapshot | None) -> Step:
-    return Step(3, one.scene, frame, before, (), one.result)
+def moment(one: Recording, frame: Snapshot, before: Snapshot | None) -> StepView:
+    return StepView(3, one.scene, frame, before, (), one.result)
 
 
 def test_an_ending_without_a_goal_is_told_and_named():

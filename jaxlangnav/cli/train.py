@@ -193,7 +193,7 @@ class Evaluate:
             fit_report = None if fit is None else dataclasses.asdict(fit)
             document |= {"rewrites": str(self.rewrites), "fit": fit_report}
             with progress_bar("sentences", len(available) * len(scored.VARIANTS)) as advance:
-                document |= scored.compare(available, recorded, model, temperature, advance)
+                document |= scored.score_variants(available, recorded, model, temperature, advance)
             table, lines = scored.render_variants(document, fit)
         output.say(table)
         for line in lines:

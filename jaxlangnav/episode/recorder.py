@@ -69,12 +69,12 @@ def play(
     params: NavigatorParams,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
-    dialogue: Any = None,
+    speech: Any = None,
 ) -> Iterator[tuple[Snapshot, EpisodeResult]]:
     """Run an episode step by step; yield each step and the episode's result if it ended there.
 
     The same ``task.key`` gives the same episode as ``episode.run``. The episode runs for
-    ``max_steps`` cycles (at least 1), or until it ends and ``dialogue`` (a ``task.talk.Dialogue``,
+    ``max_steps`` cycles (at least 1), or until it ends and ``speech`` (a ``task.talk.Speech``,
     polled before each step) expects no further utterance.
 
     Raises:
@@ -82,18 +82,18 @@ def play(
     """
     refuse_below(1, max_steps=max_steps)
     state = _begin(task, instructions, config=config)
-    if dialogue is not None:
-        state = dialogue.begin(state)
+    if speech is not None:
+        state = speech.begin(state)
     for step in range(max_steps):
-        if dialogue is not None:
-            state = dialogue.hear(step, state)
+        if speech is not None:
+            state = speech.hear(step, state)
         state, device_frame, device_result = _advance(state, params=params, config=config)
         frame, result = jax.device_get((device_frame, device_result))
         if bool(state.navigator.is_halted):
             halted = np.int32(Status.HALTED)
             frame, result = replace(frame, status=halted), replace(result, ending=halted)
         yield frame, result
-        if bool(state.navigator.is_resting) and (dialogue is None or not dialogue.expects(state)):
+        if bool(state.navigator.is_resting) and (speech is None or not speech.expects(state)):
             return
 
 

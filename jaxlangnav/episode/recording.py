@@ -135,7 +135,7 @@ class StaticScene:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Utterance:
+class Remark:
     """An utterance heard during the episode, and its outcome."""
 
     step: int  # index of the step before whose decision it was heard
@@ -149,22 +149,22 @@ class Utterance:
 
 
 @dataclasses.dataclass(frozen=True)
-class Step:
+class StepView:
     """A step of a recording in context, as figures and narratives use it."""
 
     step: int
     scene: StaticScene  # as of this step
     frame: Snapshot
     before: Snapshot | None  # previous frame; None at the first step
-    utterances: tuple[Utterance, ...]  # heard just before its decision
+    utterances: tuple[Remark, ...]  # heard just before its decision
     result: EpisodeResult
 
 
 def replay(
     scene: StaticScene,
     steps: Iterable[tuple[Snapshot, EpisodeResult]],
-    dialogue: Sequence[Utterance],
-) -> Iterator[Step]:
+    dialogue: Sequence[Remark],
+) -> Iterator[StepView]:
     """Yield each step with the previous frame and the utterances heard before it.
 
     ``steps``: of ``recorder.play`` or a recording; ``dialogue`` may grow as the episode runs.
@@ -177,7 +177,7 @@ def replay(
         for utterance in heard:
             if utterance.scene is not None:
                 scene = dataclasses.replace(utterance.scene, **unchanged)
-        yield Step(step, scene, frame, before, heard, result)
+        yield StepView(step, scene, frame, before, heard, result)
         before = frame
 
 
@@ -188,7 +188,7 @@ class Recording:
     scene: StaticScene
     frames: Snapshot  # leaves [T, …]
     result: EpisodeResult
-    utterances: tuple[Utterance, ...] = ()  # in order
+    utterances: tuple[Remark, ...] = ()  # in order
     candidates: tuple[Candidate, ...] = ()  # candidates of the question that it ended with
     pictures: tuple[Mapping[str, bytes], ...] = ()  # camera images of each step, JPEG by title
     end_reason: str = ""  # where no status says it: "blind: no picture for 5 s"
@@ -209,7 +209,7 @@ class Recording:
         return missing_names(self.last_scene, self.at(-1))
 
     @functools.cached_property
-    def steps(self) -> list[Step]:
+    def steps(self) -> list[StepView]:
         """All steps in context."""
         steps = ((self.at(step), self.result) for step in range(self.num_steps))
         return list(replay(self.scene, steps, self.utterances))

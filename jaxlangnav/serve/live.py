@@ -23,7 +23,7 @@ from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.follow import OpenedEpisode, batched, open_episode, score
 from jaxlangnav.task.opening import detector_of, step_limit
-from jaxlangnav.task.talk import YOU, Dialogue, add_talk, allow_questions, name_candidates, padded
+from jaxlangnav.task.talk import YOU, Speech, add_talk, allow_questions, enlarge, name_candidates
 from jaxlangnav.viz.html import page_data
 from jaxlangnav.viz.sentences import percent
 from jaxlangnav.world.files import (
@@ -135,9 +135,9 @@ class LiveEpisode:
     def _enable_dialogue(self, opened: OpenedEpisode) -> OpenedEpisode:
         """Reserve capacity for later utterances, and allow questions."""
         params = allow_questions(opened.params) if self.request.may_ask else opened.params
-        return dataclasses.replace(opened, understood=padded(opened.understood), params=params)
+        return dataclasses.replace(opened, understood=enlarge(opened.understood), params=params)
 
-    def _utterance_source(self, grounder: GraphGrounder) -> Dialogue:
+    def _utterance_source(self, grounder: GraphGrounder) -> Speech:
         understood, task = self._opened.understood, self._opened.prepared.task
         scene = recorder.make_scene(
             task.scenario,
@@ -148,7 +148,7 @@ class LiveEpisode:
             params=self._opened.params,
             config=self._opened.config,
         )
-        return Dialogue(
+        return Speech(
             grounder=grounder,
             first=understood,
             scene=scene,
@@ -169,7 +169,7 @@ class LiveEpisode:
             params=opened.params,
             config=opened.config,
             max_steps=self._max_steps,
-            dialogue=self._source,
+            speech=self._source,
         )
         try:
             with _compile_lock:

@@ -20,7 +20,7 @@ from jaxlangnav.grounding.worlds import World
 from jaxlangnav.inputs.object_types import noun_of
 from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, ROBOT
 from jaxlangnav.relations.table import REGISTRY, SYMBOL
-from jaxlangnav.task.labelled import MIN_GOAL_PROB, TIE_RATIO, Meaning
+from jaxlangnav.task.labelled import MIN_MEANT_PROB, TIE_RATIO, Meaning
 
 _TOLERANCE = 0.01
 """Tolerance of a distance against the label's, metres; a label may leave it out."""
@@ -120,7 +120,7 @@ def _behaviors(instruction: Instruction, world: World) -> list[_Behavior]:
     behaviors: list[_Behavior] = []
     for clause, behavior in enumerate(infer_commands(instruction, world)):
         goal = behavior.goal
-        limit = max(MIN_GOAL_PROB, TIE_RATIO * float(goal.max()))
+        limit = max(MIN_MEANT_PROB, TIE_RATIO * float(goal.max()))
         found = _Behavior(
             action=ACTIONS[int(behavior.action.argmax())],
             mode=MODES[int(behavior.mode.argmax())],

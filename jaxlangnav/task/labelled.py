@@ -40,7 +40,7 @@ from jaxlangnav.relations import default_params, prepare
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
-MIN_GOAL_PROB = 0.05
+MIN_MEANT_PROB = 0.05
 """Minimum probability of a goal that the sentence may mean."""
 TIE_RATIO = 0.8
 """Minimum ratio of a goal's probability to the best one's for a tie."""
@@ -75,7 +75,7 @@ def _best_goals(
 ) -> list[Goal]:
     """List the goals of one command that are tied with the most probable one."""
     best = float(behavior.goal.max())
-    if best < MIN_GOAL_PROB:
+    if best < MIN_MEANT_PROB:
         return []
     metres, frame = (np.asarray(field)[clause] for field in (parsed.metres, parsed.frame))
     viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]

@@ -171,7 +171,7 @@ def select_recorded(
     return selected
 
 
-def compare(
+def score_variants(
     sentences: Sequence[LabelledSentence],
     recorded: RecordedRewrites,
     model: GroundingModel,
@@ -230,7 +230,7 @@ def fit_recorded(
 
 
 def render_variants(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[Any, list[str]]:
-    """Render a ``compare`` document and the fit, if any: a rich table, and lines."""
+    """Render a ``score_variants`` document and the fit, if any: a rich table, and lines."""
     columns: TableColumns = [
         ("", "{name}"),
         *((f"meant: {name}", f"{{meant[{name}]}}") for name in OUTCOMES),

@@ -1,6 +1,6 @@
 """Utterances during an episode, from a script, a person at hand or a simulated person.
 
-The ``Dialogue`` of ``recorder.play`` applies every utterance to the state as it then is, and
+The ``Speech`` of ``recorder.play`` applies every utterance to the state as it then is, and
 records its speech act and what it changed. A refused utterance is recorded too and leaves the state
 unchanged.
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxlangnav.dialogue import first_words
 from jaxlangnav.episode import EpisodeState
-from jaxlangnav.episode.recording import Recording, StaticScene, Utterance
+from jaxlangnav.episode.recording import Recording, Remark, StaticScene
 from jaxlangnav.experiments.dialogue import speak
 from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import summarize_commands
@@ -96,7 +96,7 @@ _MAX_PER_STEP = 8
 """Maximum number of utterances of one speaker before a step."""
 
 
-def padded(understood: Understanding) -> Understanding:
+def enlarge(understood: Understanding) -> Understanding:
     """Pad the arrays of a sentence to the capacity of the dialogue state."""
     instruction = understood.instruction
     readings = jax.device_put(widen(instruction.readings, Capacity()))
@@ -121,7 +121,7 @@ def check_words(grounder: Grounder, first: Understanding, text: str) -> None:
 
 
 @dataclasses.dataclass(kw_only=True)
-class Dialogue:
+class Speech:
     """Dialogue of an episode: its speakers, and the record of its ``utterances`` so far."""
 
     grounder: Grounder
@@ -131,8 +131,8 @@ class Dialogue:
     speakers: Mapping[str, Speaker] = dataclasses.field(default_factory=dict)  # by name
     is_present: Callable[[EpisodeState], bool] = lambda state: False
     """Whether a speaker is present who may still speak to a robot that stands still."""
-    on_heard: Callable[[Utterance], object] = lambda utterance: None  # called after each one
-    utterances: list[Utterance] = dataclasses.field(default_factory=list)
+    on_heard: Callable[[Remark], object] = lambda utterance: None  # called after each one
+    utterances: list[Remark] = dataclasses.field(default_factory=list)
     candidates: tuple[Candidate, ...] = ()  # of the last question
     _step: int = 0
 
@@ -175,9 +175,9 @@ class Dialogue:
         except ValueError as refusal:
             reason = str(refusal).removeprefix(f"{shorten(text)!r}: ")
             line = " ".join(reason.split()).rstrip(".")
-            utterance = Utterance(step=step, text=text, speaker=speaker, refusal=line)
+            utterance = Remark(step=step, text=text, speaker=speaker, refusal=line)
         else:
-            utterance = Utterance(
+            utterance = Remark(
                 step=step,
                 text=text,
                 kind=str(outcome.kind),
@@ -206,7 +206,7 @@ class Dialogue:
         )
 
 
-def add_talk(recording: Recording, dialogue: Dialogue) -> Recording:
+def add_talk(recording: Recording, dialogue: Speech) -> Recording:
     """Add the utterances of an episode to its recording.
 
     A person at hand may have changed the goal for which the world was opened; success is undefined

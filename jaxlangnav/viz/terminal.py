@@ -12,10 +12,10 @@ import numpy as np
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.episode.recording import (
     Recording,
+    Remark,
     Snapshot,
     StaticScene,
-    Step,
-    Utterance,
+    StepView,
     replay,
     stack_frames,
 )
@@ -80,7 +80,7 @@ def _draw_map(scene: StaticScene, frame: Snapshot, *, width: int = 48) -> "Text"
     return text
 
 
-def _draw_moment(moment: Step, *, width: int = 48) -> "RenderableType":
+def _draw_moment(moment: StepView, *, width: int = 48) -> "RenderableType":
     """Render a step: the map beside its narrative and bars of probability."""
     from rich.panel import Panel
     from rich.table import Table
@@ -117,7 +117,7 @@ def watch(
     scene: StaticScene,
     steps: Iterable[tuple[Snapshot, EpisodeResult]],
     *,
-    said: Sequence[Utterance] = (),
+    said: Sequence[Remark] = (),
     console: "Console | None" = None,
     seconds_per_step: float = 0.4,
 ) -> Recording:
@@ -137,7 +137,7 @@ def watch(
     x_min, x_max, y_min, y_max = scene.area
     # The map must fit the screen, or a live display would scroll.
     width = min(width, int(height * _CELL_SHAPE * (x_max - x_min) / (y_max - y_min)))
-    shown: list[Step] = []
+    shown: list[StepView] = []
     with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
         for moment in replay(scene, steps, said):
             live.update(_draw_moment(moment, width=width), refresh=True)
