@@ -18,7 +18,7 @@ from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.tasks import cell, ground_sentences, known_distances, make_tasks
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.terrain import POSITIONS, SensorModel
+from jaxlangnav.terrain import RANGING, SensorModel
 from jaxlangnav.terrain.view import wrapped
 
 NEAREST = 0.3
@@ -84,7 +84,7 @@ def main(episodes: str = "100") -> None:
     """Compare the two detectors."""
     keep_compiled_programs()
     camera = BearingCamera(noise=jnp.float32(math.radians(2.0)))
-    for name, model in {"range and bearing": POSITIONS, "bearing alone": camera}.items():
+    for name, model in {"range and bearing": RANGING, "bearing alone": camera}.items():
         print(f"{name}: {success_rate(model, int(episodes)):.0f} % arrive")
 
 

@@ -21,7 +21,7 @@ from jaxlangnav.experiments.metrics import RowMetrics, summarize
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.tasks import cell, ground_sentences, known_distances, make_tasks
 from jaxlangnav.planner import qmdp
-from jaxlangnav.planner.faithful import Faithful, Keeping, qmdp_value
+from jaxlangnav.planner.faithful import Faithful, WaypointKeeping, qmdp_value
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
 from jaxlangnav.planner.policy import Decision, Policy, Situation, Valuation, Waypoint
 from jaxlangnav.pytree import pytree, replace
@@ -44,11 +44,11 @@ class Learned(Policy):
 
     def init(self, belief: ParticleBelief) -> Waypoint:
         """Start without a waypoint."""
-        return Keeping(self.value).init(belief)
+        return WaypointKeeping(self.value).init(belief)
 
     def step(self, key: Array, memory: Waypoint, situation: Situation) -> tuple[Waypoint, Decision]:
         """Keep the current waypoint, or choose the best of the paper's nodes."""
-        return Keeping(self.value).step(key, memory, situation)
+        return WaypointKeeping(self.value).step(key, memory, situation)
 
     def map_params(self, params: MapParams) -> MapParams:
         """Assume that every annotation is true, as the paper does."""

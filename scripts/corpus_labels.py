@@ -14,7 +14,7 @@ from jaxlangnav.language.corpus import ROBOT_LABEL, Labels
 from jaxlangnav.language.geometry import Geometry, PlacedWorld
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import RELATIONS
-from jaxlangnav.relations.strength import num_before
+from jaxlangnav.relations.strength import count_before
 
 geometry_of = functools.lru_cache(maxsize=8)(Geometry)
 
@@ -168,7 +168,7 @@ def _restrict(children: list[_Behavior], world: PlacedWorld, is_among_part: bool
                 return figure != landmark and bool(geometry.holds[index, figure, landmark])
             rivals = candidates & (types == types[figure])
             rivals &= ~np.isin(np.arange(len(types)), (figure, landmark))
-            num_stronger = num_before(geometry.strength[index, :, landmark], rivals)
+            num_stronger = count_before(geometry.strength[index, :, landmark], rivals)
             return bool(num_stronger[figure] == order - 1)
 
         return tuple(f for f in objects if all(any(fits(f, r) for r in m) for m in selected))

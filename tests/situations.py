@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner import policy
-from jaxlangnav.planner.blocked import start_progress
+from jaxlangnav.planner.blocked import init_progress
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import default_planner_params
@@ -59,7 +59,7 @@ def forbid(belief, share: float):
 
 def situation(
     belief, nodes: Nodes, goals: Goals, robot=(0.0, 0.0), *, is_news=False, is_find=0.0,
-    stands=False, forbidden: float = 0.0,
+    is_still=False, forbidden: float = 0.0,
 ) -> Situation:  # fmt: skip
     x, y = jnp.float32(robot[0]), jnp.float32(robot[1])
     params, find, reach = default_planner_params(), jnp.float32(is_find), jnp.float32(RANGE)
@@ -73,13 +73,13 @@ def situation(
         robot_x=x,
         robot_y=y,
         sensor=default_sensor(RANGE),
-        way=start_progress(jnp.zeros(3)),
+        progress=init_progress(jnp.zeros(3)),
         may_ask=jnp.asarray(True),
         has_chosen=jnp.asarray(False),
         is_find=find,
         is_news=jnp.asarray(is_news),
-        stands=jnp.asarray(stands),
-        may_stop=may_stop & (not stands),
+        is_still=jnp.asarray(is_still),
+        may_stop=may_stop & (not is_still),
         params=params,
         map_params=default_map_params(),
         num_blocks=1,

@@ -140,7 +140,7 @@ def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) 
     instruction = understand("go to the cone", load_shipped()).instruction
     words = join(state.instruction.readings, state.talk.words, instruction, None, is_new_task=True)
     nowhere = jnp.array([jnp.nan, 0.0, 0.0])
-    told = speech_acts.tell(state, words, nowhere, how=speech_acts.Effect.REPLACE)
+    told = speech_acts.tell(state, words, nowhere, effect=speech_acts.Effect.REPLACE)
     np.testing.assert_array_equal(told.talk.viewer[0], state.belief.last_pose)
     assert bool(told.belief.must_ground)
 

@@ -10,13 +10,13 @@ from oracles.detours import shortest_way
 from situations import nodes_at, seen_goal, situation
 
 from jaxlangnav.planner.constraints import (
-    CLOSE,
-    MAX_FORBIDDEN,
-    RADIUS,
-    ZONE,
-    Forbidden,
+    KEEP_AWAY,
+    MAX_ZONES,
+    CORNER_RADIUS,
+    ZONE_RADIUS,
+    Zones,
     keep_out,
-    price_along,
+    cost_along,
     safe_fraction,
 )
 from jaxlangnav.planner.detours import detours
@@ -30,11 +30,11 @@ AREA = (-FAR, FAR, -FAR, FAR)
 DETOURS = jax.jit(detours)
 
 
-def things_at(places, share: float = 1.0) -> Forbidden:
-    table = np.zeros((3, MAX_FORBIDDEN), np.float32)
+def things_at(places, share: float = 1.0) -> Zones:
+    table = np.zeros((3, MAX_ZONES), np.float32)
     for slot, place in enumerate(places):
         table[:, slot] = *place, COST * share
-    return Forbidden(x=jnp.asarray(table[0]), y=jnp.asarray(table[1]), price=jnp.asarray(table[2]))
+    return Zones(x=jnp.asarray(table[0]), y=jnp.asarray(table[1]), price=jnp.asarray(table[2]))
 
 
 def shown(things, robot, share: float = 1.0) -> Situation:
@@ -60,15 +60,15 @@ def test_the_price_of_a_way_is_the_integral_of_nearness() -> None:
     draw = np.random.default_rng(0)
     things = draw.uniform(-3.0, 3.0, (2, 2))
     ends = draw.uniform(-5.0, 5.0, (40, 4)).astype(np.float32)
-    found = price_along(*jnp.asarray(ends).T, things_at(things, 0.5))
+    found = cost_along(*jnp.asarray(ends).T, things_at(things, 0.5))
     share = (np.arange(4000) + 0.5)[:, None, None] / 4000
     line = ends[:, :2] + share * (ends[:, 2:] - ends[:, :2])
     squared = ((line[:, :, None] - things) ** 2).sum(-1)
-    deep = (np.maximum(1.0 - np.sqrt(squared) / ZONE, 0.0) ** 2).sum(-1).mean(axis=0)
+    deep = (np.maximum(1.0 - np.sqrt(squared) / ZONE_RADIUS, 0.0) ** 2).sum(-1).mean(axis=0)
     expected = 0.5 * COST * deep * np.hypot(*(ends[:, 2:] - ends[:, :2]).T)
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
-    through = price_along(*jnp.array([[-9.0], [0.0], [9.0], [0.0]]), things_at([(0.0, 0.0)]))
-    np.testing.assert_allclose(through, COST * 2.0 * ZONE / 3.0, rtol=1e-5)
+    through = cost_along(*jnp.array([[-9.0], [0.0], [9.0], [0.0]]), things_at([(0.0, 0.0)]))
+    np.testing.assert_allclose(through, COST * 2.0 * ZONE_RADIUS / 3.0, rtol=1e-5)
 
 
 def test_ways_are_the_shortest_that_keep_the_berth() -> None:
@@ -77,9 +77,9 @@ def test_ways_are_the_shortest_that_keep_the_berth() -> None:
     for _ in range(40):
         things, robot, place = draw.uniform(-6.0, 6.0, (3, 2)), *draw.uniform(-8.0, 8.0, (2, 2))
         ends = np.stack([robot, place])
-        if np.hypot(*(ends[:, None] - things[None]).T).min() < ZONE + 0.05:
+        if np.hypot(*(ends[:, None] - things[None]).T).min() < ZONE_RADIUS + 0.05:
             continue
-        best = shortest_way(robot, place, things, AREA, berth=ZONE, reach=0.05)
+        best = shortest_way(robot, place, things, AREA, berth=ZONE_RADIUS, reach=0.05)
         length = np.hypot(*(place - robot))
         found = length + float(way_to(things, robot, [place])[0][0])
         # A gap that is a little too narrow may be cheaper than the way round.
@@ -100,7 +100,7 @@ def test_from_within_the_berth_the_way_leads_out() -> None:
     robot = np.array([-0.6, 0.1])
     for _ in range(3):
         _, *corner = np.array(way_to([(0.0, 0.0)], robot, [(6.0, 0.0)]))[:, 0]
-        assert np.hypot(*corner) > ZONE - 0.01
+        assert np.hypot(*corner) > ZONE_RADIUS - 0.01
         after = robot + 0.4 * (corner - robot) / np.hypot(*(corner - robot))
         assert np.hypot(*after) > np.hypot(*robot) + 0.2
         robot = after
@@ -148,11 +148,10 @@ def test_a_corner_that_was_given_up_is_gone_round_by_the_other_side() -> None:
     place = jnp.array([6.0]), jnp.array([0.0]), jnp.zeros(1)
     _, (x,), (y,) = DETOURS(made, *place)
     assert y < 0.0
-    given_up = {"closed_x": x, "closed_y": y, "closed_for": 9}
-    blocked = replace(
-        made.way, **{name: getattr(made.way, name).at[0].set(at) for name, at in given_up.items()}
-    )
-    _, (other_x,), (other_y,) = DETOURS(replace(made, way=blocked), *place)
+    given_up, old = {"closed_x": x, "closed_y": y, "closed_for": 9}, made.progress
+    blocked = {name: getattr(old, name).at[0].set(at) for name, at in given_up.items()}
+    blocked = replace(old, **blocked)
+    _, (other_x,), (other_y,) = DETOURS(replace(made, progress=blocked), *place)
     assert np.hypot(other_x - x, other_y - y) > 0.7
 
 
@@ -160,14 +159,14 @@ def test_stops_are_put_out_of_the_berth_where_one_sees_in() -> None:
     area, things = jnp.asarray(AREA), things_at([(0.0, 0.0)])
     x, y = jnp.array([1.0, 5.0, 0.0]), jnp.array([0.0, 0.0, -1.0])
     out = keep_out(x, y, things, jnp.float32(4.0), area)
-    np.testing.assert_allclose(out, [[RADIUS, 5.0, 0.0], [0.0, 0.0, -RADIUS]], atol=1e-5)
+    np.testing.assert_allclose(out, [[CORNER_RADIUS, 5.0, 0.0], [0.0, 0.0, -CORNER_RADIUS]], atol=1e-5)
     for same in (
         keep_out(x, y, things, jnp.float32(1.5), area),
         keep_out(x, y, things_at([]), jnp.float32(4.0), area),
     ):
         np.testing.assert_array_equal(same, [x, y])
     beside = keep_out(x, y, things, jnp.float32(4.0), area.at[1].set(1.5))
-    np.testing.assert_allclose(beside[0][0], -RADIUS, atol=1e-5)
+    np.testing.assert_allclose(beside[0][0], -CORNER_RADIUS, atol=1e-5)
 
 
 @pytest.mark.parametrize("opening", [2.0 * np.pi, 1.5])
@@ -191,7 +190,7 @@ def test_steps_leave_time_to_see_what_is_forbidden(opening: float) -> None:
         ahead = centres @ step >= np.cos(0.5 * opening) * away * np.hypot(*step)
         for share in (1.0, 0.5, 0.25):
             after = np.hypot(*(centres - share * step).T).T
-            is_close = (after < CLOSE) & (after < away) & (away <= 4.0) & (ahead | (opening > 6.0))
+            is_close = (after < KEEP_AWAY) & (after < away) & (away <= 4.0) & (ahead | (opening > 6.0))
             if 0.5 * 0.95 * miss[is_close].sum() / miss.sum() <= risk:
                 break
         assert found[-1] == share

@@ -12,7 +12,7 @@ from jaxlangnav.planner import policy, tours
 from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED, Nodes
-from jaxlangnav.planner.informed import decide_on
+from jaxlangnav.planner.informed import decide_tour
 from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Decision, Waypoint
@@ -26,7 +26,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import Utterances, current_
 P, SLOTS, KEY = 16, 3, jax.random.key(0)
 CONFIG = MapConfig(num_particles=P, num_objects=SLOTS, num_cells=24)
 SEARCH_MAP = jax.jit(lambda belief: search_map(belief, jnp.float32(0.0), jnp.float32(0.0)))
-DECIDE_ON = jax.jit(decide_on)
+DECIDE_ON = jax.jit(decide_tour)
 
 
 def believe(hypotheses, *, is_hung: bool, log_miss=None):
@@ -199,7 +199,7 @@ def test_nothing_stops_at_random_goals_out_of_reach() -> None:
 def test_a_robot_that_stands_does_not_stop_and_keeps_its_waypoint() -> None:
     aims, waypoint = goals(0.9), under_way(1.0, 0.0, VISITED)
     assert bool(choose(aims, (5.5, 0.0), waypoint=waypoint).is_stop)
-    halted = choose(aims, (5.5, 0.0), waypoint=waypoint, stands=True)
+    halted = choose(aims, (5.5, 0.0), waypoint=waypoint, is_still=True)
     assert not bool(halted.is_stop)
     assert bool(halted.is_kept)
 

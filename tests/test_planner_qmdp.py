@@ -10,7 +10,7 @@ from oracles import qmdp as oracle
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT, Behavior, Readings
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import gather, reassign_distractor_mass
-from jaxlangnav.planner.graph import frontiers, nowhere, unexplored_cells, visit
+from jaxlangnav.planner.graph import frontiers, empty_visited, unexplored_cells, add_visited
 from jaxlangnav.planner.relevance import believed_groups, groups, has_unseen_tie, is_tied_to_goal
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare
@@ -229,7 +229,7 @@ def test_every_frontier_node_is_a_mean_of_frontier_cells(log_miss: np.ndarray) -
 
 
 def test_visited_places_are_kept_apart_and_the_oldest_goes() -> None:
-    step, visited = jax.jit(visit), nowhere(3)
+    step, visited = jax.jit(add_visited), empty_visited(3)
     for x in (0.0, 0.5, 1.2, 1.3, 2.4):
         visited = step(visited, jnp.float32(x), jnp.float32(0.0), jnp.float32(1.0))
     np.testing.assert_allclose(visited.x, [0.0, 1.2, 2.4])

@@ -27,12 +27,12 @@ from jaxlangnav.planner.search import CELLS, SearchMap, search_map
 from jaxlangnav.planner.termination import Presence
 from jaxlangnav.planner.tours import NUM_CHANGES
 from jaxlangnav.pytree import replace
-from jaxlangnav.terrain.view import GLANCE
+from jaxlangnav.terrain.view import MIN_SIGHT
 
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
 K, RANGE = NUM_STOPS, 3.0
 SENSOR = default_sensor(RANGE)
-SEARCH_MAP, PLAN, CHANGE = jax.jit(search_map), jax.jit(tours.plan), jax.jit(tours.change)
+SEARCH_MAP, PLAN, CHANGE = jax.jit(search_map), jax.jit(tours.plan), jax.jit(tours.random_moves)
 FIRST_SIGHT, LATENCY = jax.jit(first_sight), jax.jit(latency)
 DENSITY = jax.jit(prior.relative_density)
 NOT = jnp.float32(0.0)
@@ -57,7 +57,7 @@ def search_of(free, anchored=None) -> SearchMap:
 
 
 def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * np.pi) -> float:
-    """Walk from (1, 0) by millimetres until (x, y) is near and, for ``GLANCE`` metres, in view."""
+    """Walk from (1, 0) by millimetres until (x, y) is near and, for ``MIN_SIGHT`` metres, in view."""
     walked, at = 0.0, np.array([1.0, 0.0])
     for stop in zip(np.asarray(tour_x, float), np.asarray(tour_y, float), strict=True):
         length = np.hypot(*(np.array(stop) - at))
@@ -66,7 +66,7 @@ def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * n
         near = np.hypot(*(way - [x, y]).T) <= radius
         if opening < 2 * np.pi:
             ahead = (np.array(stop) - at) / max(length, 1e-6)
-            later = [x, y] - way - GLANCE * ahead
+            later = [x, y] - way - MIN_SIGHT * ahead
             near &= later @ ahead >= np.hypot(*later.T) * np.cos(0.5 * opening)
         if near.any():
             return walked + float(steps[near.argmax(), 0]) * length
@@ -210,7 +210,7 @@ def test_tours_against_all_orders_of_viewpoints(nowhere: float) -> None:
         found = np.asarray(LATENCY(lines, search, *HERE, SENSOR, AREA))
         is_exact = (expected < 1e3) & (found < 1e3)
         np.testing.assert_allclose(found[is_exact], expected[is_exact], rtol=1e-3)
-        tour = tours.no_tour(*HERE)
+        tour = tours.start_tour(*HERE)
         for step in range(20):
             now = plan(search, tour, 100 * seed + step)
             tour = tours.best_tour(now, -now.latency)
@@ -238,7 +238,7 @@ def test_changes_stay_in_the_area_and_are_changes() -> None:
 def test_a_goal_with_unseen_rivals_is_not_settled(rival: float, stops: bool) -> None:
     """Informed, in reach of a confirmed goal: it looks on while rivals beside things seen are."""
     search = search_of(np.full(CELLS**2, 0.05 / CELLS**2), np.eye(1, CELLS**2, 30)[0] * rival)
-    now = plan(search, tours.no_tour(jnp.float32(1.0), jnp.float32(0.0)))
+    now = plan(search, tours.start_tour(jnp.float32(1.0), jnp.float32(0.0)))
     choice = decide(now, 0.9)
     assert bool(choice.is_stop) is stops
     assert (float(choice.goal_value[-1]) > 1.0) is stops
@@ -256,7 +256,7 @@ def test_a_goal_with_unseen_rivals_is_not_settled(rival: float, stops: bool) -> 
 @pytest.mark.parametrize("goal", [0.0, 1e-30, 5e-3, np.nan])
 def test_with_nothing_left_to_find_it_settles_for_no_goal_that_is_none(goal: float) -> None:
     """Informed, all looked at, before an object that does not fit: 0 ≥ 0 is no arrival."""
-    now = plan(search_of(np.zeros(CELLS**2)), tours.no_tour(jnp.float32(1.0), jnp.float32(0.0)))
+    now = plan(search_of(np.zeros(CELLS**2)), tours.start_tour(jnp.float32(1.0), jnp.float32(0.0)))
     choice = decide(now, goal)
     assert not bool(choice.is_stop)
     assert not float(choice.goal_value[-1]) > 1.0

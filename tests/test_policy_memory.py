@@ -168,15 +168,15 @@ def policy_step(policy: Policy, now: Situation):
 
 
 @pytest.mark.parametrize(
-    ("robot", "goal", "stands", "stops"),
+    ("robot", "goal", "is_still", "stops"),
     [((0.0, 0.0), 0.9, False, False), ((2.5, 3.0), 0.9, False, True),
      ((2.5, 3.0), 0.9, True, False), ((2.5, 3.0), 0.0, False, False)],
 )  # fmt: skip
-def test_it_stops_only_where_a_stop_is_heard(robot, goal, stands: bool, stops: bool) -> None:
+def test_it_stops_only_where_a_stop_is_heard(robot, goal, is_still: bool, stops: bool) -> None:
     """A decision made without ``decide``: stop, and give up, at once and everywhere."""
-    _, decision = policy_step(Answers("stop"), shown(robot, goal, stands=stands))
+    _, decision = policy_step(Answers("stop"), shown(robot, goal, is_still=is_still))
     assert bool(decision.is_stop) is stops
-    assert bool(decision.is_not_found) is (not stops and not stands)
+    assert bool(decision.is_not_found) is (not stops and not is_still)
 
 
 def test_places_that_are_no_numbers_are_no_waypoints() -> None:

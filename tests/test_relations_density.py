@@ -25,7 +25,7 @@ from jaxlangnav.relations import (
     viewer_frame,
 )
 from jaxlangnav.relations.between import lies_between
-from jaxlangnav.relations.strength import degree, num_before, value_of_rank
+from jaxlangnav.relations.strength import degree, count_before, kth_smallest
 from jaxlangnav.relations.table import NUM_RANKS, ORDERS
 
 ALL = range(len(RELATIONS))
@@ -177,7 +177,7 @@ def test_gradient_by_parameters_equals_finite_differences(value, step: float, fi
 
 
 DEGREE = jax.jit(degree)
-NTH = jax.jit(value_of_rank, static_argnames="tie")
+NTH = jax.jit(kth_smallest, static_argnames="tie")
 
 
 def test_one_step_to_the_left_by_hand() -> None:
@@ -201,7 +201,7 @@ def test_who_is_nth_on_the_host_is_nth_on_the_device(relation: int) -> None:
     objects = tuple(("cone", *generator.uniform(-5, 5, 2)) for _ in range(6))
     geometry = Geometry(PlacedWorld(objects=objects, robot=(0.3, -0.2, 0.9)))
     strength = geometry.strength[relation, :, 6]
-    before = num_before(strength, ~np.eye(6, dtype=bool))
+    before = count_before(strength, ~np.eye(6, dtype=bool))
     merit = jnp.asarray(-strength, jnp.float32)
     for rank in range(1, NUM_RANKS + 1):
         nth = int(np.flatnonzero(before == rank - 1)[0])

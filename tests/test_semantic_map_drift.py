@@ -110,12 +110,12 @@ def test_turning_adds_noise_and_a_steady_drift_keeps_its_sign() -> None:
     noise = jax.random.normal(jax.random.key(3), (NUMBER,))
     drift = jnp.stack([jnp.zeros(NUMBER), jnp.where(noise > 0.0, 1.0, -1.0)])
     turn, still = jnp.float32(-0.5 * np.pi), jnp.float32(0.0)
-    error, sign = motion.drifted(drift, still, turn, noise, motion=told)
+    error, sign = motion.add_drift(drift, still, turn, noise, motion=told)
     np.testing.assert_allclose(error, 0.1 * np.sqrt(0.5 * np.pi) * noise, rtol=1e-5)
     # Without a steady drift there is no sign to tell apart.
     np.testing.assert_array_equal(sign, 0.0)
     told = replace(told, turn_noise=jnp.float32(0.0), heading_bias=jnp.float32(0.05))
-    error, sign = motion.drifted(drift, jnp.float32(40.0), still, noise, motion=told)
+    error, sign = motion.add_drift(drift, jnp.float32(40.0), still, noise, motion=told)
     np.testing.assert_allclose(error, 2.0 * drift[1], rtol=1e-5)
     np.testing.assert_array_equal(sign, drift[1])
 

@@ -10,7 +10,7 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, counts, particle, update
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, prune_objects, surprise
-from jaxlangnav.terrain import OPEN, POSITIONS
+from jaxlangnav.terrain import OPEN, RANGING
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 LOG_THING, RATE, DETECTION, TYPES = np.log(2e-3), 0.05, 0.8, 8
@@ -177,7 +177,7 @@ def look_at_hydrant(belief, types, x, y, log_missed, is_detection):
         particles, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.25), by_hand.sensor(), OPEN.view
     )
     log_map = grounded.log_weight + log_objects
-    log_fit = POSITIONS.log_fit(SENSOR)
+    log_fit = RANGING.log_fit(SENSOR)
     return surprise(belief.log_weight, grounded, log_map, jnp.float32(LOG_NEW), log_fit)
 
 

@@ -296,7 +296,7 @@ BAD_PLACES = [
 def test_a_place_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(what, pose, area):
     meant = {"area": r"\(x_min", "pose": r"\(x, y, heading\)"}[what]
     with pytest.raises(ValueError, match=f"{what} is .* but must be {meant}"):
-        gating.check_place(pose, area)
+        gating.check_start(pose, area)
     belief = by_hand.begin(pose, area=area)
     for leaf in jax.tree.leaves(replace(belief, log_weight=None)):
         assert np.isfinite(np.asarray(leaf, float)).all()
@@ -306,12 +306,12 @@ def test_a_place_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(what,
 
 
 def test_places_of_the_wrong_shape_are_refused() -> None:
-    gating.check_place((0.0, 0.0, 0.0), by_hand.AREA)
-    gating.check_place((-3.0, 0.0, 100.0), by_hand.AREA)
+    gating.check_start((0.0, 0.0, 0.0), by_hand.AREA)
+    gating.check_start((-3.0, 0.0, 100.0), by_hand.AREA)
     with pytest.raises(ValueError, match="area is"):
-        gating.check_place((0.0, 0.0, 0.0), (0.0, 1.0))
+        gating.check_start((0.0, 0.0, 0.0), (0.0, 1.0))
     with pytest.raises(ValueError, match="pose is"):
-        gating.check_place((0.0, 0.0), by_hand.AREA)
+        gating.check_start((0.0, 0.0), by_hand.AREA)
 
 
 @pytest.mark.slow

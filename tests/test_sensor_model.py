@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import readings as by_hand
 
-from jaxlangnav.terrain import POSITIONS
+from jaxlangnav.terrain import RANGING
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parent.parent / "examples" / "bearing_camera.py"))
 CAMERA = EXAMPLE["BearingCamera"](noise=jnp.float32(math.radians(2.0)))
 SENSOR = by_hand.sensor(range_max=5.0, noise=0.2)
-MODELS = pytest.mark.parametrize("model", [POSITIONS, CAMERA], ids=["positions", "bearings"])
+MODELS = pytest.mark.parametrize("model", [RANGING, CAMERA], ids=["positions", "bearings"])
 NUMBER = 20_000
 
 
@@ -57,7 +57,7 @@ def test_a_range_that_is_not_measured_is_drawn_evenly_over_the_view() -> None:
         spread = 5.0 * math.sqrt(share * (1.0 - share) / NUMBER)
         assert np.mean(drawn < part) == pytest.approx(share, abs=spread)
     assert float(jnp.exp(CAMERA.log_volume(SENSOR))) == pytest.approx(12.5)
-    assert float(POSITIONS.log_volume(SENSOR)) == 0.0
+    assert float(RANGING.log_volume(SENSOR)) == 0.0
 
 
 @pytest.mark.slow

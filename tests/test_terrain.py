@@ -15,7 +15,7 @@ from jaxlangnav.semantic_map import update
 from jaxlangnav.semantic_map.coverage import add_view, cell_centres, unexplored
 from jaxlangnav.terrain import OPEN, Eye, OpenField, StraightLines, Terrain
 from jaxlangnav.terrain.geodesic import CLEARANCE, Geodesic, geodesic
-from jaxlangnav.terrain.view import NEVER, Stretch, eye_of
+from jaxlangnav.terrain.view import LARGE, Segment, eye_of
 from jaxlangnav.terrain.walls import Walls, walls
 from jaxlangnav.world.sensor import visible
 from jaxlangnav.world.state import Scenario
@@ -65,7 +65,7 @@ def test_a_body_goes_as_far_as_no_wall_is_in_its_way() -> None:
     hit = np.any([crosses(np.broadcast_to(p, there.shape), there, wall) for wall in ends], axis=0)
     first = np.where(hit.any(axis=0), hit.argmax(axis=0) / 800, np.inf)
     expected = np.clip(reach * first - body / length, 0.0, 1.0)
-    way = Stretch(*(jnp.asarray(one, jnp.float32) for one in (*p.T, *q.T)))
+    way = Segment(*(jnp.asarray(one, jnp.float32) for one in (*p.T, *q.T)))
     share = jax.jit(lambda view, way: view.clear_share(way, body))(walls(*ends), way)
     assert 0.1 < np.mean(expected < 1.0) < 0.9
     np.testing.assert_allclose(share, expected, atol=2e-3 * reach.max())
@@ -193,7 +193,7 @@ def test_without_walls_every_way_is_straight_and_a_closed_room_has_none() -> Non
         walls(*((*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)))
     )
     inside, outside = (jnp.float32(4.0), zero), (jnp.float32(9.0), zero)
-    assert float(METRES(shut, *inside, *outside)) >= NEVER
+    assert float(METRES(shut, *inside, *outside)) >= LARGE
     assert float(METRES(shut, *inside, jnp.float32(3.0), jnp.float32(1.0))) < 2.0
 
 
@@ -252,7 +252,7 @@ def test_a_stretch_past_walls_agrees_with_looking_step_by_step() -> None:
     view = walls((4.0, -2.0, 4.0, 2.0), (1.0, 3.0, 6.0, 3.0))
     ends = generator.uniform([0.0, -5.0], [10.0, 5.0], (2, 30, 2))
     place = generator.uniform([0.0, -5.0], [10.0, 5.0], (50, 2))
-    stretch = Stretch(*(jnp.asarray(one, jnp.float32) for one in (*ends[0].T, *ends[1].T)))
+    stretch = Segment(*(jnp.asarray(one, jnp.float32) for one in (*ends[0].T, *ends[1].T)))
     x, y = (jnp.asarray(one, jnp.float32) for one in place.T)
     found = np.asarray(ALONG(view, stretch, x, y, jnp.float32(3.0)))
     parts = np.linspace(0.0, 1.0, 201)[:, None, None]
@@ -260,8 +260,8 @@ def test_a_stretch_past_walls_agrees_with_looking_step_by_step() -> None:
     eye_y = jnp.asarray(ends[0, :, 1:] + parts * (ends[1] - ends[0])[:, 1:], jnp.float32)
     seen = np.asarray(SEES(view, Eye(eye_x, eye_y, jnp.float32(3.0)), x[None, None], y[None, None]))
     length = np.hypot(*(ends[1] - ends[0]).T)[:, None]
-    exact = np.where(seen.any(0), seen.argmax(0) / 200 * length, NEVER)
-    is_found = (found < NEVER) & (exact < NEVER)
+    exact = np.where(seen.any(0), seen.argmax(0) / 200 * length, LARGE)
+    is_found = (found < LARGE) & (exact < LARGE)
     assert (found[is_found] >= exact[is_found] - 0.06).all()
     assert (found[is_found] <= exact[is_found] + length.max() / 8 + 0.06).all()
-    assert ((found < NEVER) != (exact < NEVER)).mean() < 0.03
+    assert ((found < LARGE) != (exact < LARGE)).mean() < 0.03

@@ -99,8 +99,8 @@ def _apply(state: NavigatorState, spoken: Array, slot: Array, sentence: Sentence
         Says.OTHER: speech_acts.correct(state),
         Says.THIS: speech_acts.choose(state, slot),
         Says.NONE_OF_THEM: speech_acts.rule_out(state, jnp.sum(jnp.where(candidates, bitmask, 0))),
-        Says.TRUTH: speech_acts.tell(state, sentence.true_statement, pose, how=Effect.INFORM),
-        Says.FALSEHOOD: speech_acts.tell(state, sentence.false_statement, pose, how=Effect.INFORM),
+        Says.TRUTH: speech_acts.tell(state, sentence.true_statement, pose, effect=Effect.INFORM),
+        Says.FALSEHOOD: speech_acts.tell(state, sentence.false_statement, pose, effect=Effect.INFORM),
     }
     for act, updated in next_states.items():
         state = jax.tree.map(functools.partial(jnp.where, spoken == act), updated, state)

@@ -36,7 +36,7 @@ from jaxlangnav.grounding.program import (
 from jaxlangnav.grounding.readings import CapacityError
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.messages import NEAR, NONE, REGIONS
-from jaxlangnav.relations.table import SYMBOL
+from jaxlangnav.relations.table import SYMBOL_OF
 
 Place = tuple[int, int, "ThingDescription"]
 """Relation, rank, and description of the landmark."""
@@ -70,7 +70,7 @@ def _description_of(
     path = (*ancestors, thing)
     # Behavior inference treats "between" two landmarks as near each of them.
     places = {
-        (SYMBOL[r.relation], r.rank, _description_of(reading, r.landmark, path))
+        (SYMBOL_OF[r.relation], r.rank, _description_of(reading, r.landmark, path))
         for r in reading.relations
         if r.figure == thing and r.landmark not in path
     }
@@ -93,7 +93,7 @@ def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
     def is_stated(relation: int, rank: int, landmark: ThingDescription) -> bool:
         # The nearest is near, too; particles do not distinguish ranks beyond the first.
         return any(
-            SYMBOL[r.relation] == relation
+            SYMBOL_OF[r.relation] == relation
             and (rank == 0 or min(rank, 2) == min(r.rank, 2))
             and _fits(landmark, reading, r.landmark)
             for r in relations

@@ -11,8 +11,8 @@ from jaxlangnav.inputs.object_types import is_type, label_of, name_of, type_code
 from jaxlangnav.language.geometry import SIDE_RANGE, Geometry, PlacedWorld
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.relations.between import lies_between
-from jaxlangnav.relations.strength import num_before
-from jaxlangnav.relations.table import NUM_RANKS, REGISTRY, SYMBOL
+from jaxlangnav.relations.strength import count_before
+from jaxlangnav.relations.table import NUM_RANKS, REGISTRY, SYMBOL_OF
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +71,7 @@ def to_world(
         label = label_of(world.object_type[:count])
         alike = (label[:, None] == label[None, :]) & ~np.eye(count, dtype=bool)  # [figure, other]
         is_rival = alike[None] & ~np.eye(count + 1, count, dtype=bool)[:, None, :]
-        before = num_before(geometry.strength.swapaxes(1, 2), is_rival).swapaxes(1, 2)
+        before = count_before(geometry.strength.swapaxes(1, 2), is_rival).swapaxes(1, 2)
         for rank in range(NUM_RANKS):
             world.is_ranked[rank, :, :count] = (before == rank) & other
     if placed.previous is not None:
@@ -100,11 +100,11 @@ def reading_world(placed: PlacedWorld, type_names: tuple[str, ...], readings: Re
         is_figure = allowed = is_kind[figure][:-1]
         for other, relation_, by, other_rank in edges:
             if other == figure and other_rank == 0:
-                allowed = allowed & world.is_related[SYMBOL[relation_]][:-1, is_kind[by]].any(1)
+                allowed = allowed & world.is_related[SYMBOL_OF[relation_]][:-1, is_kind[by]].any(1)
         table = world.is_ranked[min(rank, 2) - 1, relation]
         for index in np.flatnonzero(is_kind[landmark]):
             rivals = allowed & (np.arange(len(is_figure)) != index)
-            meant = rivals & (num_before(strength[relation, :, index], rivals) == rank - 1)
+            meant = rivals & (count_before(strength[relation, :, index], rivals) == rank - 1)
             table[:-1, index] = np.where(is_figure, meant, table[:-1, index])
     return world
 
@@ -130,7 +130,7 @@ def explain_mismatch(
         if relation == NONE:
             continue
         table = world.is_ranked[min(rank, 2) - 1] if rank > 0 else world.is_related
-        if table[SYMBOL[relation]][np.ix_(is_kind[figure], is_kind[landmark])].any():
+        if table[SYMBOL_OF[relation]][np.ix_(is_kind[figure], is_kind[landmark])].any():
             continue
         if relation == BETWEEN:
             return [f"no {names[figure]} is between two things as is said"]
@@ -150,7 +150,7 @@ def _encode_between(
         is_other = np.any([is_kind[other][:-1] for other in others], axis=0)
         is_between = np.any(lies & is_other, axis=-1)
         is_figure, is_landmark = is_kind[figure][:-1], is_kind[landmark][:-1]
-        ends = np.ix_([SYMBOL[relation]], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
+        ends = np.ix_([SYMBOL_OF[relation]], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
         world.is_related[ends] = is_between[is_figure][:, is_landmark]
 
 

@@ -1,4 +1,4 @@
-"""The agent: one decision cycle from an observation to an action (Figure 2 of the paper)."""
+"""The navigator agent: filter, behavior inference and planner in one decision cycle (Figure 2)."""
 
 from jaxlangnav.navigator.cycle import NavigatorInfo as NavigatorInfo, start as start, step as step
 from jaxlangnav.navigator.records import (

@@ -4,7 +4,7 @@
     state = navigator.start("go to the hydrant behind the cone", pose=(0.0, 0.0, 0.0))
     state, action, info = navigator.step(key, state, observation)
 
-``step`` is compiled once, whatever is said; ``navigator.step`` the module function can be
+``step`` is compiled once for all utterances; the module function ``navigator.step`` can be
 ``vmap``-ed over states.
 """
 
@@ -38,8 +38,8 @@ from jaxlangnav.navigator.deployment import deployment_config, deployment_params
 from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_measures
 from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.gating import check_place
-from jaxlangnav.terrain import OPEN, POSITIONS, SensorModel, Terrain
+from jaxlangnav.semantic_map.gating import check_start
+from jaxlangnav.terrain import OPEN, RANGING, SensorModel, Terrain
 
 DEFAULT_EXTENT = 15.0
 """Default operating area: metres to each side of the robot."""
@@ -50,7 +50,7 @@ _step = jax.jit(navigator.step, static_argnames="config")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Navigator:
-    """Grounder, parameters and sizes of an agent that follows instructions."""
+    """Agent that follows instructions: its grounder, parameters and capacities."""
 
     grounder: Grounder
     params: NavigatorParams
@@ -71,24 +71,24 @@ class Navigator:
         """Build a navigator from the weights that ship with the package.
 
         Args:
-            policy: "informed", "faithful" to the paper, or a policy of one's own.
-            grounder: what understands instructions; the trained graph by default.
-            labels: what the robot's detector tells apart, in the order of its indices, for the
+            policy: "informed", "faithful" to the paper, or a custom policy.
+            grounder: grounds instructions; the trained graph by default.
+            labels: object types of the robot's detector, in the order of its indices, for the
                 trained graph; the lexicon's types by default.
             attributes: groups of ``ATTRIBUTES`` that the detector reports.
-            **numbers: any single number of ``MapParams``, ``MotionParams`` or ``PlannerParams`` by
-                its name, such as ``odometry_noise=0.05`` or ``step_length="50 cm"``, within the
-                limits of the command line; new values never recompile. A heading that drifts
-                (``heading_noise`` and the like) is believed so by a program of its own.
+            **numbers: any scalar of ``MapParams``, ``MotionParams`` or ``PlannerParams`` by its
+                name, such as ``odometry_noise=0.05`` or ``step_length="50 cm"``, within the
+                limits of the command line; new values never recompile. A drifting heading
+                (``heading_noise`` and the like) needs a compiled program of its own.
 
         Returns:
-            The navigator, with parameters and sizes for places as they are: without the search
-            prior that was learned in the template worlds (``prior_share`` 0), with room for
-            bystanders, and in doubt about how many things there are and whether they exist.
+            The navigator, with parameters and capacities for real environments: without the search
+            prior learned in the template worlds (``prior_share`` 0), with room for unreferenced
+            objects, and with uncertain numbers and existence of objects.
 
         Raises:
-            ValueError: no such policy or an object that is none; no such number or one that cannot
-                be; labels that cannot be, or labels for a grounder that has its own.
+            ValueError: no such policy or parameter; an invalid policy, value or label; labels for
+                a grounder that has its own.
         """
         if grounder is not None and (labels is not None or attributes):
             raise ValueError("labels and attributes are of the trained graph: give no grounder too")
@@ -105,12 +105,12 @@ class Navigator:
         num_objects, num_mentions = self.config.map.num_objects, self.capacity.num_mentions
         for name, size in {"num_objects": num_objects, "num_mentions": num_mentions}.items():
             if size > MAX_BITS:
-                most = f"at most {MAX_BITS} are told apart in a conversation"
-                raise ValueError(f"{name} is {quote(size)}, but {most}")
+                limit = f"at most {MAX_BITS} are told apart in a conversation"
+                raise ValueError(f"{name} is {quote(size)}, but {limit}")
 
     @property
     def type_names(self) -> tuple[str, ...]:
-        """Object types; a detection names its type by the index into them."""
+        """Names of the object types, by the type index of a detection."""
         return self.grounder.type_names
 
     def start(
@@ -120,21 +120,21 @@ class Navigator:
         area: Sequence[float] | None = None,
         *,
         terrain: Terrain = OPEN,
-        sensor_model: SensorModel = POSITIONS,
+        sensor_model: SensorModel = RANGING,
     ) -> NavigatorState:
-        """Tell a robot that has seen nothing what to do.
+        """Build the initial state of a robot with an instruction and no observations.
 
         Args:
             text: the instruction.
             pose: x, y, heading, metres and radians, map frame.
             area: operating area x_min, x_max, y_min, y_max, metres, map frame; 15 m to each side
                 of the robot by default.
-            terrain: how far one sees and walks there; the open field by default.
-            sensor_model: how the detector reports; by range and bearing by default.
+            terrain: lines of sight and travel distances there; the open field by default.
+            sensor_model: observation model; range and bearing by default.
 
         Raises:
-            ValueError: the instruction is not understood or asks for nothing, or pose or area
-                cannot be.
+            ValueError: the instruction is not understood or has no command, or pose or area is
+                invalid.
         """
         if (act := act_of(text)) is not None:
             raise ValueError(
@@ -152,12 +152,12 @@ class Navigator:
     def wait(
         self, pose: Sequence[float] = (0.0, 0.0, 0.0), area: Sequence[float] | None = None
     ) -> NavigatorState:
-        """Place a robot that has seen nothing and been told nothing: it is idle until it hears.
+        """Build the initial state of an idle robot, without instruction and observations.
 
-        Pose and area are those of ``start``; a ValueError where they cannot be.
+        Pose and area are those of ``start``; a ValueError if they are invalid.
         """
-        silent = replace(come_here(), num_clauses=jnp.int32(0))
-        grounded = Grounded(instruction=silent, annotations=())
+        no_command = replace(come_here(), num_clauses=jnp.int32(0))
+        grounded = Grounded(instruction=no_command, annotations=())
         return replace(self._start(grounded, pose, area), status=jnp.int32(Status.IDLE))
 
     def _start(
@@ -166,19 +166,19 @@ class Navigator:
         pose: Sequence[float],
         area: Sequence[float] | None,
         terrain: Terrain = OPEN,
-        sensor_model: SensorModel = POSITIONS,
+        sensor_model: SensorModel = RANGING,
     ) -> NavigatorState:
-        """Begin with what has been understood, in arrays that hold a conversation."""
-        place = pose_numbers(pose).tolist()
-        around = np.add(np.repeat(place[:2], 2), DEFAULT_EXTENT * np.array([-1, 1, -1, 1]))
-        bounds = around.tolist() if area is None else area_numbers(area).tolist()
-        check_place(place, bounds)
-        check_measures(grounded.spoken, place, bounds)
-        told = grounded.instruction
-        instruction = replace(told, readings=widen(told.readings, self.capacity))
+        """Build the initial state of a grounded instruction, padded to the dialogue's capacity."""
+        start = pose_numbers(pose).tolist()
+        default = np.add(np.repeat(start[:2], 2), DEFAULT_EXTENT * np.array([-1, 1, -1, 1]))
+        bounds = default.tolist() if area is None else area_numbers(area).tolist()
+        check_start(start, bounds)
+        check_measures(grounded.spoken, start, bounds)
+        readings = widen(grounded.instruction.readings, self.capacity)
+        instruction = replace(grounded.instruction, readings=readings)
         state = navigator.start(
             instruction,
-            jnp.asarray(place, jnp.float32),
+            jnp.asarray(start, jnp.float32),
             jnp.asarray(bounds, jnp.float32),
             config=self.config,
             num_types=len(self.type_names),
@@ -189,31 +189,31 @@ class Navigator:
         return self._checked(state)
 
     def _checked(self, state: NavigatorState) -> NavigatorState:
-        """Refuse what is no state, and a state of a navigator with other labels or policy."""
+        """Raise a ValueError unless it is a state of a navigator with these labels and policy."""
         return check_state(state, self.type_names, self.config.planner.chosen.name)
 
     def step(
         self, key: Array, state: NavigatorState, observation: Observation
     ) -> tuple[NavigatorState, Action, NavigatorInfo]:
-        """Run one decision cycle, compiled: from an observation to an action.
+        """Run one compiled decision cycle: from an observation to an action.
 
-        However it is given, no observation of up to eight detections compiles anything anew: those
-        on the host are padded as ``Observation.of`` pads them, and Python's numbers are cast.
+        No observation of up to eight detections recompiles: those on the host are padded as by
+        ``Observation.of``, and Python's numbers are cast.
 
         Args:
             key: random key, consumed.
             state: after the last cycle.
-            observation: pose and detections now. One that cannot be is left out: the robot stands
-                still, and ``Fault(int(info.fault))`` says why.
+            observation: pose and detections now. An impossible one is rejected: the robot stands
+                still, and ``Fault(int(info.fault))`` gives the reason.
 
         Returns:
-            The new state, what the robot is to do, and why.
+            The new state, the action, and diagnostics.
 
         Raises:
-            ValueError: a state or an observation that is none or of shapes that cannot be.
+            ValueError: no state or observation, or one of invalid shapes.
         """
-        state, look = self._checked(state), canonicalize(observation)
-        return _step(key, state, look, params=self.params, config=self.config)
+        state, observation = self._checked(state), canonicalize(observation)
+        return _step(key, state, observation, params=self.params, config=self.config)
 
     def observation(
         self,
@@ -221,27 +221,27 @@ class Navigator:
         detections: Iterable[Sequence[Any]] = (),
         sensor: SensorParams | None = None,
     ) -> Observation:
-        """Build an observation that names object types as this navigator does.
+        """Build an observation with object types by this navigator's names.
 
         Args:
             pose: x, y, heading, metres and radians, map frame.
-            detections: (type, range, bearing) each, or with how it looks (type, range, bearing,
-                {"colour": "red"}), as ``Observation.of`` takes them.
+            detections: (type, range, bearing) each, or with attributes (type, range, bearing,
+                {"colour": "red"}), as for ``Observation.of``.
             sensor: specification of the detector; ``default_sensor()`` if None.
 
         Raises:
-            ValueError: what cannot be; one line.
+            ValueError: an invalid value; one line.
         """
         return Observation.of(pose, detections, sensor, types=self.type_names)
 
     def warm_up(self, detections: int = 0) -> float:
-        """Compile all that runs for a task now, so that its first words and steps answer at once.
+        """Compile all programs of a task now, so that its first utterances and steps are fast.
 
         Args:
-            detections: as many as a look may hold; up to eight by default.
+            detections: maximum number in an observation; eight by default.
 
         Returns:
-            Seconds that it took: most of a minute the first time, next to nothing once compiled.
+            Duration in seconds: most of a minute the first time, next to nothing once compiled.
         """
         count = bounded(detections, 0, SLOTS[-1], "detections", "give as many as a look may hold")
         if count != int(count):
@@ -249,76 +249,75 @@ class Navigator:
         began, state = time.perf_counter(), self.wait()
         Listener(self.grounder).warm_up(state)
         bool(state.is_resting)
-        if isinstance(self.grounder, GraphGrounder):  # one's own may be slow, or cost something
+        if isinstance(self.grounder, GraphGrounder):  # a custom grounder may be slow or costly
             self.grounder.ground("go forward one metre", Context(is_under_way=False))
-        row = [(0, 1.0 + slot, 0.0) for slot in range(int(count))]
-        look = self.observation((0.0, 0.0, 0.0), row, default_sensor(2.0 + count))
-        jax.block_until_ready(self.step(jax.random.key(0), state, look))
+        rows = [(0, 1.0 + slot, 0.0) for slot in range(int(count))]
+        observation = self.observation((0.0, 0.0, 0.0), rows, default_sensor(2.0 + count))
+        jax.block_until_ready(self.step(jax.random.key(0), state, observation))
         return time.perf_counter() - began
 
     def hear(self, state: NavigatorState, text: str) -> NavigatorState:
-        """Take in an utterance; see ``take``, which also tells what it was taken for.
+        """Process an utterance; see ``take``, which also returns its interpretation.
 
-        What people should know of it besides, such as words that are not used, is logged.
+        Notes on it, such as unused words, are logged as warnings.
         """
-        state, heard = self.take(state, text)
-        for note in heard.notes:
+        state, outcome = self.take(state, text)
+        for note in outcome.notes:
             _log.warning("%s: %s", shorten(text), note)
         return state
 
     def take(self, state: NavigatorState, text: str) -> tuple[NavigatorState, UtteranceOutcome]:
-        """Take in an utterance: a conversation is a stream of them.
+        """Process an utterance: update the task and the dialogue state by its speech act.
 
-        A command takes the place of the task, an addition ("then …") comes after it. A statement
-        says something of the map and changes no task; so does what to keep away from, which holds
-        until the robot is told to go to the very thing. A correction rules out what is being
-        approached ("the other one"), or says what is meant; "come back" returns to where the
-        conversation began; a question (``Status.WHICH_ONE``) is answered by "the left one", "the
-        second", "the one by the cone". What was said of the map is never forgotten while there is
-        room for it, and words reach back: "it", "the one on the left", "the other hydrant".
+        A command replaces the task, an addition ("then …") follows it. A statement describes the
+        map and changes no task; nor does a constraint, which holds until the robot is told to go to
+        that very object. A correction excludes the object being approached ("the other one"), or
+        says what is meant; "come back" returns to where the conversation began; a question
+        (``Status.WHICH_ONE``) is answered by "the left one", "the second", "the one by the cone".
+        Statements are kept as long as there is room, and utterances may refer back: "it", "the one
+        on the left", "the other hydrant".
 
-        Words to halt, to go on or to cancel work by themselves, before any model and whatever the
-        state is. A halted robot goes on when it is told to, or given a command, a correction or an
-        answer, and not for a statement, an addition or a constraint. Cancelled it is idle: it has
-        no task any more. What begins with words to halt or to cancel ("Stop! There is a child …",
-        "never mind, come back") does so, too, and what follows is taken in as if it were said
-        next. As the robot must not lose its halt to a refusal, nothing is raised then: why the
-        rest was left out is logged as a warning.
+        Halting, resuming and cancelling work without any model and in any state. A halted robot
+        resumes when told to, or given a command, a correction or an answer, but not for a
+        statement, an addition or a constraint. After cancelling it is idle, without a task. An
+        utterance that begins by halting or cancelling ("Stop! There is a child …", "never mind,
+        come back") does so, too, and the rest is processed as the next utterance. As a refusal must
+        not undo the halt, nothing is raised then: the reason is logged as a warning.
 
-        After ``warm_up`` nothing is compiled for it, whatever is said.
+        After ``warm_up`` no utterance compiles anything.
 
         Args:
-            state: of a robot under way, halted, idle or at its end.
-            text: what the person said.
+            state: under way, halted, idle or ended.
+            text: the utterance.
 
         Returns:
-            The state, to be followed by the next observation, and what the words were taken for.
+            The state, to be followed by the next observation, and the interpretation.
 
         Raises:
-            ValueError: the words are not understood, or refer to what is not there, as "the other
-                one" where nothing has been approached: the robot then keeps to its state.
+            ValueError: the utterance is not understood, or has no referent, as "the other one"
+                where nothing has been approached: the state is then unchanged.
         """
         return Listener(self.grounder).take(self._checked(state), text)
 
     def candidates(self, state: NavigatorState) -> list[Candidate]:
-        """List the things seen that may be meant, the nearest first: what a question is about."""
+        """List the observed objects that may be the goal, the candidates of a question."""
         return candidates(self._checked(state), names_of(self.grounder))
 
     def spoken(self, state: NavigatorState) -> list[str]:
-        """Name the object types that the running task speaks of: what a detector should look for.
+        """Name the object types that the task mentions, for which a detector should look.
 
-        They are those of all its readings but the least likely, in the order of the sentence; all
-        that there are where it speaks of "the thing".
+        Those of all but very improbable interpretations, in the order of the sentence; all types
+        if it mentions "the thing".
         """
-        kinds = mentioned_types(self._checked(state))
-        if any(map(is_anything, kinds)):
+        types = mentioned_types(self._checked(state))
+        if any(map(is_anything, types)):
             return list(self.type_names)
-        return [name_of(kind, names_of(self.grounder)) for kind in kinds]
+        return [name_of(index, names_of(self.grounder)) for index in types]
 
     def missing(self, state: NavigatorState) -> list[str]:
-        """Name what the task speaks of and the robot has not seen, such as its goal's landmark.
+        """Name the object types that the task mentions and the robot has not observed.
 
-        The names are in the order of the sentence; none where all has been seen.
+        In the order of the sentence.
         """
-        missing = unseen_types(self._checked(state))
-        return [name_of(kind, names_of(self.grounder)) for kind in missing]
+        types = unseen_types(self._checked(state))
+        return [name_of(index, names_of(self.grounder)) for index in types]

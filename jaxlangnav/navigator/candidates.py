@@ -1,4 +1,4 @@
-"""Candidates of a question: observed objects that may be the goal, and which an answer selects."""
+"""Candidates of a clarification question, and the one that an answer selects."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,17 +15,17 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import to_map_frame
 
 _ORDINALS = ("FIRST", "SECOND", "THIRD", "FOURTH", "FIFTH", "SIXTH")
-_PLACES: dict[Wording | None, int] = {Wording[name]: n for n, name in enumerate(_ORDINALS)}
-_PLACES |= {Wording.NEAREST: 0, Wording.FARTHEST: -1, Wording.LAST: -1}
-_LEAST_MENTIONED = 1e-3  # probability of a reading below which its types are left out
-_LEAST = 0.01  # goal probability below which a thing is no candidate for a question
+_RANKS: dict[Wording | None, int] = {Wording[name]: n for n, name in enumerate(_ORDINALS)}
+_RANKS |= {Wording.NEAREST: 0, Wording.FARTHEST: -1, Wording.LAST: -1}
+_MIN_READING_PROB = 1e-3  # minimum probability of an interpretation whose types are listed
+_MIN_GOAL_PROB = 0.01  # minimum goal probability of a candidate
 
 _in_map = jax.jit(to_map_frame)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """An object that may be meant, as a question names it."""
+    """An observed object that may be the goal."""
 
     slot: int  # observed slot
     type_name: str
@@ -35,23 +35,23 @@ class Candidate:
 
 
 def candidates(state: NavigatorState, names: Sequence[str]) -> list[Candidate]:
-    """List the things seen that may be meant, the nearest first: what a question is about."""
-    share, pose = np.asarray(state.talk.candidate), believed_pose(state)
-    found = [thing_at(state, slot, names) for slot in np.flatnonzero(share >= _LEAST).tolist()]
-    return sorted(found, key=lambda one: np.hypot(one.x - pose[0], one.y - pose[1]))
+    """List the observed objects that may be the goal, the nearest first."""
+    prob, pose = np.asarray(state.talk.candidate), believed_pose(state)
+    found = [object_at(state, int(slot), names) for slot in np.flatnonzero(prob >= _MIN_GOAL_PROB)]
+    return sorted(found, key=lambda item: np.hypot(item.x - pose[0], item.y - pose[1]))
 
 
-def thing_at(state: NavigatorState, slot: int, names: Sequence[str]) -> Candidate:
+def object_at(state: NavigatorState, slot: int, names: Sequence[str]) -> Candidate:
     """Describe the object in an observed slot of the belief; ``names`` are of object types."""
     particles = state.belief.particles
     weight = np.exp(np.asarray(state.belief.log_weight))
-    own = weight * (np.asarray(particles.object_type)[slot] != NONE)
-    total = max(float(own.sum()), 1e-9)
+    weight = weight * (np.asarray(particles.object_type)[slot] != NONE)
+    total = max(float(weight.sum()), 1e-9)
     return Candidate(
         slot=slot,
         type_name=name_of(type_at(state, slot), names),
-        x=float((own * np.asarray(particles.mean_x)[slot]).sum() / total),
-        y=float((own * np.asarray(particles.mean_y)[slot]).sum() / total),
+        x=float((weight * np.asarray(particles.mean_x)[slot]).sum() / total),
+        y=float((weight * np.asarray(particles.mean_y)[slot]).sum() / total),
         probability=float(np.asarray(state.talk.candidate)[slot]),
     )
 
@@ -64,13 +64,13 @@ def chosen_by(
         return None
     if wording == Wording.YES:
         return found[0] if len(found) == 1 else None
-    if wording in _PLACES:
-        place = _PLACES[wording]
-        return found[place] if place < len(found) else None
-    turn = float(pose[2])
+    if wording in _RANKS:
+        rank = _RANKS[wording]
+        return found[rank] if rank < len(found) else None
+    heading = float(pose[2])
 
-    def leftward(one: Candidate) -> float:
-        return (one.y - pose[1]) * np.cos(turn) - (one.x - pose[0]) * np.sin(turn)
+    def leftward(item: Candidate) -> float:
+        return (item.y - pose[1]) * np.cos(heading) - (item.x - pose[0]) * np.sin(heading)
 
     return (max if wording == Wording.LEFT else min)(found, key=leftward)
 
@@ -87,15 +87,15 @@ def believed_pose(state: NavigatorState) -> np.ndarray:
 
 
 def mentioned_types(state: NavigatorState) -> list[int]:
-    """List the types that the readings mention, each once; those of improbable readings not."""
+    """List the object types that probable interpretations mention, each once."""
     readings = state.instruction.readings
-    is_probable = np.asarray(readings.log_probability) >= np.log(_LEAST_MENTIONED)
-    kinds = np.asarray(readings.mention_type)[is_probable].reshape(-1).tolist()
-    return [kind for kind in dict.fromkeys(kinds) if kind >= 0]
+    is_probable = np.asarray(readings.log_probability) >= np.log(_MIN_READING_PROB)
+    types = np.asarray(readings.mention_type)[is_probable].reshape(-1).tolist()
+    return [index for index in dict.fromkeys(types) if index >= 0]
 
 
 def unseen_types(state: NavigatorState) -> list[int]:
-    """List the types that the task mentions and of which no particle has an observed object."""
+    """List the types that the task mentions and that no particle has observed."""
     readings, is_asked = state.instruction.readings, np.asarray(state.talk.words.is_asked)
     mentioned = np.where(is_asked, np.asarray(readings.mention_type), NONE)
     types = np.asarray(state.belief.particles.object_type)

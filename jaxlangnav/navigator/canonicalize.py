@@ -1,4 +1,4 @@
-"""Input checks of the API on the host: states of this navigator, observations in known shapes."""
+"""Input validation of the API (host only): navigator states, and observations in fixed shapes."""
 
 import zlib
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from jaxlangnav.pytree import replace
 
 MAX_BITS = 31
 """Maximum number of slots and mentions of a bit set."""
-_FILLERS: dict[str, tuple[Any, Any]] = {
+_PADDING: dict[str, tuple[Any, Any]] = {
     "detection_type": (np.int32, NONE),
     "detection_range": (np.float32, 0),
     "detection_bearing": (np.float32, 0),
@@ -28,21 +28,21 @@ _FILLERS: dict[str, tuple[Any, Any]] = {
 
 
 def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -> NavigatorState:
-    """Refuse, with a ValueError, what is no state or one of other labels or another policy.
+    """Raise a ValueError unless it is a state of a navigator with these labels and policy.
 
-    A state of the engine's own ``start`` is signed with both; one that is traced is not looked at.
+    An unsigned state, of ``navigator.start``, is signed with both; a traced one is not checked.
     """
     if not isinstance(state, NavigatorState):
         raise ValueError(
             f"state is {quote(state)}, but must be what navigator.start, wait, step or hear gave"
         )
-    names = [repr(one).encode() for one in (tuple(type_names), policy)]
-    own = np.array([zlib.crc32(one) for one in names], np.uint32)
-    if state.signature is None:  # of the engine's own ``start``
-        return replace(state, signature=jax.device_put(own))
+    names = [repr(part).encode() for part in (tuple(type_names), policy)]
+    expected = np.array([zlib.crc32(name) for name in names], np.uint32)
+    if state.signature is None:  # of ``navigator.start``
+        return replace(state, signature=jax.device_put(expected))
     if isinstance(state.signature, Tracer):
         return state
-    is_other = (np.asarray(state.signature) != own).reshape(-1, 2).any(axis=0)
+    is_other = (np.asarray(state.signature) != expected).reshape(-1, 2).any(axis=0)
     if is_other.any():
         labels = shorten(", ".join(type_names))
         what = f"other labels than {labels}" if is_other[0] else f"another policy than {policy}"
@@ -63,49 +63,49 @@ def canonicalize(observation: Observation) -> Observation:
     Raises:
         ValueError: it is none, or its parts are of shapes that cannot be; one line.
     """
-    is_one = isinstance(observation, Observation)
-    if not is_one or not isinstance(observation.sensor, SensorParams):
-        what = "observation's sensor" if is_one else "observation"
-        given = observation.sensor if is_one else observation
+    is_observation = isinstance(observation, Observation)
+    if not is_observation or not isinstance(observation.sensor, SensorParams):
+        name = "observation's sensor" if is_observation else "observation"
+        value = observation.sensor if is_observation else observation
         raise ValueError(
-            f"{what} is {quote(given)}, but must be made by navigator.observation(pose, "
+            f"{name} is {quote(value)}, but must be made by navigator.observation(pose, "
             "detections, sensor)"
         )
     leaves = (*vars(observation).values(), *vars(observation.sensor).values())
     if any(isinstance(leaf, Tracer) for leaf in leaves):
         return observation
-    slots = np.shape(_array(observation.detection_type, "detection_type"))
-    if len(slots) != 1:
-        raise _odd("detection_type", slots, "(D,), a row of detections")
+    shape = np.shape(_array(observation.detection_type, "detection_type"))
+    if len(shape) != 1:
+        raise _shape_error("detection_type", shape, "(D,), a row of detections")
     if observation.detection_attribute is None:
-        observation = replace(observation, detection_attribute=np.zeros(slots, np.int32))
-    spare = padded(slots[0]) - slots[0]
-    rows, sensor = dict[str, np.ndarray](), dict[str, np.ndarray]()
-    for name, (dtype, filler) in _FILLERS.items():
-        row = _cast(getattr(observation, name), name, dtype, slots)
-        rows[name] = np.pad(row, (0, spare), constant_values=filler)
+        observation = replace(observation, detection_attribute=np.zeros(shape, np.int32))
+    padding = padded(shape[0]) - shape[0]
+    fields, sensor = dict[str, np.ndarray](), dict[str, np.ndarray]()
+    for name, (dtype, fill_value) in _PADDING.items():
+        values = _cast(getattr(observation, name), name, dtype, shape)
+        fields[name] = np.pad(values, (0, padding), constant_values=fill_value)
     for name, leaf in vars(observation.sensor).items():
         sensor[name] = _cast(leaf, f"sensor.{name}", np.float32, ())
     return replace(
         observation,
         pose=_cast(observation.pose, "pose", np.float32, (3,)),
         sensor=replace(observation.sensor, **sensor),
-        **rows,
+        **fields,
     )
 
 
 def _cast(leaf: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Read a part of an observation as an array of a dtype and a shape."""
+    """Convert a field of an observation to an array of a dtype and a shape."""
     array = _array(leaf, name, dtype)
     if array.shape != shape:
-        raise _odd(name, array.shape, str(shape))
+        raise _shape_error(name, array.shape, str(shape))
     return array
 
 
 def _array(leaf: Any, name: str, dtype: Any = None) -> np.ndarray:
-    """Read numbers; what is longer than any look is not read at all."""
+    """Convert numbers to an array, unless there are more than any observation may hold."""
     if not hasattr(leaf, "shape") and hasattr(leaf, "__len__") and len(leaf) > SLOTS[-1]:
-        raise _odd(name, (len(leaf),), f"at most {SLOTS[-1]} numbers")
+        raise _shape_error(name, (len(leaf),), f"at most {SLOTS[-1]} numbers")
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             if is_complex(leaf):
@@ -115,9 +115,9 @@ def _array(leaf: Any, name: str, dtype: Any = None) -> np.ndarray:
         raise ValueError(f"observation's {name} is {quote(leaf)}, but must be numbers") from None
 
 
-def _odd(name: str, shape: tuple[int, ...], wanted: str) -> ValueError:
-    """Say which part of an observation has a shape that cannot be."""
+def _shape_error(name: str, shape: tuple[int, ...], expected: str) -> ValueError:
+    """Build the error for a field of an observation with an invalid shape."""
     return ValueError(
-        f"observation's {name} has the shape {shape}, but must have {wanted}: "
+        f"observation's {name} has the shape {shape}, but must have {expected}: "
         "navigator.observation makes all of them fit"
     )

@@ -1,6 +1,6 @@
-"""The agent: one decision cycle from an observation to an action (Figure 2 of the paper).
+"""The decision cycle: filter, behavior inference, planning (Figure 2 of the paper).
 
-``step`` is a pure function of arrays: filter the semantic map, infer the behavior in every
+``step`` is a pure function of arrays: update the semantic map, infer the behavior in every
 particle, choose a waypoint.
 """
 
@@ -36,7 +36,7 @@ from jaxlangnav.navigator.records import (
 )
 from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph, policy
-from jaxlangnav.planner.blocked import start_progress, update_progress
+from jaxlangnav.planner.blocked import init_progress, update_progress
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.relevance import believed_groups, has_unseen_tie, is_tied_to_goal
 from jaxlangnav.pytree import pytree, replace, strong_types
@@ -45,10 +45,10 @@ from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause
 from jaxlangnav.semantic_map.belief import align_on_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.proposal.relation_query import Utterances
-from jaxlangnav.terrain import OPEN, POSITIONS, Eye, SensorModel, Terrain
+from jaxlangnav.terrain import OPEN, RANGING, Eye, SensorModel, Terrain
 
-_PLANNING = 77  # folded into a cycle's key for the planner, beyond the keys of the filter
-_SPARE = 0.01  # metres by which odometry may round up what the robot has been sent
+_PLANNER_KEY = 77  # folded into a cycle's key for the planner
+_ROUNDING = 0.01  # metres, margin for rounding in odometry
 
 
 @pytree
@@ -56,7 +56,7 @@ class NavigatorInfo:
     """Diagnostics of one decision cycle."""
 
     filter: FilterInfo
-    fault: Array  # i32[] bits of messages.Fault: why the robot stands still; 0: it need not
+    fault: Array  # i32[] bits of messages.Fault: why the robot stands still; 0: no fault
     choice: policy.Decision
     goals: Goals
     behavior: Behavior  # expectation over particles
@@ -71,23 +71,23 @@ def start(
     config: NavigatorConfig,
     num_types: int = MAX_LABELS,
     terrain: Terrain = OPEN,
-    sensor_model: SensorModel = POSITIONS,
+    sensor_model: SensorModel = RANGING,
     words: Words | None = None,
 ) -> NavigatorState:
-    """Build the state of a robot that has just been told what to do.
+    """Build the initial state of a robot with an instruction.
 
-    With a pose or an area that cannot be, as a batch may hold, it will stand still and say so.
+    With an invalid pose or area, as in a batch, it will stand still at a fault.
 
     Args:
         instruction: grounded sentence.
         pose: f32[3], x, y, heading, metres and radians, map frame.
         area: f32[4], operating area x_min, x_max, y_min, y_max, metres.
-        config: sizes.
-        num_types: object types that a detection may name.
-        terrain: how far one sees and walks in the area; the open field by default.
-        sensor_model: how the detector reports; by range and bearing by default.
-        words: what the readings are about, where more may be said (``speech_acts``); by default the
-            task speaks of all of it.
+        config: capacities and policy.
+        num_types: number of object types of the detector.
+        terrain: lines of sight and travel distances; the open field by default.
+        sensor_model: observation model; range and bearing by default.
+        words: dialogue state of the readings, for further utterances (``speech_acts``); by default
+            all mentions belong to the task.
     """
     chex.assert_shape([pose, area], [(3,), (4,)])
     num_mentions = instruction.readings.mention_type.shape[-1]
@@ -100,18 +100,18 @@ def start(
         terrain=terrain,
         sensor_model=sensor_model,
     )
-    home, slots = belief.last_pose, config.map.num_objects
+    home, num_slots = belief.last_pose, config.map.num_objects
     return NavigatorState(
         belief=belief,
         instruction=instruction,
         clause=jnp.int32(0),
         previous_goal=jnp.int32(NONE),
-        visited=graph.nowhere(config.planner.num_visited),
+        visited=graph.empty_visited(config.planner.num_visited),
         memory=strong_types(config.planner.chosen.init(belief)),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
-        talk=dialogue.begin_conversation(instruction, home, slots, words),
-        way=start_progress(home),
+        talk=dialogue.begin_conversation(instruction, home, num_slots, words),
+        progress=init_progress(home),
     )
 
 
@@ -125,34 +125,34 @@ def step(
 ) -> tuple[NavigatorState, Action, NavigatorInfo]:
     """Run one decision cycle: from an observation to an action.
 
-    An observation that cannot be is left out as a whole (``semantic_map.gating``): the robot
-    stands still, does not stop, and ``info.fault`` says why, until a sound one comes.
+    An impossible observation is rejected as a whole (``semantic_map.gating``): the robot stands
+    still without ending its task, and ``info.fault`` gives the reason, until a valid one comes.
 
     Args:
         key: random key, consumed.
         state: after the last cycle.
         observation: pose and detections now.
-        params: traced numbers.
-        config: sizes and policy.
+        params: traced parameters.
+        config: capacities and policy.
 
     Returns:
-        The new state, what the robot is to do, and why.
+        The new state, the action, and diagnostics.
     """
     assert_observation(observation)
     chex.assert_rank([state.clause, state.status, state.is_halted, state.previous_goal], 0)
     chex.assert_type([state.clause, state.status, state.is_halted], [int, int, bool])
     chex.assert_equal_shape([params.mode_speed, params.mode_clearance])
-    # As close as it has been told to; a place told in metres is stood on.
+    # Closer if so told; a metric goal is a position to reach.
     reach = params.planner.reach * state.talk.closeness
     reach = jnp.where(_metres(state) > 0.0, policy.ARRIVAL_RADIUS, reach)
     params = replace(params, planner=replace(params.planner, reach=reach))
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
-    given, sensor = observation.sensor, default_sensor()
-    far = jnp.where(fault == 0, given.range_max, sensor.range_max)
-    wide = jnp.where(fault == 0, given.field_of_view, sensor.field_of_view)
-    sensor = replace(sensor, range_max=far, field_of_view=wide)
+    actual, sensor = observation.sensor, default_sensor()
+    range_max = jnp.where(fault == 0, actual.range_max, sensor.range_max)
+    field_of_view = jnp.where(fault == 0, actual.field_of_view, sensor.field_of_view)
+    sensor = replace(sensor, range_max=range_max, field_of_view=field_of_view)
     task = _infer(state, fault, params)
     state, choice = _decide(key, state, task, sensor, filter_info.is_news, params, config)
     after = update_task_state(state, task, choice, params=params, config=config)
@@ -169,7 +169,7 @@ def step(
 
 
 def _metres(state: NavigatorState) -> Array:
-    """Look up how far from its landmark the present command ends, f32[]; 0: nobody has said."""
+    """Look up the stated distance of the current goal from its landmark, f32[] metres; 0: none."""
     return select_row(state.instruction.metres, state.clause)
 
 
@@ -182,10 +182,10 @@ def _observe(
 ) -> tuple[NavigatorState, FilterInfo]:
     """Update the semantic map with the observation and the utterance (section 3.2)."""
     motion = params.map.motion
-    # One cycle's step at the highest speed, as far as odometry may be out.
+    # The longest step of a cycle, with the error of odometry.
     farthest = jnp.max(params.mode_speed) * motion.step_length
-    farthest = farthest * (1.0 + DEVIATIONS * motion.odometry_noise) + _SPARE
-    # A command is meant as it was seen from where it was heard.
+    farthest = farthest * (1.0 + DEVIATIONS * motion.odometry_noise) + _ROUNDING
+    # Relations of a command are relative to the pose at which it was heard.
     viewer = select_row(state.talk.viewer, state.clause)
     belief, info = semantic_filter.step(
         key,
@@ -196,30 +196,30 @@ def _observe(
         context=state.talk.context,
         is_sparse=True,
         farthest=farthest,
-        spoken=_spoken(state) if config.map.num_bystanders else None,
+        spoken=_mentioned_types(state) if config.map.num_bystanders else None,
         pools_counts=config.map.pools_counts,
     )
     return replace(state, belief=belief), info
 
 
-def _spoken(state: NavigatorState) -> Array:
-    """Mark the types that the task mentions, or that was approached: bool[T]."""
-    instruction, slots = state.instruction, state.belief.particles.object_type
+def _mentioned_types(state: NavigatorState) -> Array:
+    """Mark the object types of the task's mentions and of approached objects, bool[T]."""
+    instruction, object_type = state.instruction, state.belief.particles.object_type
 
     def type_at(slot: Array) -> Array:
-        return jnp.where(slot == NONE, NONE, select_row(slots, jnp.maximum(slot, 0))[0])
+        return jnp.where(slot == NONE, NONE, select_row(object_type, jnp.maximum(slot, 0))[0])
 
-    gone_to = [type_at(state.previous_goal), type_at(state.talk.approached)]
-    words = instruction.program.own.reshape(-1), instruction.readings.mention_type.reshape(-1)
-    named = label_of(jnp.concatenate([*words, jnp.stack(gone_to)]))
-    # What is negative, such as NONE, falls out of the table.
-    index = jnp.where(named < 0, MAX_LABELS, named)
-    spoken = jnp.zeros(MAX_LABELS, bool).at[index].set(True, mode="drop")
-    return spoken | jnp.any(is_anything(named))
+    approached = [type_at(state.previous_goal), type_at(state.talk.approached)]
+    types = instruction.program.own.reshape(-1), instruction.readings.mention_type.reshape(-1)
+    label = label_of(jnp.concatenate([*types, jnp.stack(approached)]))
+    # Negative labels, such as NONE, are dropped.
+    index = jnp.where(label < 0, MAX_LABELS, label)
+    is_mentioned = jnp.zeros(MAX_LABELS, bool).at[index].set(True, mode="drop")
+    return is_mentioned | jnp.any(is_anything(label))
 
 
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> InferredTask:
-    """Infer the behavior of the current clause, and its goal distribution (section 3.3)."""
+    """Infer the behavior of the current command and its goal distribution (section 3.3)."""
     particles, talk, clause = state.belief.particles, state.talk, state.clause
     readings, relations = state.instruction.readings, params.map.relations
     behavior = infer_clause_behaviors(particles, state.instruction, clause, state.previous_goal)
@@ -235,7 +235,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     return InferredTask(
         fault=fault,
         belief=belief,
-        stands=(fault != 0) | state.is_resting,
+        is_still=(fault != 0) | state.is_resting,
         robot=robot,
         behavior=behavior,
         expected=jax.tree.map(
@@ -255,10 +255,10 @@ def _decide(
     params: NavigatorParams,
     config: NavigatorConfig,
 ) -> tuple[NavigatorState, policy.Decision]:
-    """Run the policy (section 3.4); ``key`` is the whole cycle's."""
+    """Run the policy (section 3.4); ``key`` is the key of the cycle."""
     goals, planner = task.goals, params.planner
     robot_x, robot_y = task.robot
-    visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)
+    visited = graph.add_visited(state.visited, robot_x, robot_y, planner.visit_spacing)
     is_find, view = task.expected.action[ACTIONS.index("find")], task.belief.terrain.view
     eye = Eye(*task.robot, sensor.range_max)
     may_stop = policy.may_stop(goals, eye, is_find, params=planner, view=view)
@@ -272,21 +272,22 @@ def _decide(
         robot_x=robot_x,
         robot_y=robot_y,
         sensor=sensor,
-        way=state.way,
+        progress=state.progress,
         may_ask=state.talk.may_ask,
         has_chosen=state.talk.approached != NONE,
         is_find=is_find,
-        is_news=is_news | state.way.is_news,
-        stands=task.stands,
-        may_stop=may_stop & ~task.stands,
+        is_news=is_news | state.progress.is_news,
+        is_still=task.is_still,
+        may_stop=may_stop & ~task.is_still,
         params=planner,
         map_params=params.map,
         spoken=Utterances(readings=readings, context=context, params=params.map),
         num_blocks=config.planner.num_blocks,
     )
-    key = jax.random.fold_in(key, _PLANNING)
+    key = jax.random.fold_in(key, _PLANNER_KEY)
     memory, choice = policy.choose(params.policy_of(config), key, state.memory, situation)
     waypoint = choice.next_x, choice.next_y
-    is_under_way = ~task.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
-    way = update_progress(state.way, waypoint, task.robot, is_under_way, patience=config.patience)
-    return replace(state, visited=visited, memory=memory, way=way), choice
+    is_moving = ~task.is_still & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
+    monitor, patience = state.progress, config.patience
+    progress = update_progress(monitor, waypoint, task.robot, is_moving, patience=patience)
+    return replace(state, visited=visited, memory=memory, progress=progress), choice

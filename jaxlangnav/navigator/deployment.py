@@ -20,18 +20,18 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 
 NUM_OBJECTS, NUM_BYSTANDERS = 12, 64
-"""Things that a sentence may mean, and others, that are remembered: for places as they are."""
-_NUMBERS = {
+"""Capacities for objects of mentioned types, and of other types, in real environments."""
+_DEFAULTS = {
     "concentration": 1.2,
     "clumping": 2.0,
     "prior_share": 0.0,
     "absent": 0.05,
     "give_up": 0.15,
 }
-"""How many things there are is hardly known, and is taken to be alike for all types spoken of. Of
-500 places each (``searching`` of the tests) a false sentence costs 47 m and one whose landmark is
-nowhere 81 m (49, 86: 1.35, 0.1)."""
-_KINDS = (
+"""The number of objects is hardly known, with one rate for all mentioned types. In 500 worlds each
+(``searching`` of the tests) a false sentence costs 47 m and one whose landmark does not exist 81 m
+(with 1.35 and 0.1: 49 and 86)."""
+_QUANTITIES = (
     (LENGTH, "step_length kernel superlative_softness reach visit_spacing"),
     (SHARE, "odometry_noise misleading resample_threshold prior_share give_up absent unseen_risk"),
     (
@@ -46,30 +46,30 @@ _KINDS = (
     (Quantity(is_low_open=True), "concentration"),
     (Quantity(), "clumping rival_share rest_share ahead constraint_cost question_cost look_cost"),
 )
-"""What numbers there are of every kind, whose unit and limits they share."""
-_KNOWN = {name: kind for kind, names in _KINDS for name in names.split()}
+"""Parameters by quantity, which has their unit and limits."""
+_QUANTITY_OF = {name: quantity for quantity, names in _QUANTITIES for name in names.split()}
 _RECORDS = dict(sensor=SensorParams, motion=MotionParams, map=MapParams, planner=PlannerParams)
 FIELDS = {
     table: {
-        field.name: _KNOWN.get(field.name, Quantity(low=-math.inf))
+        field.name: _QUANTITY_OF.get(field.name, Quantity(low=-math.inf))
         for field in dataclasses.fields(record)
         if field.type in (Array, "Array") and field.name != "range_max"
     }
     for table, record in _RECORDS.items()
 }
-"""Keys of the four tables of Params in a sweep's configuration: the records' own single numbers.
-One whose unit is not known here is a plain number."""
+"""Quantities of the scalar parameters, by the four tables of Params in a sweep's configuration; a
+plain number by default."""
 
 
 def deployment_params() -> NavigatorParams:
-    """Build the default numbers for places that are unlike the planner's training worlds."""
-    return set_params(_NUMBERS, params=default_params())
+    """Build the default parameters for environments unlike the planner's training worlds."""
+    return set_params(_DEFAULTS, params=default_params())
 
 
 def deployment_config(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorConfig:
-    """Build sizes with room for bystanders and for doubts of what exists.
+    """Build the configuration with unreferenced objects and existence probabilities.
 
-    The parameters are concrete: a heading that drifts takes a program of its own.
+    The parameters are concrete: a drifting heading needs a compiled program of its own.
     """
     sizes = MapConfig(
         num_objects=NUM_OBJECTS,
@@ -82,7 +82,7 @@ def deployment_config(policy: AnyPolicy, *, params: NavigatorParams) -> Navigato
 
 
 def set_params(numbers: Mapping[str, float | str], *, params: NavigatorParams) -> NavigatorParams:
-    """Set single numbers by their names, wherever among the records they stand (host only).
+    """Set scalar parameters by name, whichever record has them (host only).
 
     Args:
         numbers: by the names of fields of ``MapParams``, ``MotionParams`` or ``PlannerParams``; a
@@ -90,23 +90,23 @@ def set_params(numbers: Mapping[str, float | str], *, params: NavigatorParams) -
         params: of a navigator.
 
     Raises:
-        ValueError: no such number, or one that cannot be.
+        ValueError: no such parameter, or an invalid value.
     """
     records = {"motion": params.map.motion, "map": params.map, "planner": params.planner}
-    home = {
-        field.name: place
-        for place, record in records.items()
+    record_of = {
+        field.name: key
+        for key, record in records.items()
         for field in dataclasses.fields(record)
         if isinstance(value := getattr(record, field.name), Array) and value.ndim == 0
     }
     for name, value in numbers.items():
-        if name not in home:
-            near = difflib.get_close_matches(name, home, 1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(home))}"
+        if name not in record_of:
+            near, names = difflib.get_close_matches(name, record_of, 1), sorted(record_of)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
             raise ValueError(f"{name[:40]} is no number of the navigator: {hint}")
-        place = home[name]
-        given = value if isinstance(value, str) else number(value, name)
-        read = FIELDS[place][name].read(given, name)
-        records[place] = replace(records[place], **{name: jnp.float32(read)})
-    with_motion = replace(records["map"], motion=records["motion"])
-    return replace(params, map=with_motion, planner=records["planner"])
+        key = record_of[name]
+        checked = value if isinstance(value, str) else number(value, name)
+        scalar = FIELDS[key][name].read(checked, name)
+        records[key] = replace(records[key], **{name: jnp.float32(scalar)})
+    map_params = replace(records["map"], motion=records["motion"])
+    return replace(params, map=map_params, planner=records["planner"])

@@ -1,4 +1,4 @@
-"""What a decision cycle is given and keeps, and what comes of it: step, status and memory."""
+"""Parameters, configuration and state of the navigator; its action and task-state update."""
 
 import dataclasses
 import functools
@@ -22,12 +22,12 @@ from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 from jaxlangnav.terrain.view import rotated
 
-_MOST_LOOKED = 0.75  # share of the area beyond which a robot that waits as good as never stops
+_MAX_OBSERVED = 0.75  # fraction of the area to be observed first, above which it hardly ever stops
 
 
 @pytree
 class NavigatorParams:
-    """All traced parameters."""
+    """All traced parameters of the navigator."""
 
     map: MapParams
     planner: PlannerParams
@@ -42,7 +42,7 @@ class NavigatorParams:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class NavigatorConfig:
-    """Sizes and policy; hashable, a change recompiles."""
+    """Static configuration: capacities and policy; hashable, a change recompiles."""
 
     map: MapConfig = dataclasses.field(default_factory=MapConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
@@ -54,7 +54,7 @@ class NavigatorConfig:
     )
 
     def __post_init__(self) -> None:
-        """Refuse sizes that do not fit together."""
+        """Raise a ValueError for inconsistent sizes."""
         if self.map.num_cells % self.planner.num_blocks:
             raise ValueError(
                 f"num_cells is {self.map.num_cells}, but must be a multiple of "
@@ -65,35 +65,34 @@ class NavigatorConfig:
 
 @pytree
 class NavigatorState:
-    """State between decision cycles."""
+    """State of the navigator between decision cycles."""
 
     belief: ParticleBelief
     instruction: Instruction
-    clause: Array  # i32[] which of the instruction's commands is being carried out
+    clause: Array  # i32[] index of the current command
     previous_goal: Array  # i32[] observed slot at which the last command ended; NONE at first
     visited: graph.Visited
     memory: Any  # of the policy
     status: Array  # i32[] a Status: of the task after the last cycle, whether halted or not
     is_halted: Array  # bool[] it was told to halt
-    talk: Conversation  # what has been said besides, and ruled out
-    way: ProgressMonitor  # whether it gets on, and the waypoints given up
-    signature: Array | None = None  # u32[2] checksums of the labels and of the policy's name; None:
-    # not checked
+    talk: Conversation  # dialogue state
+    progress: ProgressMonitor  # progress monitoring, and abandoned waypoints
+    signature: Array | None = None  # u32[2] checksums of labels and policy name; None: unchecked
 
     @property
     def is_done(self) -> Array:
-        """Whether the task has ended, bool[], unless more is heard: done, or it cannot be."""
-        endings = (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE, Status.BLOCKED)
-        return functools.reduce(jnp.logical_or, [self.status == one for one in endings])
+        """Whether the task has ended, bool[], successfully or not; an utterance may resume it."""
+        terminal = (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE, Status.BLOCKED)
+        return functools.reduce(jnp.logical_or, [self.status == status for status in terminal])
 
     @property
     def is_resting(self) -> Array:
-        """Whether the robot stands still until it hears something, bool[]."""
+        """Whether the robot stands still until the next utterance, bool[]."""
         return self.is_halted | self.is_done | (self.status == Status.IDLE)
 
 
 def default_params() -> NavigatorParams:
-    """Build the parameters used in all tables unless they say otherwise."""
+    """Build the default parameters, those of the results tables."""
     return NavigatorParams(
         map=default_map_params(),
         planner=default_planner_params(),
@@ -103,15 +102,15 @@ def default_params() -> NavigatorParams:
 
 
 def check(params: NavigatorParams, *, policy: Policy) -> None:
-    """Refuse parameters with which the robot could never stop (host only).
+    """Raise a ValueError for parameters with which the robot could never stop (host only).
 
-    The first candidate seen, by a sentence that says nothing of where, is what is meant with
-    probability 1 / (1 + α (1 − s) / (1 + κ s)) once a share s of the area has been looked at. A
-    robot that waits for τ looks at most of the area first where that comes late.
+    For a sentence without relations, the first candidate observed is the goal with probability
+    1 / (1 + α (1 − s) / (1 + κ s)) once a fraction s of the area has been observed. The robot
+    stops once this reaches τ; if that takes most of the area, the parameters are refused.
 
     Args:
         params: concrete parameters.
-        policy: which decides by them.
+        policy: policy that uses them.
 
     Raises:
         ValueError: names the value, the limit and the remedy.
@@ -125,12 +124,12 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
     if alpha <= 0.0:
         raise ValueError(f"concentration is {alpha:g}, but must be positive")
     odds = 1.0 / tau - 1.0
-    share = (alpha - odds) / (alpha + odds * kappa)
-    if share > _MOST_LOOKED and not policy.takes_likeliest:
+    observed = (alpha - odds) / (alpha + odds * kappa)
+    if observed > _MAX_OBSERVED and not policy.takes_likeliest:
         raise ValueError(
             f"stop_probability is {tau:g}, but with concentration {alpha:g} the first candidate "
-            f"seen reaches it after {100.0 * share:.0f} % of the area, and at most "
-            f"{100.0 * _MOST_LOOKED:g} % can be asked of {policy.name}: lower stop_probability or "
+            f"seen reaches it after {100.0 * observed:.0f} % of the area, and at most "
+            f"{100.0 * _MAX_OBSERVED:g} % can be asked of {policy.name}: lower stop_probability or "
             "concentration"
         )
 
@@ -138,9 +137,9 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
 class InferredTask(NamedTuple):
     """Marginals of the belief for planning: robot position, behavior, goal distribution."""
 
-    fault: Array  # i32[] bits of Fault; 0 for a sound look and a task
-    belief: ParticleBelief  # as far as the task speaks of it
-    stands: Array  # bool[] the robot stands still: for a fault, or as it has been told or has ended
+    fault: Array  # i32[] bits of Fault; 0 for a valid observation and a task
+    belief: ParticleBelief  # aligned on the robot, restricted to the task's mentions
+    is_still: Array  # bool[] the robot stands still: at a fault, halted, idle or ended
     robot: tuple[Array, Array]  # f32[] x and y, believed position, metres, map frame
     behavior: Behavior  # leaves [..., P]
     expected: Behavior  # expectation over particles
@@ -156,15 +155,15 @@ def _is_last_clause(state: NavigatorState) -> Array:
 def _status(
     state: NavigatorState, task: InferredTask, choice: policy.Decision, config: NavigatorConfig
 ) -> Array:
-    """Tell what becomes of the task, i32[] a Status: what it was where the robot stands still."""
-    under_way = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
+    """Compute the status of the task, i32[]; unchanged while the robot is stationary."""
+    active = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
     is_arrived = choice.is_stop & _is_last_clause(state)
-    ended = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), under_way)
-    status = jnp.where(is_arrived, int(Status.ARRIVED), ended)
+    status = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), active)
+    status = jnp.where(is_arrived, int(Status.ARRIVED), status)
     status = jnp.where(choice.doubt.asks, int(Status.WHICH_ONE), status)
-    is_blocked = state.way.num_closed > config.num_detours
+    is_blocked = state.progress.num_closed > config.num_detours
     status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
-    return jnp.where(task.stands, state.status, status)
+    return jnp.where(task.is_still, state.status, status)
 
 
 def make_action(
@@ -175,36 +174,36 @@ def make_action(
     *,
     params: NavigatorParams,
 ) -> Action:
-    """Turn the choice into a step in the manner asked for: quickly, carefully.
+    """Build the action of a decision, with the speed and clearance of the behavior's mode.
 
-    The state is the new one, of ``update_task_state``. Limits: where it stands, the waypoint is
-    where the robot believes itself to be.
+    The state is the new one, of ``update_task_state``. Limits: the waypoint of a stationary robot
+    is its believed position.
     """
     mode = jnp.argmax(task.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
     waypoint = jnp.stack([choice.next_x, choice.next_y])
-    stands = task.stands | (state.is_done & ~choice.is_stop)
-    waypoint = jnp.where(stands, jnp.stack(task.robot), waypoint)
+    is_still = task.is_still | (state.is_done & ~choice.is_stop)
+    waypoint = jnp.where(is_still, jnp.stack(task.robot), waypoint)
     travel = state.belief.terrain.travel
-    here, there = task.robot, tuple(waypoint)
-    next_x, next_y = travel.next_place(*here, *there)
-    left, distance = travel.metres(*here, *there), travel.metres(*here, next_x, next_y)
-    # A thing is gone up to, not into; anything else is a place to stand on.
-    is_thing = (choice.kind == graph.OBJECT_NODE) & ~choice.turns
-    spare = jnp.where(is_thing, policy.APPROACH * params.planner.reach, 0.0)
-    length = jnp.clip(left - spare, 0.0, params.map.motion.step_length * speed)
+    start, end = task.robot, tuple(waypoint)
+    next_x, next_y = travel.next_place(*start, *end)
+    remaining, distance = travel.metres(*start, *end), travel.metres(*start, next_x, next_y)
+    # The robot stops in front of an object, but at any other waypoint.
+    is_object = (choice.kind == graph.OBJECT_NODE) & ~choice.turns
+    margin = jnp.where(is_object, policy.APPROACH * params.planner.reach, 0.0)
+    length = jnp.clip(remaining - margin, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
     is_idle = state.instruction.num_clauses == 0
-    step_x, step_y = next_x - here[0], next_y - here[1]
-    step, constraint = jnp.stack([step_x, step_y]) / distance * length, task.behavior.constraint
-    share = safe_fraction(task.belief, constraint, here, step, sensor, params.planner.unseen_risk)
+    step_x, step_y = next_x - start[0], next_y - start[1]
+    step, forbidden = jnp.stack([step_x, step_y]) / distance * length, task.behavior.constraint
+    frac = safe_fraction(task.belief, forbidden, start, step, sensor, params.planner.unseen_risk)
     drift = mean_drift(state.belief)
     if drift is not None:
         step_x, step_y = rotated(step_x, step_y, -drift)
     status = jnp.where(is_idle, int(Status.IDLE), state.status)
     return Action(
         waypoint=waypoint,
-        step=jnp.stack([step_x, step_y]) / distance * (length * share),
+        step=jnp.stack([step_x, step_y]) / distance * (length * frac),
         is_stop=state.is_done & ~state.is_halted & (task.fault == 0),
         status=jnp.where(state.is_halted, int(Status.HALTED), status),
         speed=speed,
@@ -220,33 +219,34 @@ def update_task_state(
     params: NavigatorParams,
     config: NavigatorConfig,
 ) -> NavigatorState:
-    """Remember what the next decision needs; a command carried out makes way for the next one."""
+    """Update status, dialogue state and command index after a decision."""
     is_last = _is_last_clause(state)
-    # Of the objects that would do, the last command ended at the one gone up to.
+    # The goal of an ended command is the acceptable object of highest discounted probability.
     goals, travel = task.goals, state.belief.terrain.travel
-    away = travel.metres(*task.robot, goals.object_x, goals.object_y)[:-1]
-    will_do = goals.object_accepted[:-1] * params.planner.discount**away
-    goal_slot = jnp.argmax(will_do).astype(jnp.int32)
-    moves_on, talk = choice.is_stop & ~is_last, state.talk
-    # What it goes up to is remembered for what may be said of it.
-    away = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
+    distance = travel.metres(*task.robot, goals.object_x, goals.object_y)[:-1]
+    value = goals.object_accepted[:-1] * params.planner.discount**distance
+    goal_slot = jnp.argmax(value).astype(jnp.int32)
+    is_advanced, talk = choice.is_stop & ~is_last, state.talk
+    # The object being approached is stored, as later utterances may refer to it.
+    distance = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
     is_goal = goals.is_object & (goals.object_accepted >= policy.MIN_GOAL_PROB)
-    aimed = jnp.argmin(jnp.where(is_goal, away, jnp.inf)[:-1]).astype(jnp.int32)
-    approached = jnp.where(choice.is_approach, aimed, talk.approached)
+    nearest = jnp.argmin(jnp.where(is_goal, distance, jnp.inf)[:-1]).astype(jnp.int32)
+    approached = jnp.where(choice.is_approach, nearest, talk.approached)
     reached = jnp.where(jnp.any(is_goal[:-1]), goal_slot, talk.approached)
+    num_closed = jnp.where(is_advanced, 0, state.progress.num_closed)
     talk = replace(
         talk,
         approached=jnp.where(choice.is_stop, reached, approached),
-        ruled_out=jnp.where(moves_on, 0, talk.ruled_out),
-        chosen=jnp.where(moves_on, NONE, talk.chosen),
-        closeness=jnp.where(moves_on, 1.0, talk.closeness),
+        ruled_out=jnp.where(is_advanced, 0, talk.ruled_out),
+        chosen=jnp.where(is_advanced, NONE, talk.chosen),
+        closeness=jnp.where(is_advanced, 1.0, talk.closeness),
         candidate=jnp.where(goals.is_object, goals.object_mass, 0.0)[:-1],
     )
     return replace(
         state,
-        clause=state.clause + moves_on.astype(jnp.int32),
+        clause=state.clause + is_advanced.astype(jnp.int32),
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
         status=_status(state, task, choice, config),
         talk=talk,
-        way=replace(state.way, num_closed=jnp.where(moves_on, 0, state.way.num_closed)),
+        progress=replace(state.progress, num_closed=num_closed),
     )

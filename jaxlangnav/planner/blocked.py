@@ -36,7 +36,7 @@ class ProgressMonitor:
         return self.closed_for[0] == _CLOSED_CYCLES
 
 
-def start_progress(pose: Array) -> ProgressMonitor:
+def init_progress(pose: Array) -> ProgressMonitor:
     """Build the initial state of progress monitoring at a pose f32[3]."""
     zero = jnp.zeros(NUM_CLOSED, jnp.float32)
     return ProgressMonitor(

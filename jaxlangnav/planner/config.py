@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import jax
 
-from jaxlangnav.planner.faithful import Faithful, Keeping
+from jaxlangnav.planner.faithful import Faithful, WaypointKeeping
 from jaxlangnav.planner.informed import Informed
 from jaxlangnav.planner.policy import Policy, Situation, Valuation
 
@@ -53,7 +53,7 @@ def as_policy(given: AnyPolicy) -> Policy:
             f"policy is a {kind}, but must be hashable ({error}): make its class a frozen "
             "dataclass of plain numbers and tuples, or of arrays a pytree for split_arrays"
         ) from error
-    return given if isinstance(given, Policy) else Keeping(given)
+    return given if isinstance(given, Policy) else WaypointKeeping(given)
 
 
 def split_arrays(policy: AnyPolicy) -> tuple[AnyPolicy, Any]:

@@ -1,6 +1,6 @@
 """Soft keep-out zones around forbidden objects, and their path cost (section 3.4; ours).
 
-A metre of path within the radius B (``ZONE``) of objects k, forbidden with probability p_k,
+A metre of path within the radius B (``ZONE_RADIUS``) of objects k, forbidden with probability p_k,
 has the additional cost, in metres,
 
     c Σ_k p_k max(0, 1 − d_k / B)²
@@ -21,22 +21,22 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import cell_centres
 from jaxlangnav.terrain import Eye
 
-CLOSE = 2.0
+KEEP_AWAY = 2.0
 """Metres around an object that a constraint forbids."""
-ZONE = CLOSE + 0.25
+ZONE_RADIUS = KEEP_AWAY + 0.25
 """The same plus a margin for the error of the object's position."""
-MAX_FORBIDDEN = 6
+MAX_ZONES = 6
 """Maximum number of forbidden objects that are considered, the nearest ones."""
-NUM_TURNS = 12
+NUM_CORNERS = 12
 """Corners of the polygon around an object, which circumscribes its keep-out zone."""
-RADIUS = float(ZONE / np.cos(np.pi / NUM_TURNS))
+CORNER_RADIUS = float(ZONE_RADIUS / np.cos(np.pi / NUM_CORNERS))
 """Metres from an object to these corners."""
 _MIN_PROB = 0.05  # probability above which an object counts as forbidden
 _FRACTIONS = np.array([1.0, 0.5, 0.25], np.float32)  # of a step
 
 
 @pytree
-class Forbidden:
+class Zones:
     """Keep-out zones; K = MAX_FORBIDDEN."""
 
     x: Array  # f32[K] metres, map frame
@@ -44,9 +44,9 @@ class Forbidden:
     price: Array  # f32[K] c p, cost of a metre of path at the object; 0 in empty entries
 
 
-def forbidden_objects(
+def keep_out_zones(
     belief: ParticleBelief, constraint: Array, robot_x: Array, robot_y: Array, cost: Array
-) -> Forbidden:
+) -> Zones:
     """Find the nearest observed objects that are forbidden; hypotheses are ignored.
 
     Positions are means over the particles that forbid them; ``constraint`` is f32[R, N + 1, P],
@@ -62,14 +62,14 @@ def forbidden_objects(
     )
     prob = jnp.where(prob >= _MIN_PROB, prob, 0.0)
     squared = jnp.where(prob > 0.0, (x - robot_x) ** 2 + (y - robot_y) ** 2, jnp.inf)
-    padding = (0, max(MAX_FORBIDDEN - num_objects, 0))
+    padding = (0, max(MAX_ZONES - num_objects, 0))
     squared = jnp.pad(squared, padding, constant_values=jnp.inf)
-    nearest = jax.lax.top_k(-squared, MAX_FORBIDDEN)[1]
+    nearest = jax.lax.top_k(-squared, MAX_ZONES)[1]
     x, y, price = (jnp.pad(leaf, padding)[nearest] for leaf in (x, y, cost * prob))
-    return Forbidden(x=x, y=y, price=price)
+    return Zones(x=x, y=y, price=price)
 
 
-def price_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: Forbidden) -> Array:
+def cost_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: Zones) -> Array:
     """Integrate the keep-out cost along straight segments.
 
         c Σ_k p_k ∫ max(0, 1 − d_k(s) / B)² ds
@@ -85,7 +85,7 @@ def price_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: 
         offset_x, offset_y = x - from_x, y - from_y
         foot = offset_x * unit_x + offset_y * unit_y
         lateral = offset_x * unit_y - offset_y * unit_x
-        half = jnp.sqrt(jnp.maximum(ZONE**2 - lateral * lateral, 0.0))
+        half = jnp.sqrt(jnp.maximum(ZONE_RADIUS**2 - lateral * lateral, 0.0))
         ends = (jnp.clip(end, -half, half) for end in (-foot, length - foot))
         start_value, end_value = (_antiderivative(end, lateral) for end in ends)
         total = total + price * (end_value - start_value)
@@ -98,10 +98,10 @@ def _antiderivative(along: Array, lateral: Array) -> Array:
     distance = jnp.sqrt(along * along + offset * offset)
     distance_term = 0.5 * (along * distance + offset * offset * jnp.arcsinh(along / offset))
     square_term = along**3 / 3.0 + offset * offset * along
-    return along - 2.0 / ZONE * distance_term + square_term / ZONE**2
+    return along - 2.0 / ZONE_RADIUS * distance_term + square_term / ZONE_RADIUS**2
 
 
-def price_of_stop(x: Array, y: Array, things: Forbidden) -> Array:
+def cost_at(x: Array, y: Array, things: Zones) -> Array:
     """Compute the cost of entering the zones up to positions f32[...], and of leaving again.
 
     Limits: 0 outside all zones; at the object itself, the cost of the whole diameter.
@@ -109,12 +109,12 @@ def price_of_stop(x: Array, y: Array, things: Forbidden) -> Array:
     total = jnp.zeros_like(x)
     for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
         away = jnp.sqrt((x - at_x) ** 2 + (y - at_y) ** 2 + 1e-12)
-        total = total + price * 2.0 * ZONE / 3.0 * jnp.maximum(1.0 - away / ZONE, 0.0) ** 3
+        total = total + price * 2.0 * ZONE_RADIUS / 3.0 * jnp.maximum(1.0 - away / ZONE_RADIUS, 0.0) ** 3
     return total
 
 
 def keep_out(
-    x: Array, y: Array, things: Forbidden, range_max: Array, area: Array
+    x: Array, y: Array, things: Zones, range_max: Array, area: Array
 ) -> tuple[Array, Array]:
     """Move positions out of the keep-out zones, if the object can be seen from outside.
 
@@ -124,8 +124,8 @@ def keep_out(
     for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
         offset_x, offset_y = x - at_x, y - at_y
         distance = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-12)
-        is_inside = (distance < ZONE) & (price > 0.0) & (range_max > RADIUS)
-        out_x, out_y = RADIUS * offset_x / distance, RADIUS * offset_y / distance
+        is_inside = (distance < ZONE_RADIUS) & (price > 0.0) & (range_max > CORNER_RADIUS)
+        out_x, out_y = CORNER_RADIUS * offset_x / distance, CORNER_RADIUS * offset_y / distance
         is_in_area = (at_x + out_x >= area[0]) & (at_x + out_x <= area[1])
         is_in_area &= (at_y + out_y >= area[2]) & (at_y + out_y <= area[3])
         side = jnp.where(is_in_area, 1.0, -1.0)
@@ -144,7 +144,7 @@ def safe_fraction(
 ) -> Array:
     """Choose the fraction of a step that is safe with respect to unseen forbidden objects, f32[].
 
-    It is the largest of ``_FRACTIONS`` that brings the robot within ``CLOSE`` of a forbidden object
+    It is the largest of ``_FRACTIONS`` that brings the robot within ``KEEP_AWAY`` of a forbidden object
     that one more observation would have revealed with probability at most ``risk``, else the
     smallest. Such an object is in cell c with probability s m(c) / Σ m, with s the probability of
     maps in which it is forbidden and unseen, and m the miss probability of the coverage map.
@@ -153,7 +153,7 @@ def safe_fraction(
 
     Args:
         belief: after the present look.
-        constraint: f32[R, N + 1, P], as for ``forbidden_objects``.
+        constraint: f32[R, N + 1, P], as for ``keep_out_zones``.
         robot: f32[] x and y, believed position, metres, map frame.
         step: f32[2], metres; the robot faces its direction of motion.
         sensor: range, opening angle, probability of detection.
@@ -169,7 +169,7 @@ def safe_fraction(
         """Compute the probability that one more observation reveals a newly close object, f32[]."""
         x, y, miss = x[None], y[:, None], jnp.exp(log_miss)
         away = jnp.hypot(x - robot_x - fraction * step[0], y - robot_y - fraction * step[1])
-        is_close = (away < CLOSE) & (away < jnp.hypot(x - robot_x, y - robot_y))
+        is_close = (away < KEEP_AWAY) & (away < jnp.hypot(x - robot_x, y - robot_y))
         visible = jnp.where(is_close & belief.terrain.view.sees(eye, x, y), miss, 0.0)
         return p_unseen * sensor.detection_probability * jnp.sum(visible) / jnp.sum(miss)
 

@@ -90,7 +90,7 @@ def _value(
     # Standing still gives no information: at the robot's own position only a_stop applies.
     is_away = situation.distance > jnp.where(is_object, situation.params.reach, ARRIVAL_RADIUS)
     # While the robot looks on for more candidates, it approaches no object.
-    is_open = open_nodes(nodes, situation.way).is_node & (~ask.looks_on | ~is_object)
+    is_open = open_nodes(nodes, situation.progress).is_node & (~ask.looks_on | ~is_object)
     return jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf), cost
 
 
@@ -133,7 +133,7 @@ def decide(
     _, first_x, first_y = select_row(route, index)
     mass = valuation.stop_mass
     is_confident = (mass >= params.stop_probability) & jnp.isfinite(mass)
-    doubt = replace(doubt, asks=doubt.asks & ~situation.stands)
+    doubt = replace(doubt, asks=doubt.asks & ~situation.is_still)
     is_goal = has_goal(situation.goals, to_x, to_y, params.reach, situation.belief.terrain.view)
     return Decision(
         waypoint_x=to_x,

@@ -2,7 +2,7 @@
 
 Vertices are the robot, the nodes, corners around each forbidden object, just outside its keep-out
 zone, and the midpoint of any two objects. An edge costs its length plus the cost of ``constraints``
-along it, an edge to a node also the cost of stopping there (``price_of_stop``).
+along it, an edge to a node also the cost of stopping there (``cost_at``).
 """
 
 import itertools
@@ -15,42 +15,42 @@ from jax import Array
 from jaxlangnav.numerics.batching import skip_unless_any
 from jaxlangnav.planner.blocked import open_nodes
 from jaxlangnav.planner.constraints import (
-    MAX_FORBIDDEN,
-    NUM_TURNS,
-    RADIUS,
-    Forbidden,
-    price_along,
-    price_of_stop,
+    MAX_ZONES,
+    NUM_CORNERS,
+    CORNER_RADIUS,
+    Zones,
+    cost_along,
+    cost_at,
 )
 from jaxlangnav.planner.graph import VISITED, Nodes
 from jaxlangnav.planner.situation import Situation
 from jaxlangnav.terrain import Eye
-from jaxlangnav.terrain.view import NEVER
+from jaxlangnav.terrain.view import LARGE
 
 _MAX_CORNERS = 12  # maximum number of corners of a path
 _ARRIVAL = 0.1  # metres from a corner within which it counts as reached
-_TURNS = np.linspace(0.0, 2.0 * np.pi, NUM_TURNS, endpoint=False, dtype=np.float32)
-_PAIRS = np.array(list(itertools.combinations(range(MAX_FORBIDDEN), 2))).T
+_TURNS = np.linspace(0.0, 2.0 * np.pi, NUM_CORNERS, endpoint=False, dtype=np.float32)
+_PAIRS = np.array(list(itertools.combinations(range(MAX_ZONES), 2))).T
 
 
-def _corners(things: Forbidden, situation: Situation) -> Nodes:
+def _corners(things: Zones, situation: Situation) -> Nodes:
     """Build the corners around objects and between them that are in the area and not reached."""
     first, second = _PAIRS
-    ring_x = things.x[:, None] + RADIUS * np.cos(_TURNS)[None]
-    ring_y = things.y[:, None] + RADIUS * np.sin(_TURNS)[None]
+    ring_x = things.x[:, None] + CORNER_RADIUS * np.cos(_TURNS)[None]
+    ring_y = things.y[:, None] + CORNER_RADIUS * np.sin(_TURNS)[None]
     x = jnp.append(ring_x, 0.5 * (things.x[first] + things.x[second]))
     y = jnp.append(ring_y, 0.5 * (things.y[first] + things.y[second]))
     is_active = things.price > 0.0
-    is_corner = jnp.append(jnp.repeat(is_active, NUM_TURNS), is_active[first] & is_active[second])
+    is_corner = jnp.append(jnp.repeat(is_active, NUM_CORNERS), is_active[first] & is_active[second])
     area = situation.belief.coverage.area
     is_corner &= (x >= area[0]) & (x <= area[1]) & (y >= area[2]) & (y <= area[3])
     squared = (x - situation.robot_x) ** 2 + (y - situation.robot_y) ** 2
     is_corner &= squared > _ARRIVAL**2
     nodes = Nodes(x=x, y=y, is_node=is_corner, kind=jnp.full(x.shape, VISITED))
-    return open_nodes(nodes, situation.way)
+    return open_nodes(nodes, situation.progress)
 
 
-def _shortest(x: Array, y: Array, spare: Array, things: Forbidden, situation: Situation) -> Array:
+def _shortest(x: Array, y: Array, spare: Array, things: Zones, situation: Situation) -> Array:
     """Compute shortest paths (Bellman-Ford), f32[3, A]: extra cost, first corner's x and y."""
     corners, terrain = _corners(things, situation), situation.belief.terrain
     num_corners = corners.x.shape[0]
@@ -63,11 +63,11 @@ def _shortest(x: Array, y: Array, spare: Array, things: Forbidden, situation: Si
     fraction = length / distance
     end_x, end_y = from_x + fraction * (to_x - from_x), from_y + fraction * (to_y - from_y)
     # A robot that stops in a keep-out zone has to leave it again.
-    stop = price_of_stop(end_x[:, num_corners:], end_y[:, num_corners:], things)
-    price = price_along(from_x, from_y, end_x, end_y, things).at[:, num_corners:].add(stop)
-    is_blocked = ~terrain.view.sees(Eye(from_x, from_y, jnp.float32(NEVER)), to_x, to_y)
+    stop = cost_at(end_x[:, num_corners:], end_y[:, num_corners:], things)
+    price = cost_along(from_x, from_y, end_x, end_y, things).at[:, num_corners:].add(stop)
+    is_blocked = ~terrain.view.sees(Eye(from_x, from_y, jnp.float32(LARGE)), to_x, to_y)
     is_blocked |= ~jnp.append(corners.is_node, jnp.ones(x.shape, bool))[None]
-    edge = jnp.where(is_blocked, NEVER, length + price)
+    edge = jnp.where(is_blocked, LARGE, length + price)
 
     def relax(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         """Relax the edges between corners."""
@@ -101,7 +101,7 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> tuple[Arr
     is_active = jnp.broadcast_to(jnp.any(things.price > 0.0), x.shape)
     targets = jnp.stack([x, y, spare])
 
-    def solve(records: tuple[Array, Forbidden]) -> Array:
+    def solve(records: tuple[Array, Zones]) -> Array:
         (x, y, spare), things = records
         return _shortest(x, y, spare, things, situation)
 

@@ -43,7 +43,7 @@ def qmdp_value(situation: Situation) -> Valuation:
 
 
 @dataclasses.dataclass(frozen=True)
-class Keeping(Policy):
+class WaypointKeeping(Policy):
     """Policy that values the paper's nodes by a function, and keeps its waypoint while valid.
 
     Its memory is the current waypoint.
@@ -80,7 +80,7 @@ class Keeping(Policy):
 
 
 @dataclasses.dataclass(frozen=True)
-class Faithful(Keeping):
+class Faithful(WaypointKeeping):
     """The paper's policy."""
 
     value: Callable[[Situation], Valuation] = qmdp_value

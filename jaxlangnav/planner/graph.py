@@ -39,13 +39,13 @@ class Visited:
     count: Array  # i32[] number of positions added so far
 
 
-def nowhere(num_visited: int) -> Visited:
+def empty_visited(num_visited: int) -> Visited:
     """Build the empty ring buffer of visited positions."""
     zero = jnp.zeros(num_visited, jnp.float32)
     return Visited(x=zero, y=zero, is_node=jnp.zeros(num_visited, bool), count=jnp.int32(0))
 
 
-def visit(visited: Visited, x: Array, y: Array, spacing: Array) -> Visited:
+def add_visited(visited: Visited, x: Array, y: Array, spacing: Array) -> Visited:
     """Add the robot's position f32[] as a node unless one is nearer than ``spacing`` metres.
 
     A full buffer overwrites its oldest node.

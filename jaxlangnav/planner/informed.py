@@ -60,7 +60,7 @@ class Informed(Policy):
 
     def init(self, belief: ParticleBelief) -> Tour:
         """Begin without a tour."""
-        return tours.no_tour(belief.last_pose[0], belief.last_pose[1])
+        return tours.start_tour(belief.last_pose[0], belief.last_pose[1])
 
     def step(self, key: Array, memory: Tour, situation: Situation) -> tuple[Tour, Decision]:
         """Improve the current tour, then go to its first stop or to the goal."""
@@ -77,11 +77,11 @@ class Informed(Policy):
         target = replace(target, nowhere=probs.nowhere, forbidden=situation.forbidden)
         robot, area = (situation.robot_x, situation.robot_y), belief.coverage.area
         plan = tours.plan(key, memory, target, *robot, situation.sensor, area)
-        decision = decide_on(situation, plan, probs)
+        decision = decide_tour(situation, plan, probs)
         return tours.best_tour(plan, decision.value), decision
 
 
-def decide_on(situation: Situation, plan: tours.Plan, probs: Presence) -> Decision:
+def decide_tour(situation: Situation, plan: tours.Plan, probs: Presence) -> Decision:
     """Decide among the first stops of tours and the common nodes."""
     stop_x, stop_y = plan.tours.x[:, 0], plan.tours.y[:, 0]
     nodes = graph.prepend_nodes(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
@@ -95,7 +95,7 @@ def decide_on(situation: Situation, plan: tours.Plan, probs: Presence) -> Decisi
         may_ask=situation.may_ask,
     )
     plan = replace(plan, anchored=jnp.where(doubt.looks_on, jnp.inf, plan.anchored))
-    valuation, is_sure, is_not_found = judge(situation, plan, probs)
+    valuation, is_sure, is_not_found = assess(situation, plan, probs)
     # While looking on, observed objects have no value, or the robot could oscillate.
     goal_value = jnp.where(doubt.looks_on, 0.0, valuation.goal_value)
     valuation = replace(valuation, goal_value=goal_value)
@@ -103,7 +103,7 @@ def decide_on(situation: Situation, plan: tours.Plan, probs: Presence) -> Decisi
     return replace(decision, is_stop=decision.is_stop & is_sure, is_not_found=is_not_found)
 
 
-class Judgement(NamedTuple):
+class Assessment(NamedTuple):
     """The policy's assessment of a situation."""
 
     valuation: Valuation
@@ -111,7 +111,7 @@ class Judgement(NamedTuple):
     is_not_found: Array  # bool[] the search is exhausted, and there is no goal
 
 
-def judge(situation: Situation, plan: tours.Plan, probs: Presence) -> Judgement:
+def assess(situation: Situation, plan: tours.Plan, probs: Presence) -> Assessment:
     """Value first stops of tours by their information rate, until the goal is settled.
 
     The information value of a tour is the mass still to be found divided by the metres until it
@@ -158,4 +158,4 @@ def judge(situation: Situation, plan: tours.Plan, probs: Presence) -> Judgement:
         information_value=jnp.concatenate([plan.mass / (1.0 + metres), zeros]),
         stop_mass=jnp.where(is_enough, jnp.maximum(mass_here, params.stop_probability), mass_here),
     )
-    return Judgement(valuation, is_sure, is_finished & has_no_fit)
+    return Assessment(valuation, is_sure, is_finished & has_no_fit)

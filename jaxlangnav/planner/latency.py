@@ -29,11 +29,11 @@ from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics.batching import materialize
-from jaxlangnav.planner.constraints import price_of_stop
+from jaxlangnav.planner.constraints import cost_at
 from jaxlangnav.planner.search import SearchMap
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import OPEN, Terrain
-from jaxlangnav.terrain.view import NEVER, Stretch
+from jaxlangnav.terrain.view import LARGE, Segment
 
 NUM_STOPS = 6
 """K, stops of a tour."""
@@ -69,7 +69,7 @@ def first_sight(
     """Compute the distance, f32[T, C] metres, after which each tour first views each position.
 
     Also f32[T] metres, the whole length of each tour. Limits: 0 for a position already in view;
-    ``NEVER`` or more for one that never is.
+    ``LARGE`` or more for one that never is.
 
     Args:
         tours: leaves [T, K].
@@ -87,7 +87,7 @@ def first_sight(
     length = terrain.travel.metres(from_x, from_y, tours.x, tours.y)
     walked = jnp.cumsum(length, axis=1)
     # All segments of all tours against all positions, [T, K, C].
-    stretch = Stretch(from_x, from_y, tours.x, tours.y)
+    stretch = Segment(from_x, from_y, tours.x, tours.y)
     offset = terrain.travel.first_sight(terrain.view, stretch, x, y, radius, opening)
     sight_at = (walked - length)[:, :, None] + offset
     first = sight_at[:, 0]
@@ -151,22 +151,22 @@ def latency(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
     if search.forbidden is not None:  # cells that a tour misses have to be entered
-        away = away + price_of_stop(search.x, search.y, search.forbidden)[None]
+        away = away + cost_at(search.x, search.y, search.forbidden)[None]
     mass = search.mass
     # Cells of negligible mass are not worth a detour.
     counts = (mass > 0.1 * jnp.mean(mass))[None, :]
-    never_seen = (either >= NEVER) & counts
+    never_seen = (either >= LARGE) & counts
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(never_seen, axis=1) * cell / (4.0 * half_width)
     rest = (walked + sweep)[:, None] + away
-    cost_unanchored = search.unanchored[None, :] * jnp.where(either < NEVER, either, rest)
-    cost_anchored = search.anchored[None, :] * jnp.where(anchored < NEVER, anchored, rest)
+    cost_unanchored = search.unanchored[None, :] * jnp.where(either < LARGE, either, rest)
+    cost_anchored = search.anchored[None, :] * jnp.where(anchored < LARGE, anchored, rest)
     total = jnp.sum(cost_unanchored + cost_anchored, axis=1)
-    is_missed = (anchored >= NEVER) & counts
+    is_missed = (anchored >= LARGE) & counts
     missed = jnp.sum(is_missed, axis=1)
     leg = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(missed, 1)
     rest = walked + leg + missed * cell / (2.0 * half_width) + _patch_travel(is_missed, area)
     full = jnp.where(missed > 0, rest, jnp.max(jnp.where(counts, anchored, 0.0), axis=1))
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * full
     is_at_first = is_reached(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y)
-    return total + jnp.where(is_at_first, NEVER, 0.0)
+    return total + jnp.where(is_at_first, LARGE, 0.0)

@@ -130,5 +130,5 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
             "dtypes must stay as its init makes them"
         )
     is_stop = decision.is_stop & situation.may_stop & ~decision.doubt.asks
-    is_not_found = decision.is_not_found & ~is_stop & ~situation.stands & ~decision.doubt.asks
+    is_not_found = decision.is_not_found & ~is_stop & ~situation.is_still & ~decision.doubt.asks
     return strong_types(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)

@@ -11,7 +11,7 @@ from jax import Array
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.numerics.batching import materialize, skip_unless_any
 from jaxlangnav.planner import prior
-from jaxlangnav.planner.constraints import Forbidden
+from jaxlangnav.planner.constraints import Zones
 from jaxlangnav.planner.relevance import groups
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -41,7 +41,7 @@ class SearchMap:
     partner_y: Array  # f32[C]
     unseen: Array  # f32[] probability that a target placed as described would still be unseen
     terrain: Terrain = OPEN  # lines of sight and travel distances
-    forbidden: Forbidden | None = None  # keep-out zones
+    forbidden: Zones | None = None  # keep-out zones
     nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, no such object (``termination``)
     missed: Array | np.float32 = np.float32(0.0)  # f32[] mean miss probability over the area
     elsewhere: Array | np.float32 = np.float32(0.0)  # f32[C] relocation density

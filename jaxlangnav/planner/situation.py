@@ -4,7 +4,7 @@ from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.planner.blocked import ProgressMonitor
-from jaxlangnav.planner.constraints import Forbidden, forbidden_objects
+from jaxlangnav.planner.constraints import Zones, keep_out_zones
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import PlannerParams
@@ -27,12 +27,12 @@ class Situation:
     robot_x: Array  # f32[] believed position
     robot_y: Array  # f32[]
     sensor: SensorParams  # sensing range and field of view
-    way: ProgressMonitor  # waypoints that have been given up as unreachable
+    progress: ProgressMonitor  # waypoints that have been given up as unreachable
     may_ask: Array  # bool[] the user has not asked it to choose by itself
     has_chosen: Array  # bool[] it has approached an object for this task, or is on its way
     is_find: Array  # f32[] probability of the action "find": stop once the goal is in view
     is_news: Array  # bool[] a new object or utterance in this step
-    stands: Array  # bool[] it does not move, whatever is decided: halted, finished, or at a fault
+    is_still: Array  # bool[] it does not move: halted, idle, finished, or at a fault
     may_stop: Array  # bool[] an observed object that may be the goal is within reach
     params: PlannerParams
     map_params: MapParams
@@ -45,10 +45,10 @@ class Situation:
         return self.sensor.range_max
 
     @property
-    def forbidden(self) -> Forbidden:
+    def forbidden(self) -> Zones:
         """Objects to keep away from, with their keep-out zones."""
         here, cost = (self.robot_x, self.robot_y), self.params.constraint_cost
-        return forbidden_objects(self.belief, self.constraint, *here, cost)
+        return keep_out_zones(self.belief, self.constraint, *here, cost)
 
     @property
     def wanted(self) -> ParticleBelief:

@@ -15,7 +15,7 @@ from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
-from jaxlangnav.planner.constraints import keep_out, price_of_stop
+from jaxlangnav.planner.constraints import keep_out, cost_at
 from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_reached, latency
 from jaxlangnav.planner.search import LATTICE, SearchMap, grid, visibility
 from jaxlangnav.pytree import pytree
@@ -53,7 +53,7 @@ def greedy(
     return Tour(x=view_x[chosen], y=view_y[chosen])
 
 
-def change(key: Array, tour: Tour, search: SearchMap, area: Array) -> Tour:
+def random_moves(key: Array, tour: Tour, search: SearchMap, area: Array) -> Tour:
     """Apply NUM_CHANGES random moves to a tour, leaves [K], each to a copy: [NUM_CHANGES, K].
 
     New stops are sampled from the mass, and clipped to the area f32[4].
@@ -109,7 +109,7 @@ def best_tour(plan: Plan, value: Array) -> Tour:
     return Tour(x=plan.tours.x[index], y=plan.tours.y[index])
 
 
-def no_tour(x: Array, y: Array) -> Tour:
+def start_tour(x: Array, y: Array) -> Tour:
     """Build the tour of a robot that has not planned yet: all stops where it stands."""
     return Tour(x=jnp.full(NUM_STOPS, x), y=jnp.full(NUM_STOPS, y))
 
@@ -161,7 +161,7 @@ def plan(
         tours, cost = carry
         idx = jnp.argmin(cost)
         best = Tour(x=tours.x[idx], y=tours.y[idx])
-        changed = change(keys[index - 1], best, search, area)
+        changed = random_moves(keys[index - 1], best, search, area)
         tried = jax.tree.map(lambda a, b: jnp.where(index == 0, a, b), first, changed)
         if search.forbidden is not None:
             is_out = jnp.where(index == 0, np.arange(NUM_CHANGES) > 0, _IS_KEPT_OUT)[:, None]
@@ -169,7 +169,7 @@ def plan(
             tried = Tour(x=jnp.where(is_out, x, tried.x), y=jnp.where(is_out, y, tried.y))
         new_cost = latency(tried, search, robot_x, robot_y, sensor, area)
         if search.forbidden is not None:
-            stop_cost = jnp.sum(price_of_stop(tried.x, tried.y, search.forbidden), axis=1)
+            stop_cost = jnp.sum(cost_at(tried.x, tried.y, search.forbidden), axis=1)
             new_cost = new_cost + jnp.sum(search.mass) * stop_cost
         return _prepend(best, tried), jnp.append(cost[idx], new_cost)
 

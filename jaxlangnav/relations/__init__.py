@@ -20,7 +20,7 @@ from jaxlangnav.relations.strength import (
     degree as degree,
     holds as holds,
     is_on_side as is_on_side,
-    is_so as is_so,
+    holds_at as holds_at,
 )
 from jaxlangnav.relations.table import (
     REGISTRY as REGISTRY,

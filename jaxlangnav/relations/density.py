@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.relations.table import ROW, ReferenceFrame, RelationParams, to_frame
+from jaxlangnav.relations.table import ROW_OF, ReferenceFrame, RelationParams, to_frame
 
 NUM_QUANTILES = 256
 """Resolution of the tabulated von Mises quantile function used for sampling."""
@@ -91,7 +91,7 @@ def density_of(model: RelationModel, relation: ArrayLike) -> Density:
     """Look up the density parameters f32[...] of relations by index, i32[...]."""
     names = [field.name for field in dataclasses.fields(Density) if field.name != "has_range"]
     # A single gather, whose gradient is a single scatter.
-    fields = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(ROW)[relation]]
+    fields = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(ROW_OF)[relation]]
     fields = dict(zip(names, jnp.unstack(fields), strict=True))
     return Density(**fields, has_range=jnp.ones_like(fields["log_distance"]))
 
@@ -186,7 +186,7 @@ def sample_pdf(
     lower = jnp.clip(position.astype(jnp.int32), 0, NUM_QUANTILES - 1)
     fraction = position - lower
     table = model.angle_quantile.reshape(-1)
-    cell = jnp.asarray(ROW)[relation] * (NUM_QUANTILES + 1) + lower
+    cell = jnp.asarray(ROW_OF)[relation] * (NUM_QUANTILES + 1) + lower
     angle = table[cell] * (1.0 - fraction) + table[cell + 1] * fraction
     angle = jnp.where(normal_angle < 0.0, -angle, angle)
     cosine, sine = jnp.cos(angle), jnp.sin(angle)

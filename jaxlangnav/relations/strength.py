@@ -43,7 +43,7 @@ def degree(relation: ArrayLike, distance: Values, sideways: Values) -> Values:
     return by_distance * distance + by_side * sideways
 
 
-def num_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
+def count_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
     """Count the rivals that rank before each figure, i[..., n] (host only): 0 for the first.
 
     By f[..., n] of ``degree``, and bool[..., n, n], figure and who is compared with it.
@@ -52,7 +52,7 @@ def num_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
     return (is_ahead & is_rival).sum(-1)
 
 
-def value_of_rank(rank: Array, values: Array, *, tie: float) -> Array:
+def kth_smallest(rank: Array, values: Array, *, tie: float) -> Array:
     """Find the rank-th smallest over the first axis; ∞ if fewer, or the rank is too large.
 
     Args:
@@ -82,7 +82,7 @@ def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Referen
     return (backward * cosine + leftward * sine > 0) | is_ring
 
 
-def is_so(relation: ArrayLike, along: Array, lateral: Array, *, has_range: ArrayLike) -> Array:
+def holds_at(relation: ArrayLike, along: Array, lateral: Array, *, has_range: ArrayLike) -> Array:
     """Test whether a relation holds at an offset, by the same rule everywhere in the package.
 
     Directed relations hold within 45 degrees of their axis and 5 m of the landmark, "near"
@@ -109,7 +109,7 @@ def holds(
     viewer: ArrayLike,
     heading: float | None = None,
 ) -> Array:
-    """Test whether a relation holds between positions: ``is_so`` in its frame, bool[...].
+    """Test whether a relation holds between positions: ``holds_at`` in its frame, bool[...].
 
     Args:
         relation: relation index in [0, 6).
@@ -125,4 +125,4 @@ def holds(
         frame = robot_frame(jnp.asarray(heading, jnp.float32))
     x, y = figure[..., 0] - landmark[..., 0], figure[..., 1] - landmark[..., 1]
     along, lateral = to_frame(frame, x, y)
-    return is_so(relation, along, lateral, has_range=heading is None or relation not in SIDES)
+    return holds_at(relation, along, lateral, has_range=heading is None or relation not in SIDES)

@@ -50,18 +50,18 @@ REGISTRY = (
 SIDES = tuple(index for index, one in enumerate(REGISTRY) if one.axis is not None)
 """Relations with an axis: of the robot itself they are its sides."""
 ORDERS = tuple(index for index, one in enumerate(REGISTRY) if one.order)
-SYMBOL = tuple(i if one.symbol is None else one.symbol for i, one in enumerate(REGISTRY))
+SYMBOL_OF = tuple(i if one.symbol is None else one.symbol for i, one in enumerate(REGISTRY))
 """Annotation symbol of each relation."""
 MODELLED = [i for i, one in enumerate(REGISTRY) if one.num_landmarks == 1 and i != AT]
 """Relations with a row in ``RelationParams``: the six of section 3.1, and what is added."""
-ROW = [MODELLED.index(i if i in MODELLED else NEAR) for i in range(len(REGISTRY))]
+ROW_OF = [MODELLED.index(i if i in MODELLED else NEAR) for i in range(len(REGISTRY))]
 NUM_RANKS = 4
 """Number of ranks: nearest (first), second, third, fourth."""
 
 
 def symbol_of(relation: Array) -> Array:
     """Look up the annotation symbols of relations, i32[...]; NONE stays."""
-    return jnp.where(relation < 0, relation, jnp.asarray(SYMBOL, jnp.int32)[relation])
+    return jnp.where(relation < 0, relation, jnp.asarray(SYMBOL_OF, jnp.int32)[relation])
 
 
 @pytree

@@ -20,7 +20,7 @@ from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import append_axes, prepend_axes
 from jaxlangnav.semantic_map.counts import raise_existence
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.terrain import POSITIONS, SensorModel
+from jaxlangnav.terrain import RANGING, SensorModel
 
 MIN_LOG_NEW = -30.0
 """Lower bound of the log miss probability of a new object, so that no weight becomes zero."""
@@ -46,7 +46,7 @@ class ClutterOdds(NamedTuple):
 
 
 def clutter_odds(
-    sensor: SensorParams, num_types: Array, model: SensorModel = POSITIONS
+    sensor: SensorParams, num_types: Array, model: SensorModel = RANGING
 ) -> ClutterOdds:
     """Compute the odds of clutter and confusion of a sensor; −∞ where it has none.
 
@@ -91,7 +91,7 @@ def associate(
     doubt: ClutterOdds | None = None,
     *,
     is_pooled: bool = False,
-    model: SensorModel = POSITIONS,
+    model: SensorModel = RANGING,
 ) -> Association:
     """Sample for each detection an existing object or a new one (eq. 7b).
 

@@ -15,7 +15,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief, is_active, mean_drift, robot_position
 from jaxlangnav.semantic_map.gating import GatedStep, gate
 from jaxlangnav.semantic_map.heading_bias import switch_bias_hypothesis
-from jaxlangnav.semantic_map.motion import with_drift
+from jaxlangnav.semantic_map.motion import correct_heading
 from jaxlangnav.semantic_map.unreferenced_objects import add_bystanders, exchange, split_by_type
 
 Change = Callable[[ParticleBelief, GatedStep], tuple[ParticleBelief, GatedStep]]
@@ -61,7 +61,7 @@ def _add_bystanders(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleB
         squared = (particles.mean_x[-1] - mean[0]) ** 2 + (particles.mean_y[-1] - mean[1]) ** 2
         variance = variance + 0.5 * squared
     robot = *mean, jnp.sum(weight * variance)
-    seen = with_drift(belief, gated.others)
+    seen = correct_heading(belief, gated.others)
     updated, num_lost = add_bystanders(belief.bystanders, seen, robot)
     return replace(belief, bystanders=updated), gated._replace(num_lost=num_lost)
 

@@ -12,7 +12,7 @@ from jax import Array
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain import POSITIONS, Eye, SensorModel, View
+from jaxlangnav.terrain import RANGING, Eye, SensorModel, View
 
 LOG_MISS_FLOOR = -30.0
 _GOLDEN = 0.6180339887
@@ -56,7 +56,7 @@ def area_size(coverage: Coverage) -> Array:
 
 
 def add_view(
-    coverage: Coverage, eye: Eye, sensor: SensorParams, view: View, model: SensorModel = POSITIONS
+    coverage: Coverage, eye: Eye, sensor: SensorParams, view: View, model: SensorModel = RANGING
 ) -> Coverage:
     """Add one observation: the log-probability of no detection is added to every cell."""
     centre_x, centre_y = cell_centres(coverage)

@@ -31,7 +31,7 @@ from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.proposal.sparse_regrounding import Regrounded, reground
 from jaxlangnav.semantic_map.proposal.utterance import ground_words
 from jaxlangnav.semantic_map.unreferenced_objects import no_bystanders
-from jaxlangnav.terrain import OPEN, POSITIONS, SensorModel, Terrain
+from jaxlangnav.terrain import OPEN, RANGING, SensorModel, Terrain
 
 _RANGE_KEY = 1  # folded into the detections' key to draw ranges that are not measured
 
@@ -60,7 +60,7 @@ def start(
     config: MapConfig,
     num_types: int = MAX_LABELS,
     terrain: Terrain = OPEN,
-    sensor_model: SensorModel = POSITIONS,
+    sensor_model: SensorModel = RANGING,
 ) -> ParticleBelief:
     """Build the initial belief of a robot that has observed nothing.
 

@@ -52,7 +52,7 @@ def is_pose(pose: Array, area: Array) -> Array:
     return is_in_area & _is_between(pose[2], -MAX_HEADING, MAX_HEADING)
 
 
-def check_place(pose: Sequence[float], area: Sequence[float]) -> None:
+def check_start(pose: Sequence[float], area: Sequence[float]) -> None:
     """Raise a ValueError if the operating area or the start pose is invalid (host only)."""
     with np.errstate(over="ignore"):
         bounds, start = (jnp.asarray(np.array(v, float), jnp.float32) for v in (area, pose))

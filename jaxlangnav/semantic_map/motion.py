@@ -3,7 +3,7 @@
 Without a compass the heading is dead-reckoned, too, and drifts. The drift rotates all later motion
 and observations, which is not Gaussian: every particle samples its own drift, and is weighted by
 objects observed again (FastSLAM; Montemerlo et al. 2002). Observations are given in the mean
-heading; ``headings`` has the heading of each particle.
+heading; ``particle_headings`` has the heading of each particle.
 """
 
 import jax
@@ -40,7 +40,7 @@ def predict(
     variance, particles = (noise_ratio**2) * squared, belief.particles
     if noise is not None:
         distance, turn = jnp.sqrt(squared), wrapped(pose[2] - belief.last_pose[2])
-        drift = drifted(particles.drift, distance, turn, noise, motion=params.motion)
+        drift = add_drift(particles.drift, distance, turn, noise, motion=params.motion)
         # The mean drift over the step.
         mid_drift = 0.5 * (particles.drift[:1] + drift[:1])
         step_x, step_y = rotated(step_x, step_y, mid_drift)
@@ -56,19 +56,19 @@ def drift_noise(key: Array, belief: ParticleBelief) -> Array | None:
     return jax.random.normal(jax.random.fold_in(key, _DRIFT_KEY), belief.log_weight.shape)
 
 
-def with_drift(belief: ParticleBelief, observation: Observation) -> Observation:
+def correct_heading(belief: ParticleBelief, observation: Observation) -> Observation:
     """Correct the heading of an observation by the mean drift."""
     drift, pose = mean_drift(belief), observation.pose
     return observation if drift is None else replace(observation, pose=pose.at[2].add(drift))
 
 
-def headings(belief: ParticleBelief, heading: Array) -> Array:
+def particle_headings(belief: ParticleBelief, heading: Array) -> Array:
     """Compute the robot's heading in each particle, f32[] or f32[1, P], given the mean."""
     drift = mean_drift(belief)
     return heading if drift is None else heading + belief.particles.drift[:1] - drift
 
 
-def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: MotionParams) -> Array:
+def add_drift(drift: Array, way: Array, turn: Array, noise: Array, *, motion: MotionParams) -> Array:
     """Sample the heading error of odometry after a motion.
 
         e' = e + b ζ s + √(σ² s + τ² |φ|) ε

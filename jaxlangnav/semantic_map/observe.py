@@ -23,7 +23,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.counts import log_expected, log_exposure, lower_existence, unseen_frac
 from jaxlangnav.semantic_map.coverage import area_size
 from jaxlangnav.semantic_map.heading_bias import log_miss_at_offset, update_coverage
-from jaxlangnav.semantic_map.motion import headings, with_drift
+from jaxlangnav.semantic_map.motion import particle_headings, correct_heading
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 from jaxlangnav.semantic_map.update import condition, log_absence
@@ -66,7 +66,7 @@ def observe(
         params: traced parameters.
         num_pooled: see ``ground_words``.
     """
-    prior_map, observation = belief.particles, with_drift(belief, observation)
+    prior_map, observation = belief.particles, correct_heading(belief, observation)
     sensor, model, clutter = observation.sensor, belief.sensor_model, None
     if prior_map.existence.shape[0] > 0:  # the sensor's probability is of right labels
         prob_correct = sensor.detection_probability * (1.0 - sensor.mislabelled)
@@ -86,7 +86,7 @@ def observe(
     coverage, alternate_miss = update_coverage(belief, observation, sensor)
     exposure = log_exposure_of(unseen_frac(coverage)) - log_exposure_before
     belief = replace(belief, coverage=coverage, alternate_miss=alternate_miss)
-    heading, softness = headings(belief, observation.pose[2]), 2.5 * params.kernel + 1e-3
+    heading, softness = particle_headings(belief, observation.pose[2]), 2.5 * params.kernel + 1e-3
     log_objects, log_hypotheses, existence = log_absence(
         belief.particles, associated.is_hit, heading, softness, sensor, belief.terrain.view, model
     )

@@ -12,7 +12,7 @@ from jaxlangnav.numerics.batching import lookup
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.association import Association
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.terrain import POSITIONS, SensorModel
+from jaxlangnav.terrain import RANGING, SensorModel
 from jaxlangnav.terrain.view import View, eye_of
 
 
@@ -20,7 +20,7 @@ def condition(
     particle: SemanticMap,
     association: Association,
     sensor: SensorParams,
-    model: SensorModel = POSITIONS,
+    model: SensorModel = RANGING,
 ) -> SemanticMap:
     """Condition the Gaussian on the grounded detections: exact, one scalar update for each.
 
@@ -76,7 +76,7 @@ def log_absence(
     softness: Array,
     sensor: SensorParams,
     view: View,
-    model: SensorModel = POSITIONS,
+    model: SensorModel = RANGING,
 ) -> tuple[Array, Array, Array]:
     """Compute the likelihood of missed objects: negative information (eq. 8).
 

@@ -19,7 +19,7 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.inputs.object_types import noun_of
 from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, ROBOT
-from jaxlangnav.relations.table import REGISTRY, SYMBOL
+from jaxlangnav.relations.table import REGISTRY, SYMBOL_OF
 from jaxlangnav.task.labelled import MIN_MEANT_PROB, TIE_RATIO, Meaning
 
 _TOLERANCE = 0.01
@@ -140,12 +140,12 @@ def _world(reading: FormReading) -> World:
     figures = dict.fromkeys(reading.types[edge.figure] for edge in reading.relations)
     types, related, ranked = [*reading.types, *figures], [], []
     for figure, relation, landmark, rank in reading.relations:
-        edge = SYMBOL[relation], figure, len(types) if landmark == ROBOT else landmark
+        edge = SYMBOL_OF[relation], figure, len(types) if landmark == ROBOT else landmark
         converse = REGISTRY[relation].converse
         if rank == 0 or relation == NEAR:
             related.append(edge)
         if rank > 0:  # all ranks above 1 share one table
             ranked.append((min(rank, 2) - 1, *edge))
         elif converse is not None and landmark != ROBOT:
-            related.append((SYMBOL[converse], landmark, figure))
+            related.append((SYMBOL_OF[converse], landmark, figure))
     return World.of_edges([*types, ROBOT], related, ranked)

@@ -29,7 +29,7 @@ from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorParams, NavigatorState
-from jaxlangnav.navigator.candidates import Candidate, candidates, thing_at
+from jaxlangnav.navigator.candidates import Candidate, candidates, object_at
 from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import PERSONS, Person, PersonParams, Says, params_of, unspoken
@@ -182,7 +182,7 @@ class Speech:
                 text=text,
                 kind=str(outcome.kind),
                 speaker=speaker,
-                ruled_out=tuple(thing_at(before, slot, names) for slot in outcome.ruled_out),
+                ruled_out=tuple(object_at(before, slot, names) for slot in outcome.ruled_out),
                 notes=outcome.notes,
                 scene=self._updated_scene(before, after),
             )

@@ -6,7 +6,7 @@ program; the open field has no arrays at all, and costs nothing.
 """
 
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain.sensor_model import POSITIONS, SensorModel
+from jaxlangnav.terrain.sensor_model import RANGING, SensorModel
 from jaxlangnav.terrain.view import Eye, OpenField, StraightLines, Travel, View
 
 __all__ = [

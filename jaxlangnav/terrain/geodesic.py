@@ -14,7 +14,7 @@ from jax import Array
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import Terrain
-from jaxlangnav.terrain.view import NEVER, Eye, StraightLines, Stretch, View
+from jaxlangnav.terrain.view import LARGE, Eye, StraightLines, Segment, View
 from jaxlangnav.terrain.walls import Walls, walls
 
 CLEARANCE = 0.2
@@ -30,17 +30,17 @@ class Geodesic:
     walls: Walls
     turn_x: Array  # f32[K] metres, map frame: points just past the ends
     turn_y: Array  # f32[K]
-    between: Array  # f32[K, K] metres from turn to turn; ``NEVER`` if there is no path
+    between: Array  # f32[K, K] metres from turn to turn; ``LARGE`` if there is no path
 
     def metres(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
         """Compute the length of the shortest path among the walls, f32[...] metres.
 
-        Limits: with no wall in between the straight line; ``NEVER`` or more if there is no path.
+        Limits: with no wall in between the straight line; ``LARGE`` or more if there is no path.
         """
         line = StraightLines().metres(from_x, from_y, to_x, to_y)
         first, last = self._to_turns(from_x, from_y), self._to_turns(to_x, to_y)
         # Without walls there are no turns, and the minimum is over nothing.
-        none = 4.0 * NEVER
+        none = 4.0 * LARGE
         via_turns = first[..., :, None] + prepend_axes(self.between, first.ndim + 1)
         reached = prepend_axes(jnp.min(via_turns, axis=-2, initial=none), line.ndim + 1)
         around = jnp.min(reached + prepend_axes(last, line.ndim + 1), axis=-1, initial=none)
@@ -59,13 +59,13 @@ class Geodesic:
         total = first + self.metres(self.turn_x, self.turn_y, to_x, to_y)
         best = jnp.argmin(total + jnp.where(first < _ARRIVAL, _ARRIVAL, 0.0))
         is_blocked = self.walls.is_between(from_x, from_y, to_x, to_y)
-        turns = is_blocked & (total[best] < NEVER)
+        turns = is_blocked & (total[best] < LARGE)
         return jnp.where(turns, self.turn_x[best], to_x), jnp.where(turns, self.turn_y[best], to_y)
 
     def first_sight(
         self,
         view: View,
-        stretch: Stretch,
+        stretch: Segment,
         x: Array,
         y: Array,
         radius: Array,
@@ -77,17 +77,17 @@ class Geodesic:
         eye = Eye(stretch.to_x[..., None], stretch.to_y[..., None], radius)
         axes = (1,) * (path.ndim - 1)
         at_end = view.sees(eye, x.reshape(*axes, -1), y.reshape(*axes, -1))
-        at_end_only = jnp.where(at_end, path, NEVER)
+        at_end_only = jnp.where(at_end, path, LARGE)
         return jnp.where(
             path > line + _DETOUR, at_end_only, view.first_sight(stretch, x, y, radius, opening)
         )
 
     def _to_turns(self, x: Array, y: Array) -> Array:
-        """Compute the straight distances to all turns, f32[..., K]; ``NEVER`` if occluded."""
+        """Compute the straight distances to all turns, f32[..., K]; ``LARGE`` if occluded."""
         point = jnp.asarray(x)[..., None], jnp.asarray(y)[..., None]
         turns = [prepend_axes(turn, point[0].ndim) for turn in (self.turn_x, self.turn_y)]
         line = StraightLines().metres(*point, *turns)
-        return jnp.where(self.walls.is_between(*point, *turns), NEVER, line)
+        return jnp.where(self.walls.is_between(*point, *turns), LARGE, line)
 
 
 @jax.jit
@@ -101,13 +101,13 @@ def geodesic(walls: Walls) -> Geodesic:
     y = jnp.concatenate([one_y - past_y, other_y + past_y])
     line = StraightLines().metres(x[:, None], y[:, None], x[None], y[None])
     is_blocked = walls.is_between(x[:, None], y[:, None], x[None], y[None])
-    start = jnp.where(is_blocked, NEVER, line)
+    start = jnp.where(is_blocked, LARGE, line)
 
     def through(turn: int, lengths: Array) -> Array:
         return jnp.minimum(lengths, lengths[:, turn][:, None] + lengths[turn][None])
 
     lengths = jax.lax.fori_loop(0, x.size, through, start) if x.size else start
-    between = jnp.minimum(lengths, NEVER)
+    between = jnp.minimum(lengths, LARGE)
     return Geodesic(walls=walls, turn_x=x, turn_y=y, between=between)
 
 

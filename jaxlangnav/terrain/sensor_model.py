@@ -73,4 +73,4 @@ class SensorModel:
         return probability * view.share(eye, x, y, softness)
 
 
-POSITIONS = SensorModel()
+RANGING = SensorModel()

@@ -12,9 +12,9 @@ from jax import Array
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.pytree import pytree
 
-NEVER = 1e9
+LARGE = 1e9
 """Metres that stand for infinity: a point that never comes into view, a missing path."""
-GLANCE = 0.5
+MIN_SIGHT = 0.5
 """Metres of path on which a point must stay in a narrow view to count as observed."""
 
 
@@ -33,7 +33,7 @@ def eye_of(x: Array, y: Array, heading: Array, sensor: SensorParams) -> Eye:
     return Eye(x, y, sensor.range_max, heading, sensor.field_of_view)
 
 
-class Stretch(NamedTuple):
+class Segment(NamedTuple):
     """Straight segments of a path, metres, map frame."""
 
     from_x: Array  # f32[...]
@@ -57,16 +57,16 @@ class View(Protocol):
         ...
 
     def first_sight(
-        self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, stretch: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
         """Compute the distance along straight segments [...] after which points [C] are in view.
 
         The robot faces its motion, with field of view ``opening``, f32[] radians; None: all round.
-        f32[..., C] metres; ``NEVER`` where they do not.
+        f32[..., C] metres; ``LARGE`` where they do not.
         """
         ...
 
-    def clear_share(self, stretch: Stretch, clearance: float) -> Array | None:
+    def clear_share(self, stretch: Segment, clearance: float) -> Array | None:
         """Compute the collision-free fraction of straight segments, f32[...]; None: all free."""
         ...
 
@@ -105,14 +105,14 @@ class OpenField:
         return beyond(distance, bearing, eye.range_max, eye.field_of_view) <= 1e-6 * distance
 
     def first_sight(
-        self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, stretch: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
         """Compute the distance along segments after which points are within a radius and in view.
 
         A point ``aside`` of the way leaves a view of half-angle h at ``aside / tan h`` before it
-        is passed. It counts where it stays in view for ``GLANCE`` metres: looks are a step apart.
+        is passed. It counts where it stays in view for ``MIN_SIGHT`` metres: looks are a step apart.
 
-        Limits: 0 where one already is; ``NEVER`` where it never does; an all-round view is that
+        Limits: 0 where one already is; ``LARGE`` where it never does; an all-round view is that
         of the radius alone.
 
         Args:
@@ -137,10 +137,10 @@ class OpenField:
             angle = 0.5 * opening
             cotangent = jnp.cos(angle) / jnp.maximum(jnp.sin(angle), 1e-6)
             leave = along - jnp.sqrt(jnp.maximum(aside, 0.0)) * cotangent
-            is_seen &= (enter + GLANCE <= leave) | (angle >= jnp.pi - 1e-3)
-        return jnp.where(is_seen, enter, NEVER)
+            is_seen &= (enter + MIN_SIGHT <= leave) | (angle >= jnp.pi - 1e-3)
+        return jnp.where(is_seen, enter, LARGE)
 
-    def clear_share(self, stretch: Stretch, clearance: float) -> None:
+    def clear_share(self, stretch: Segment, clearance: float) -> None:
         """Return None: every segment is free."""
 
 
@@ -191,7 +191,7 @@ class Travel(Protocol):
     def first_sight(
         self,
         view: View,
-        stretch: Stretch,
+        stretch: Segment,
         x: Array,
         y: Array,
         radius: Array,
@@ -219,7 +219,7 @@ class StraightLines:
     def first_sight(
         self,
         view: View,
-        stretch: Stretch,
+        stretch: Segment,
         x: Array,
         y: Array,
         radius: Array,

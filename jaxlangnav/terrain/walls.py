@@ -11,9 +11,9 @@ from jax import Array
 
 from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain.view import NEVER, Eye, OpenField, Stretch
+from jaxlangnav.terrain.view import LARGE, Eye, OpenField, Segment
 
-NUM_GLANCES = 9
+NUM_SAMPLES = 9
 """Points along a segment, both ends included, at which visibility past walls is tested."""
 _CLEAR = 1e6  # metres: distance to a shadow if there are no walls
 
@@ -37,32 +37,32 @@ class Walls:
         return OpenField().sees(eye, x, y) & (self._past_shadows(eye, x, y) >= 0.0)
 
     def first_sight(
-        self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, stretch: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
         """Compute the distance along segments after which points are in view past the walls.
 
-        It is looked for from ``NUM_GLANCES`` places along the stretch, so what shows only in
+        It is looked for from ``NUM_SAMPLES`` places along the stretch, so what shows only in
         between is missed, and the metres are up to one step between glances too many. Arguments
         are those of ``OpenField.first_sight``.
         """
         first = OpenField().first_sight(stretch, x, y, radius, opening)
-        stretch = Stretch(*(end[..., None] for end in stretch))
+        stretch = Segment(*(end[..., None] for end in stretch))
         axes = (1,) * (first.ndim - 1)
         x, y = x.reshape(*axes, -1), y.reshape(*axes, -1)
         span_x, span_y = stretch.to_x - stretch.from_x, stretch.to_y - stretch.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
-        sight = jnp.full_like(first, NEVER)
+        sight = jnp.full_like(first, LARGE)
         angles = (None, None) if opening is None else (jnp.arctan2(span_y, span_x), opening)
-        for t in np.linspace(1.0, 0.0, NUM_GLANCES):
+        for t in np.linspace(1.0, 0.0, NUM_SAMPLES):
             eye = Eye(stretch.from_x + t * span_x, stretch.from_y + t * span_y, radius, *angles)
             sight = jnp.where(self.sees(eye, x, y), t * length, sight)
         # If a point is not occluded where it comes into range, that position counts.
         t0 = first / length
         entry = Eye(stretch.from_x + t0 * span_x, stretch.from_y + t0 * span_y, radius)
-        is_clear = (first < NEVER) & (self._past_shadows(entry, x, y) >= 0.0)
+        is_clear = (first < LARGE) & (self._past_shadows(entry, x, y) >= 0.0)
         return jnp.where(is_clear, first, sight)
 
-    def clear_share(self, stretch: Stretch, clearance: float) -> Array:
+    def clear_share(self, stretch: Segment, clearance: float) -> Array:
         """Compute the fraction of straight segments that is free before a wall, f32[...].
 
             p + t (q − p) = a + u (b − a),   share = min_t (t − c / |q − p|) over 0 ≤ t, u ≤ 1

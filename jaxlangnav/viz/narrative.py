@@ -15,7 +15,7 @@ from jaxlangnav.episode.recording import Snapshot, StepView, Recording, Remark, 
 from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
-from jaxlangnav.terrain.view import Stretch
+from jaxlangnav.terrain.view import Segment
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.sentences import percent
 from jaxlangnav.viz.summary import explored_fraction, select_steps as select_steps
@@ -234,7 +234,7 @@ def describe_collision(moment: StepView) -> str:
         return ""
     position = np.asarray(frame.position)
     ends = jnp.asarray([*position, *(position + before.waypoint - before.position)])
-    segment = Stretch(*ends)
+    segment = Segment(*ends)
     clear = moment.scene.scenario.terrain.view.clear_share(segment, BODY_RADIUS + 0.01)
     return "A wall has halted it." if clear is not None and float(clear) == 0.0 else ""
 

@@ -14,7 +14,7 @@ from jax import Array
 from jaxlangnav.messages import Action, MotionParams, Status
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.terrain import Terrain
-from jaxlangnav.terrain.view import Stretch, wrapped
+from jaxlangnav.terrain.view import Segment, wrapped
 from jaxlangnav.world.state import WorldState
 
 
@@ -114,7 +114,7 @@ def halted(before: WorldState, after: WorldState, terrain: Terrain) -> WorldStat
 
     Limits: without a wall on the path nothing changes.
     """
-    segment = Stretch(*before.position, *after.position)
+    segment = Segment(*before.position, *after.position)
     fraction = terrain.view.clear_share(segment, BODY_RADIUS)
     if fraction is None:
         return after

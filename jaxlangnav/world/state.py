@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain import OPEN, POSITIONS, SensorModel, Terrain
+from jaxlangnav.terrain import OPEN, RANGING, SensorModel, Terrain
 
 HYDRANT, CONE = 0, 1
 """Type indices, in the lexicon's order, of the two types in the templates of Table 2."""
@@ -49,7 +49,7 @@ class Scenario:
     area: Array  # f32[4] x_min, x_max, y_min, y_max metres: the operating area, known to all
     is_valid: Array  # bool[] sampling met all constraints; if False exclude the world
     terrain: Terrain = OPEN  # occlusion and obstacles, known to all policies as well
-    sensor_model: SensorModel = POSITIONS  # measurement model of the detector
+    sensor_model: SensorModel = RANGING  # measurement model of the detector
     object_attribute: Array | None = None  # i32[O] attribute codes, where reported
     errors: Errors | None = None  # errors of the detector; None: none
 

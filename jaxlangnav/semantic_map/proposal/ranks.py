@@ -19,7 +19,7 @@ from jaxlangnav.inputs.object_types import is_anything, is_type
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import insert_axes, prepend_axes, skip_unless_any
 from jaxlangnav.relations import degree, is_on_side, robot_frame
-from jaxlangnav.relations.strength import value_of_rank
+from jaxlangnav.relations.strength import kth_smallest
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored
@@ -97,7 +97,7 @@ def _log_ordinal(
     rival, unseen = scores[:num_seen], scores[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
     type_matches, rank = _is_rival(seen, query), query.rank[None]
     is_rival = in_scope[:num_seen] & insert_axes(type_matches, rival.ndim)
-    target = value_of_rank(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
+    target = kth_smallest(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
     excess = jnp.maximum(score - target, 0.0)
 
     before = jnp.sum(is_rival & (rival < score[None] - _TIE), axis=0)

@@ -24,7 +24,7 @@ from jaxlangnav.relations import (
     RelationModel,
     between,
     density_of,
-    is_so,
+    holds_at,
     log_density_in_frame,
     log_density_of,
     robot_frame,
@@ -106,7 +106,7 @@ class Query(NamedTuple):
         frame, dx, dy = self.frame(landmark_x, landmark_y), x - landmark_x, y - landmark_y
         along, lateral = to_frame(frame, dx, dy)
         relation, has_range = jnp.maximum(self.relation, 0)[None], self.pdf.has_range[None] > 0.0
-        is_single = is_so(relation, along, lateral, has_range=has_range)
+        is_single = holds_at(relation, along, lateral, has_range=has_range)
         other = self.viewer[0][None], self.viewer[1][None]
         is_between = between.lies_between((x, y), (landmark_x, landmark_y), other)
         has_position = (self.relation != NONE) & (self.rank <= 0)
