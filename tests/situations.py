@@ -68,7 +68,7 @@ def situation(
         belief=belief,
         nodes=nodes,
         goals=goals,
-        constraint=forbid(belief, forbidden),
+        forbidden_prob=forbid(belief, forbidden),
         is_relevant=jnp.ones_like(belief.particles.is_mentioned),
         robot_x=x,
         robot_y=y,

@@ -89,7 +89,7 @@ def decide(states: list[tuple[Goals, float, float, float]]) -> AskDecision:
         metres, look, question = numbers
         params = replace(PLANNER, look_cost=look, question_cost=question)
         free = jnp.asarray(True)
-        return value_of_asking(goals, metres, params=params, has_looked=False, may_ask=free)
+        return value_of_asking(goals, metres, params=params, no_search=False, may_ask=free)
 
     return jax.device_get(weigh(goals, numbers))
 
@@ -107,7 +107,7 @@ def compare(shares: tuple[float, ...], most: float) -> tuple[np.ndarray, np.ndar
                 exact.append(world.worth(0.0, seen, left))
     doubt = decide(states)
     agrees, lost = [], []
-    for values, asks, looks in zip(exact, doubt.asks, doubt.looks_on, strict=True):
+    for values, asks, looks in zip(exact, doubt.asks, doubt.searches_on, strict=True):
         best = max(values.values())
         agrees.append(bool(asks) == (values["ask"] >= best - 1e-9))
         chosen = "ask" if asks else "look" if looks else "guess"
@@ -133,7 +133,7 @@ def test_where_many_others_are_expected_little_is_lost() -> None:
 def doubt(seen, unseen, *, metres=10.0, question=0.1, **changes) -> AskDecision:
     goals = replace(goals_of(seen, unseen), **changes.pop("goals", {}))
     params = replace(PLANNER, question_cost=jnp.float32(question), look_cost=jnp.float32(0.002))
-    given = {"has_looked": False, "may_ask": jnp.asarray(True)} | changes
+    given = {"no_search": False, "may_ask": jnp.asarray(True)} | changes
     return value_of_asking(goals, jnp.float32(metres), params=params, **given)
 
 
@@ -149,7 +149,7 @@ UNPLACED = {"object_confirmed": jnp.zeros(4)}
         (ONE, 0.2, {}, "look"),
         (ONE, 0.2, {"metres": 100.0}, "ask or guess"),
         (ONE, 0.005, {}, "ask or guess"),
-        (ONE, 0.2, {"has_looked": True}, "ask or guess"),
+        (ONE, 0.2, {"no_search": True}, "ask or guess"),
         # Of one it asks where looking costs more than a question.
         (ONE, 0.2, {"metres": 60.0, "question": 0.05}, "ask"),
         (ONE, 0.2, {"metres": 5.0, "question": 0.05}, "look or guess"),
@@ -160,10 +160,10 @@ UNPLACED = {"object_confirmed": jnp.zeros(4)}
         # What they are placed against is looked for first if that is cheaper.
         (TWO, 0.0, {"goals": UNPLACED}, "look"),
         (TWO, 0.0, {"goals": UNPLACED, "metres": 80.0}, "ask"),
-        (TWO, 0.0, {"goals": UNPLACED, "has_looked": True}, "ask"),
+        (TWO, 0.0, {"goals": UNPLACED, "no_search": True}, "ask"),
     ],
 )
 def test_acts_by_hand(seen: tuple, unseen: float, given: dict, act: str) -> None:
     found = doubt(seen, unseen, **given)
-    assert ("ask" if found.asks else "look" if found.looks_on else "guess") in act
-    assert not bool(found.asks & found.looks_on)
+    assert ("ask" if found.asks else "look" if found.searches_on else "guess") in act
+    assert not bool(found.asks & found.searches_on)

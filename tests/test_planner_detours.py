@@ -34,7 +34,7 @@ def things_at(places, share: float = 1.0) -> Zones:
     table = np.zeros((3, MAX_ZONES), np.float32)
     for slot, place in enumerate(places):
         table[:, slot] = *place, COST * share
-    return Zones(x=jnp.asarray(table[0]), y=jnp.asarray(table[1]), price=jnp.asarray(table[2]))
+    return Zones(x=jnp.asarray(table[0]), y=jnp.asarray(table[1]), cost=jnp.asarray(table[2]))
 
 
 def shown(things, robot, share: float = 1.0) -> Situation:
@@ -48,7 +48,7 @@ def shown(things, robot, share: float = 1.0) -> Situation:
     made = situation(
         replace(belief, coverage=coverage), nodes_at([], [], []), seen_goal(0.0), robot
     )
-    return replace(made, constraint=jnp.asarray(forbidden))
+    return replace(made, forbidden_prob=jnp.asarray(forbidden))
 
 
 def way_to(things, robot, places, spare: float = 0.0, share: float = 1.0) -> tuple:

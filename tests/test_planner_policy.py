@@ -255,18 +255,18 @@ def test_what_is_nowhere_ends_a_search_sooner_by_hand() -> None:
         cases = np.array([(1 - epsilon) * (1 - nu) * odds, epsilon, (1 - epsilon) * nu])
         found = presence(jnp.float32(unseen), jnp.float32(nu), maps, jnp.float32(0.5))
         share = cases / cases.sum()
-        np.testing.assert_allclose([found.any, found.nowhere], share[[0, 2]], rtol=1e-4)
-        assert float(found.elsewhere) == pytest.approx(1 / (1 + (1 / 0.005 - 1) * odds), rel=1e-3)
-        assert float(found.fitting) > float(found.any)
+        np.testing.assert_allclose([found.prob_any, found.prob_absent], share[[0, 2]], rtol=1e-4)
+        assert float(found.prob_elsewhere) == pytest.approx(1 / (1 + 199 * odds), rel=1e-3)
+        assert float(found.prob_fitting) > float(found.prob_any)
         none = presence(jnp.float32(unseen), jnp.float32(0.0), maps, jnp.float32(0.0))
-        assert [float(one) for one in none[:3]] == [float(found.fitting)] * 2 + [0.0]
+        assert [float(one) for one in none[:3]] == [float(found.prob_fitting)] * 2 + [0.0]
 
 
 def test_what_is_unseen_by_hand() -> None:
     log_miss = -np.random.default_rng(1).exponential(1.0, (24, 24))
     missed = np.exp(log_miss)
     free = SEARCH_MAP(believe(random_places(), is_hung=False, log_miss=log_miss))
-    np.testing.assert_allclose([free.unseen, free.missed], missed.mean(), rtol=1e-4)
+    np.testing.assert_allclose([free.unseen, free.mean_miss], missed.mean(), rtol=1e-4)
     doubted, cells = free.relocated(0.4, 0.0), missed.reshape(12, 2, 12, 2).sum(axis=(1, 3)).ravel()
     elsewhere = 0.4 * free.mass.sum() * cells / cells.sum()
     np.testing.assert_allclose(doubted.anchored, elsewhere, rtol=1e-2)
@@ -368,8 +368,8 @@ def test_who_looks_on_is_not_drawn_back_to_what_has_been_seen() -> None:
     around = replace(around, is_node=jnp.array([True, True, False]))
     shown = situation(by_hand.begin(config=CONFIG), around, aims, (2.0, 0.0))
     asking = replace(shown.params, question_cost=jnp.float32(0.1), look_cost=jnp.float32(5e-4))
-    for params, looks_on in ((shown.params, False), (asking, True)):
+    for params, searches_on in ((shown.params, False), (asking, True)):
         choice = DECIDE_ON(replace(shown, params=params), plan, both(0.5))
-        assert bool(choice.doubt.looks_on) == looks_on
+        assert bool(choice.doubt.searches_on) == searches_on
         at_stop = (float(choice.waypoint_x), float(choice.waypoint_y)) == (-3.0, 4.0)
-        assert at_stop == looks_on
+        assert at_stop == searches_on

@@ -134,7 +134,7 @@ def test_latency_is_the_mean_way_until_found() -> None:
     is_missed = ~is_seen & (mass > 0.1 * mass.mean())
     whole = 6.0 + away[is_missed].mean() + is_missed.sum() * 100.0 / CELLS**2 / (2 * RANGE)
     whole += float(_patch_travel(jnp.asarray(is_missed)[None], AREA)[0])
-    search = replace(search, nowhere=jnp.float32(0.3))
+    search = replace(search, prob_absent=jnp.float32(0.3))
     found = LATENCY(line, search, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [0.7 * expected + 0.3 * whole], rtol=1e-4)
 
@@ -175,7 +175,7 @@ def exact(lines: Tour, search, cells: np.ndarray) -> np.ndarray:
     radius = jnp.float32(RANGE - SIGHT_MARGIN)
     own, other = (np.asarray(FIRST_SIGHT(lines, at, y, *HERE, radius)[0]) for at in (x, x - 2.0))
     there = np.minimum(own, other) @ np.asarray(search.mass)[cells]
-    return (1.0 - float(search.nowhere)) * there + float(search.nowhere) * own.max(axis=1)
+    return (1.0 - float(search.prob_absent)) * there + float(search.prob_absent) * own.max(axis=1)
 
 
 def touching(search, cells: np.ndarray) -> Tour:
@@ -203,7 +203,7 @@ def test_tours_against_all_orders_of_viewpoints(nowhere: float) -> None:
     for seed in range(8):
         cells, mass = random.choice(CELLS**2, NUM_CELLS, replace=False), np.zeros(CELLS**2)
         mass[cells] = random.dirichlet(np.full(NUM_CELLS, 3.0))
-        search = replace(search_of(mass), nowhere=jnp.float32(nowhere))
+        search = replace(search_of(mass), prob_absent=jnp.float32(nowhere))
         search = replace(search, partner_x=search.x - 2.0)
         lines = touching(search, cells)
         expected = exact(lines, search, cells)

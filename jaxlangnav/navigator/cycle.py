@@ -231,7 +231,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot = robot_position(belief)
-    has_open = has_unseen_tie(group, belief.particles)
+    has_unseen = has_unseen_tie(group, belief.particles)
     return InferredTask(
         fault=fault,
         belief=belief,
@@ -242,7 +242,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
             lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
         ),
         is_relevant=is_tied_to_goal(group, belief.particles, behavior),
-        goals=gather(belief, behavior, relations, has_open, _metres(state)),
+        goals=gather(belief, behavior, relations, has_unseen, _metres(state)),
     )
 
 
@@ -267,7 +267,7 @@ def _decide(
         belief=task.belief,
         nodes=graph.known_nodes(visited, goals.object_x, goals.object_y, goals.is_object),
         goals=goals,
-        constraint=task.behavior.constraint,
+        forbidden_prob=task.behavior.constraint,
         is_relevant=task.is_relevant,
         robot_x=robot_x,
         robot_y=robot_y,
@@ -281,7 +281,7 @@ def _decide(
         may_stop=may_stop & ~task.is_still,
         params=planner,
         map_params=params.map,
-        spoken=Utterances(readings=readings, context=context, params=params.map),
+        utterances=Utterances(readings=readings, context=context, params=params.map),
         num_blocks=config.planner.num_blocks,
     )
     key = jax.random.fold_in(key, _PLANNER_KEY)

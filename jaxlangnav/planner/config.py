@@ -37,12 +37,12 @@ def as_policy(given: AnyPolicy) -> Policy:
     if isinstance(given, type):
         name = given.__name__
         raise ValueError(f"policy is the class {name}, but must be an object: write {name}(...)")
-    kind = type(given).__name__
+    type_name = type(given).__name__
     missing = [name for name in _MEMBERS if not hasattr(given, name)]
     is_function = callable(given) and {"init", "step"} <= set(missing)
     if missing and not is_function:
         raise ValueError(
-            f"policy is a {kind} without {', '.join(missing)}, but must be one of {_NAMES}, "
+            f"policy is a {type_name} without {', '.join(missing)}, but must be one of {_NAMES}, "
             "or have them: derive its class from jaxlangnav.planner.policy.Policy and write init "
             "and step"
         )
@@ -50,7 +50,7 @@ def as_policy(given: AnyPolicy) -> Policy:
         hash(given)
     except TypeError as error:
         raise ValueError(
-            f"policy is a {kind}, but must be hashable ({error}): make its class a frozen "
+            f"policy is a {type_name}, but must be hashable ({error}): make its class a frozen "
             "dataclass of plain numbers and tuples, or of arrays a pytree for split_arrays"
         ) from error
     return given if isinstance(given, Policy) else WaypointKeeping(given)
@@ -68,7 +68,7 @@ def split_arrays(policy: AnyPolicy) -> tuple[AnyPolicy, Any]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlannerConfig:
-    """Sizes and policy of the planner; hashable, a change recompiles."""
+    """Configuration of the planner: policy and sizes; static and hashable, a change recompiles."""
 
     policy: AnyPolicy = "faithful"
     """One of ``POLICIES``, or a custom policy."""
@@ -83,5 +83,5 @@ class PlannerConfig:
 
     @property
     def chosen(self) -> Policy:
-        """The policy itself."""
+        """The policy object."""
         return as_policy(self.policy)

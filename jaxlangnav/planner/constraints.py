@@ -21,10 +21,10 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import cell_centres
 from jaxlangnav.terrain import Eye
 
-KEEP_AWAY = 2.0
-"""Metres around an object that a constraint forbids."""
-ZONE_RADIUS = KEEP_AWAY + 0.25
-"""The same plus a margin for the error of the object's position."""
+CLEARANCE = 2.0
+"""Metres to keep from a forbidden object."""
+ZONE_RADIUS = CLEARANCE + 0.25
+"""The same plus a margin for the error of the object's position: B."""
 MAX_ZONES = 6
 """Maximum number of forbidden objects that are considered, the nearest ones."""
 NUM_CORNERS = 12
@@ -41,20 +41,20 @@ class Zones:
 
     x: Array  # f32[K] metres, map frame
     y: Array  # f32[K]
-    price: Array  # f32[K] c p, cost of a metre of path at the object; 0 in empty entries
+    cost: Array  # f32[K] c p, cost of a metre of path at the object; 0 in empty entries
 
 
 def keep_out_zones(
-    belief: ParticleBelief, constraint: Array, robot_x: Array, robot_y: Array, cost: Array
+    belief: ParticleBelief, forbidden: Array, robot_x: Array, robot_y: Array, cost: Array
 ) -> Zones:
-    """Find the nearest observed objects that are forbidden; hypotheses are ignored.
+    """Build the keep-out zones of the nearest observed forbidden objects; hypotheses are ignored.
 
-    Positions are means over the particles that forbid them; ``constraint`` is f32[R, N + 1, P],
+    Positions are means over the particles that forbid them; ``forbidden`` is f32[R, N + 1, P],
     the probability that a region of a slot is forbidden, and ``cost`` c.
     """
     particles = belief.particles
     num_objects = particles.object_type.shape[0]
-    weight = jnp.max(constraint, axis=0)[:num_objects] * jnp.exp(belief.log_weight)[None, :]
+    weight = jnp.max(forbidden, axis=0)[:num_objects] * jnp.exp(belief.log_weight)[None, :]
     prob = jnp.sum(weight, axis=1)  # [O]
     x, y = (
         jnp.sum(mean[:num_objects] * weight, axis=1) / jnp.maximum(prob, 1e-9)
@@ -65,11 +65,11 @@ def keep_out_zones(
     padding = (0, max(MAX_ZONES - num_objects, 0))
     squared = jnp.pad(squared, padding, constant_values=jnp.inf)
     nearest = jax.lax.top_k(-squared, MAX_ZONES)[1]
-    x, y, price = (jnp.pad(leaf, padding)[nearest] for leaf in (x, y, cost * prob))
-    return Zones(x=x, y=y, price=price)
+    x, y, zone_cost = (jnp.pad(leaf, padding)[nearest] for leaf in (x, y, cost * prob))
+    return Zones(x=x, y=y, cost=zone_cost)
 
 
-def cost_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: Zones) -> Array:
+def cost_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, zones: Zones) -> Array:
     """Integrate the keep-out cost along straight segments.
 
         c Σ_k p_k ∫ max(0, 1 − d_k(s) / B)² ds
@@ -81,14 +81,14 @@ def cost_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: Z
     length = jnp.sqrt(segment_x * segment_x + segment_y * segment_y + 1e-12)
     unit_x, unit_y = segment_x / length, segment_y / length
     total = jnp.zeros_like(length)
-    for x, y, price in zip(things.x, things.y, things.price, strict=True):
+    for x, y, cost in zip(zones.x, zones.y, zones.cost, strict=True):
         offset_x, offset_y = x - from_x, y - from_y
         foot = offset_x * unit_x + offset_y * unit_y
         lateral = offset_x * unit_y - offset_y * unit_x
         half = jnp.sqrt(jnp.maximum(ZONE_RADIUS**2 - lateral * lateral, 0.0))
         ends = (jnp.clip(end, -half, half) for end in (-foot, length - foot))
         start_value, end_value = (_antiderivative(end, lateral) for end in ends)
-        total = total + price * (end_value - start_value)
+        total = total + cost * (end_value - start_value)
     return total
 
 
@@ -101,30 +101,30 @@ def _antiderivative(along: Array, lateral: Array) -> Array:
     return along - 2.0 / ZONE_RADIUS * distance_term + square_term / ZONE_RADIUS**2
 
 
-def cost_at(x: Array, y: Array, things: Zones) -> Array:
+def cost_at(x: Array, y: Array, zones: Zones) -> Array:
     """Compute the cost of entering the zones up to positions f32[...], and of leaving again.
 
     Limits: 0 outside all zones; at the object itself, the cost of the whole diameter.
     """
     total = jnp.zeros_like(x)
-    for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
-        away = jnp.sqrt((x - at_x) ** 2 + (y - at_y) ** 2 + 1e-12)
-        total = total + price * 2.0 * ZONE_RADIUS / 3.0 * jnp.maximum(1.0 - away / ZONE_RADIUS, 0.0) ** 3
+    for at_x, at_y, cost in zip(zones.x, zones.y, zones.cost, strict=True):
+        away = jnp.sqrt((x - at_x) ** 2 + (y - at_y) ** 2 + 1e-12) / ZONE_RADIUS
+        total = total + cost * 2.0 * ZONE_RADIUS / 3.0 * jnp.maximum(1.0 - away, 0.0) ** 3
     return total
 
 
 def keep_out(
-    x: Array, y: Array, things: Zones, range_max: Array, area: Array
+    x: Array, y: Array, zones: Zones, range_max: Array, area: Array
 ) -> tuple[Array, Array]:
     """Move positions out of the keep-out zones, if the object can be seen from outside.
 
     Limits: positions outside stay, as all do without forbidden objects; a position that would
     leave the area f32[4] is moved to the other side of the object.
     """
-    for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
+    for at_x, at_y, cost in zip(zones.x, zones.y, zones.cost, strict=True):
         offset_x, offset_y = x - at_x, y - at_y
         distance = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-12)
-        is_inside = (distance < ZONE_RADIUS) & (price > 0.0) & (range_max > CORNER_RADIUS)
+        is_inside = (distance < ZONE_RADIUS) & (cost > 0.0) & (range_max > CORNER_RADIUS)
         out_x, out_y = CORNER_RADIUS * offset_x / distance, CORNER_RADIUS * offset_y / distance
         is_in_area = (at_x + out_x >= area[0]) & (at_x + out_x <= area[1])
         is_in_area &= (at_y + out_y >= area[2]) & (at_y + out_y <= area[3])
@@ -136,7 +136,7 @@ def keep_out(
 
 def safe_fraction(
     belief: ParticleBelief,
-    constraint: Array,
+    forbidden: Array,
     robot: tuple[Array, Array],
     step: Array,
     sensor: SensorParams,
@@ -144,24 +144,24 @@ def safe_fraction(
 ) -> Array:
     """Choose the fraction of a step that is safe with respect to unseen forbidden objects, f32[].
 
-    It is the largest of ``_FRACTIONS`` that brings the robot within ``KEEP_AWAY`` of a forbidden object
-    that one more observation would have revealed with probability at most ``risk``, else the
+    It is the largest of ``_FRACTIONS`` that brings the robot within ``CLEARANCE`` of a forbidden
+    object that one more observation would have revealed with probability at most ``risk``, else the
     smallest. Such an object is in cell c with probability s m(c) / Σ m, with s the probability of
     maps in which it is forbidden and unseen, and m the miss probability of the coverage map.
 
     Limits: 1 if all forbidden objects have been observed; nothing is computed then.
 
     Args:
-        belief: after the present look.
-        constraint: f32[R, N + 1, P], as for ``keep_out_zones``.
+        belief: after the current observation.
+        forbidden: f32[R, N + 1, P], as for ``keep_out_zones``.
         robot: f32[] x and y, believed position, metres, map frame.
         step: f32[2], metres; the robot faces its direction of motion.
         sensor: range, opening angle, probability of detection.
         risk: f32[].
     """
     particles, (robot_x, robot_y) = belief.particles, robot
-    first = particles.object_type.shape[0]
-    p_unseen = jnp.where(particles.is_hypothesised, jnp.max(constraint, axis=0)[first:-1], 0.0)
+    first, prob = particles.object_type.shape[0], jnp.max(forbidden, axis=0)
+    p_unseen = jnp.where(particles.is_hypothesised, prob[first:-1], 0.0)
     p_unseen = jnp.sum(jnp.max(p_unseen, axis=0) * jnp.exp(belief.log_weight))
     eye = Eye(*robot, sensor.range_max, jnp.arctan2(step[1], step[0]), sensor.field_of_view)
 
@@ -169,11 +169,11 @@ def safe_fraction(
         """Compute the probability that one more observation reveals a newly close object, f32[]."""
         x, y, miss = x[None], y[:, None], jnp.exp(log_miss)
         away = jnp.hypot(x - robot_x - fraction * step[0], y - robot_y - fraction * step[1])
-        is_close = (away < KEEP_AWAY) & (away < jnp.hypot(x - robot_x, y - robot_y))
+        is_close = (away < CLEARANCE) & (away < jnp.hypot(x - robot_x, y - robot_y))
         visible = jnp.where(is_close & belief.terrain.view.sees(eye, x, y), miss, 0.0)
         return p_unseen * sensor.detection_probability * jnp.sum(visible) / jnp.sum(miss)
 
-    each, fractions = jax.vmap(exposed, in_axes=(0, None, None, None)), jnp.asarray(_FRACTIONS)
+    risks, fractions = jax.vmap(exposed, in_axes=(0, None, None, None)), jnp.asarray(_FRACTIONS)
     args = fractions, belief.coverage.log_miss, *cell_centres(belief.coverage)
-    is_safe = skip_unless_any(p_unseen > _MIN_PROB, lambda records: each(*records), args) <= risk
+    is_safe = skip_unless_any(p_unseen > _MIN_PROB, lambda args: risks(*args), args) <= risk
     return jnp.max(jnp.where(is_safe, _FRACTIONS, _FRACTIONS[-1]))

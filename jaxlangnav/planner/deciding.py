@@ -1,7 +1,7 @@
-"""Decision rules that all policies share: from waypoint values to waypoint or stop (eq. 10).
+"""Decision rules of all policies: from the values of waypoints to a waypoint or stop (eq. 10).
 
-Detours around keep-out zones cost value, the robot's own position is no waypoint, and a stop needs
-an observed object within reach that may be the goal.
+Detours around keep-out zones cost value, the robot's position is no waypoint, and a stop needs an
+observed object within reach that may be the goal.
 """
 
 import jax
@@ -21,9 +21,9 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.terrain import OPEN, Eye, View
 
 MIN_GOAL_PROB = 0.01
-"""Probability below which an object is no goal: it neither ends a search nor allows a stop."""
+"""Minimum probability of an object to be a goal, that is to end a search or to allow a stop."""
 ARRIVAL_RADIUS = 0.25
-"""Metres within which a waypoint counts as reached; an object is reached from further off."""
+"""Metres within which a waypoint counts as reached; for objects see ``APPROACH``."""
 APPROACH = 0.9
 """Fraction of ``reach`` at which the robot halts before an object that it approaches."""
 _HALF_VALUE = 10.0  # metres of detour that halve the value of a waypoint
@@ -55,7 +55,7 @@ def may_stop(
 
 
 def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None) -> Situation:
-    """Prepend a policy's own waypoints to the common ones.
+    """Prepend a policy's custom waypoints to the common nodes.
 
     Limits: a position that is not finite is no waypoint.
 
@@ -89,8 +89,8 @@ def _value(
     is_object = nodes.kind == OBJECT_NODE
     # Standing still gives no information: at the robot's own position only a_stop applies.
     is_away = situation.distance > jnp.where(is_object, situation.params.reach, ARRIVAL_RADIUS)
-    # While the robot looks on for more candidates, it approaches no object.
-    is_open = open_nodes(nodes, situation.progress).is_node & (~ask.looks_on | ~is_object)
+    # While the robot searches on for more candidates, it approaches no object.
+    is_open = open_nodes(nodes, situation.progress).is_node & (~ask.searches_on | ~is_object)
     return jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf), cost
 
 
@@ -98,7 +98,7 @@ def decide(
     situation: Situation,
     valuation: Valuation,
     kept: Waypoint | None = None,
-    doubt: AskDecision | None = None,
+    question: AskDecision | None = None,
 ) -> Decision:
     """Select the waypoint of highest value, or stop (eq. 10).
 
@@ -109,7 +109,7 @@ def decide(
         situation: nodes, goals, position of the robot.
         valuation: values of the nodes, and the probability that decides on a stop.
         kept: the current waypoint; if active it is kept, whatever the values.
-        doubt: whether to ask which object is meant; by default among the observed ones.
+        question: whether to ask which object is meant; by default among the observed ones.
 
     Raises:
         ValueError: the values are not one for each node.
@@ -123,23 +123,23 @@ def decide(
     x, y = jnp.append(nodes.x, fallback.x), jnp.append(nodes.y, fallback.y)
     kind = jnp.append(nodes.kind, fallback.kind)
     route = detours(situation, x, y, jnp.where(kind == OBJECT_NODE, APPROACH * params.reach, 0.0))
-    if doubt is None:  # a policy without tours does not look on for unseen candidates
-        options = {"has_looked": True, "may_ask": situation.may_ask}
-        doubt = value_of_asking(situation.goals, jnp.float32(0.0), params=params, **options)
-    value, cost = _value(situation, valuation, route[0][:-1], doubt)
+    if question is None:  # a policy without tours does not search on for unseen candidates
+        options = {"no_search": True, "may_ask": situation.may_ask}
+        question = value_of_asking(situation.goals, jnp.float32(0.0), params=params, **options)
+    value, cost = _value(situation, valuation, route[0][:-1], question)
     uses_fallback = kept.is_active | jnp.all(value == -jnp.inf)
     index = jnp.where(uses_fallback, value.shape[0], jnp.argmax(value))
     to_x, to_y, to_kind = select_row((x, y, kind), index)
     _, first_x, first_y = select_row(route, index)
     mass = valuation.stop_mass
     is_confident = (mass >= params.stop_probability) & jnp.isfinite(mass)
-    doubt = replace(doubt, asks=doubt.asks & ~situation.is_still)
+    question = replace(question, asks=question.asks & ~situation.is_still)
     is_goal = has_goal(situation.goals, to_x, to_y, params.reach, situation.belief.terrain.view)
     return Decision(
         waypoint_x=to_x,
         waypoint_y=to_y,
         kind=to_kind,
-        is_stop=is_confident & situation.may_stop & ~doubt.looks_on & ~doubt.asks,
+        is_stop=is_confident & situation.may_stop & ~question.searches_on & ~question.asks,
         next_x=first_x,
         next_y=first_y,
         is_approach=(to_kind == OBJECT_NODE) & is_goal,
@@ -151,5 +151,5 @@ def decide(
         information_value=valuation.information_value,
         cost=cost,
         stop_mass=mass,
-        doubt=doubt,
+        doubt=question,
     )

@@ -15,9 +15,9 @@ from jax import Array
 from jaxlangnav.numerics.batching import skip_unless_any
 from jaxlangnav.planner.blocked import open_nodes
 from jaxlangnav.planner.constraints import (
+    CORNER_RADIUS,
     MAX_ZONES,
     NUM_CORNERS,
-    CORNER_RADIUS,
     Zones,
     cost_along,
     cost_at,
@@ -29,18 +29,18 @@ from jaxlangnav.terrain.view import LARGE
 
 _MAX_CORNERS = 12  # maximum number of corners of a path
 _ARRIVAL = 0.1  # metres from a corner within which it counts as reached
-_TURNS = np.linspace(0.0, 2.0 * np.pi, NUM_CORNERS, endpoint=False, dtype=np.float32)
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, NUM_CORNERS, endpoint=False, dtype=np.float32)
 _PAIRS = np.array(list(itertools.combinations(range(MAX_ZONES), 2))).T
 
 
-def _corners(things: Zones, situation: Situation) -> Nodes:
+def _corners(zones: Zones, situation: Situation) -> Nodes:
     """Build the corners around objects and between them that are in the area and not reached."""
     first, second = _PAIRS
-    ring_x = things.x[:, None] + CORNER_RADIUS * np.cos(_TURNS)[None]
-    ring_y = things.y[:, None] + CORNER_RADIUS * np.sin(_TURNS)[None]
-    x = jnp.append(ring_x, 0.5 * (things.x[first] + things.x[second]))
-    y = jnp.append(ring_y, 0.5 * (things.y[first] + things.y[second]))
-    is_active = things.price > 0.0
+    ring_x = zones.x[:, None] + CORNER_RADIUS * np.cos(_ANGLES)[None]
+    ring_y = zones.y[:, None] + CORNER_RADIUS * np.sin(_ANGLES)[None]
+    x = jnp.append(ring_x, 0.5 * (zones.x[first] + zones.x[second]))
+    y = jnp.append(ring_y, 0.5 * (zones.y[first] + zones.y[second]))
+    is_active = zones.cost > 0.0
     is_corner = jnp.append(jnp.repeat(is_active, NUM_CORNERS), is_active[first] & is_active[second])
     area = situation.belief.coverage.area
     is_corner &= (x >= area[0]) & (x <= area[1]) & (y >= area[2]) & (y <= area[3])
@@ -50,9 +50,9 @@ def _corners(things: Zones, situation: Situation) -> Nodes:
     return open_nodes(nodes, situation.progress)
 
 
-def _shortest(x: Array, y: Array, spare: Array, things: Zones, situation: Situation) -> Array:
+def _shortest(x: Array, y: Array, spare: Array, zones: Zones, situation: Situation) -> Array:
     """Compute shortest paths (Bellman-Ford), f32[3, A]: extra cost, first corner's x and y."""
-    corners, terrain = _corners(things, situation), situation.belief.terrain
+    corners, terrain = _corners(zones, situation), situation.belief.terrain
     num_corners = corners.x.shape[0]
     from_x = jnp.append(situation.robot_x, corners.x)[:, None]
     from_y = jnp.append(situation.robot_y, corners.y)[:, None]
@@ -63,11 +63,11 @@ def _shortest(x: Array, y: Array, spare: Array, things: Zones, situation: Situat
     fraction = length / distance
     end_x, end_y = from_x + fraction * (to_x - from_x), from_y + fraction * (to_y - from_y)
     # A robot that stops in a keep-out zone has to leave it again.
-    stop = cost_at(end_x[:, num_corners:], end_y[:, num_corners:], things)
-    price = cost_along(from_x, from_y, end_x, end_y, things).at[:, num_corners:].add(stop)
+    exit_cost = cost_at(end_x[:, num_corners:], end_y[:, num_corners:], zones)
+    zone_cost = cost_along(from_x, from_y, end_x, end_y, zones).at[:, num_corners:].add(exit_cost)
     is_blocked = ~terrain.view.sees(Eye(from_x, from_y, jnp.float32(LARGE)), to_x, to_y)
     is_blocked |= ~jnp.append(corners.is_node, jnp.ones(x.shape, bool))[None]
-    edge = jnp.where(is_blocked, LARGE, length + price)
+    edge = jnp.where(is_blocked, LARGE, length + zone_cost)
 
     def relax(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         """Relax the edges between corners."""
@@ -82,7 +82,7 @@ def _shortest(x: Array, y: Array, spare: Array, things: Zones, situation: Situat
     path_cost = cost[:, None] + edge[1:, num_corners:]
     min_cost, corner = jnp.min(path_cost, axis=0), first[jnp.argmin(path_cost, axis=0)]
     # The direct path follows the terrain's geodesic around walls.
-    direct, straight = price[0, num_corners:] + length[0, num_corners:], length[0, num_corners:]
+    direct, straight = zone_cost[0, num_corners:] + length[0, num_corners:], length[0, num_corners:]
     is_detour, extra = min_cost < direct, jnp.minimum(direct, min_cost) - straight
     first_x = jnp.where(is_detour, corners.x[corner], x)
     return jnp.stack([extra, first_x, jnp.where(is_detour, corners.y[corner], y)])
@@ -97,13 +97,13 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> tuple[Arr
     without forbidden objects paths are straight, and nothing is computed; a position within a zone
     has a finite cost. Corners behind walls are not used.
     """
-    things = situation.forbidden
-    is_active = jnp.broadcast_to(jnp.any(things.price > 0.0), x.shape)
+    zones = situation.forbidden
+    is_active = jnp.broadcast_to(jnp.any(zones.cost > 0.0), x.shape)
     targets = jnp.stack([x, y, spare])
 
     def solve(records: tuple[Array, Zones]) -> Array:
-        (x, y, spare), things = records
-        return _shortest(x, y, spare, things, situation)
+        (x, y, spare), zones = records
+        return _shortest(x, y, spare, zones, situation)
 
-    extra, first_x, first_y = skip_unless_any(is_active, solve, (targets, things))
+    extra, first_x, first_y = skip_unless_any(is_active, solve, (targets, zones))
     return extra, jnp.where(is_active, first_x, x), jnp.where(is_active, first_y, y)

@@ -1,4 +1,4 @@
-"""The paper's policy: maximum QMDP value, annotations taken as true (section 3.4, eq. 9-12).
+"""The paper's policy: maximum QMDP value, annotations assumed true (section 3.4, eq. 9-12).
 
 Two points that the paper leaves open are resolved as follows. A chosen waypoint is kept until it
 is reached, is no longer a frontier or a new object is observed, or the policy would limit-cycle.
@@ -59,7 +59,7 @@ class WaypointKeeping(Policy):
 
     @property
     def portrayal(self) -> PolicyDescription:
-        """Its own waypoints are frontiers."""
+        """Its waypoints are frontiers, visited positions and observed objects."""
         return PolicyDescription(place="the frontier")
 
     def init(self, belief: ParticleBelief) -> Waypoint:
@@ -81,7 +81,7 @@ class WaypointKeeping(Policy):
 
 @dataclasses.dataclass(frozen=True)
 class Faithful(WaypointKeeping):
-    """The paper's policy."""
+    """The paper's policy: QMDP values over frontiers, visited positions and objects."""
 
     value: Callable[[Situation], Valuation] = qmdp_value
 
@@ -92,7 +92,7 @@ class Faithful(WaypointKeeping):
 
     @property
     def portrayal(self) -> PolicyDescription:
-        """Its values are defined between the nodes, too."""
+        """Like that of its base, but with values defined between the nodes, too."""
         return PolicyDescription(
             place="the frontier",
             reason="of {number} places the nearest to the goal, over all maps (value {value:.2f})",

@@ -61,9 +61,9 @@ def region_offset(
     is_ring = relations.concentration[row] <= 0.0
     along = jnp.where(is_ring, -distance, along)
     lateral = jnp.where(is_ring, 0.0, lateral)
-    seen_x, seen_y = to_map(viewer_axes, along, lateral)
-    own_x, own_y = to_map(robot_axes, along, lateral)
-    offset_x, offset_y = (jnp.where(is_robot, own_x, seen_x), jnp.where(is_robot, own_y, seen_y))
+    view_x, view_y = to_map(viewer_axes, along, lateral)
+    body_x, body_y = to_map(robot_axes, along, lateral)
+    offset_x, offset_y = (jnp.where(is_robot, body_x, view_x), jnp.where(is_robot, body_y, view_y))
     return jnp.where(relation == AT, 0.0, offset_x), jnp.where(relation == AT, 0.0, offset_y)
 
 
@@ -109,12 +109,12 @@ def gather(
     belief: ParticleBelief,
     behavior: Behavior,
     relations: RelationModel,
-    has_open: Array,
+    has_unseen: Array,
     metres: Array,
 ) -> Goals:
     """Compute the goal distribution over all particles.
 
-    ``has_open``, bool[M, P], marks mentions related to an unseen object (``relevance``); metres,
+    ``has_unseen``, bool[M, P], marks mentions related to an unseen object (``relevance``); metres,
     f32[], is the stated distance from a region's object to the goal, 0 if none.
     """
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
@@ -129,28 +129,28 @@ def gather(
     is_robot = (jnp.arange(x.shape[0]) == robot_slot)[:, None]
     offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot, metres)
     x, y = x + offset_x, y + offset_y
-    known = jnp.append(jnp.arange(num_objects), robot_slot)
-    known_mass, hypo_mass = mass[known], mass[num_objects:-1]
-    total = jnp.sum(known_mass, axis=1)
+    idx = jnp.append(jnp.arange(num_objects), robot_slot)  # observed slots and the robot
+    slot_mass, hypo_mass = mass[idx], mass[num_objects:-1]
+    total = jnp.sum(slot_mass, axis=1)
     # Objects without goal mass have their weighted mean position as goal position.
-    frac = jnp.where(total[:, None] > 1e-6, known_mass, weight[None, :])
+    frac = jnp.where(total[:, None] > 1e-6, slot_mass, weight[None, :])
     frac = frac / jnp.sum(frac, axis=1, keepdims=True)
     # An object that fits, in its particle, as well as any other is accepted: either of two equals.
     best_fit = jnp.max(behavior.goal, axis=(0, 1))
-    fit = weights[known] / jnp.maximum(weight * best_fit, 1e-9)[None, :]
+    fit = weights[idx] / jnp.maximum(weight * best_fit, 1e-9)[None, :]
     accepted = fit * (weight * jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0))[None, :]
     # It is confirmed unless a mention of it is related to an unseen object.
     slots = jnp.arange(num_objects + 1)[:, None, None]
-    is_confirmed = ~jnp.any((particles.referent[None] == slots) & has_open[None], axis=1)
+    is_confirmed = ~jnp.any((particles.referent[None] == slots) & has_unseen[None], axis=1)
     is_best = jnp.argmax(hypo_mass, axis=0)[None, :] == jnp.arange(hypo_mass.shape[0])[:, None]
-    is_seen = jnp.any(particles.is_observed & (weight > 0)[None, :], axis=1)
+    is_observed = jnp.any(particles.is_observed & (weight > 0)[None, :], axis=1)
     return Goals(
-        object_x=jnp.sum(frac * x[known], axis=1),
-        object_y=jnp.sum(frac * y[known], axis=1),
+        object_x=jnp.sum(frac * x[idx], axis=1),
+        object_y=jnp.sum(frac * y[idx], axis=1),
         object_mass=total,
         object_accepted=jnp.sum(accepted, axis=1),
         object_confirmed=jnp.sum(accepted * is_confirmed, axis=1),
-        is_object=jnp.append(is_seen, total[-1] > 1e-3),
+        is_object=jnp.append(is_observed, total[-1] > 1e-3),
         hypothesis_x=jnp.sum(jnp.where(is_best, x[num_objects:-1], 0.0), axis=0),
         hypothesis_y=jnp.sum(jnp.where(is_best, y[num_objects:-1], 0.0), axis=0),
         hypothesis_mass=jnp.sum(hypo_mass, axis=0),

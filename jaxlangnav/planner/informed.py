@@ -37,7 +37,7 @@ class Informed(Policy):
 
     @property
     def portrayal(self) -> PolicyDescription:
-        """Its own waypoints are the first stops of tours."""
+        """Its waypoints are the first stops of search tours."""
         return PolicyDescription(
             place="a viewpoint",
             reason="no tour that starts elsewhere finds the goal sooner; on the way {tested} of "
@@ -66,15 +66,15 @@ class Informed(Policy):
         """Improve the current tour, then go to its first stop or to the goal."""
         belief, params, map_params = situation.belief, situation.params, situation.map_params
         target = search.search_map(
-            situation.wanted, params.prior_share, params.ahead, situation.spoken
+            situation.search_belief, params.prior_share, params.ahead, situation.utterances
         )
-        probs = presence(target.unseen, params.absent, map_params, target.missed)
+        probs = presence(target.unseen, params.absent, map_params, target.mean_miss)
         # If an annotation is false, an observed object that does not fit may be the goal.
-        has_seen = jnp.any(situation.goals.is_object[:-1])
+        has_object = jnp.any(situation.goals.is_object[:-1])
         has_no_fit = jnp.max(situation.goals.object_accepted) < MIN_GOAL_PROB
-        elsewhere = jnp.where(has_seen, 0.0, probs.elsewhere)
-        target = target.relocated(elsewhere, jnp.where(has_no_fit, probs.fitting, 0.0))
-        target = replace(target, nowhere=probs.nowhere, forbidden=situation.forbidden)
+        elsewhere = jnp.where(has_object, 0.0, probs.prob_elsewhere)
+        target = target.relocated(elsewhere, jnp.where(has_no_fit, probs.prob_fitting, 0.0))
+        target = replace(target, prob_absent=probs.prob_absent, forbidden=situation.forbidden)
         robot, area = (situation.robot_x, situation.robot_y), belief.coverage.area
         plan = tours.plan(key, memory, target, *robot, situation.sensor, area)
         decision = decide_tour(situation, plan, probs)
@@ -82,24 +82,24 @@ class Informed(Policy):
 
 
 def decide_tour(situation: Situation, plan: tours.Plan, probs: Presence) -> Decision:
-    """Decide among the first stops of tours and the common nodes."""
+    """Decide among the first stops of tours and the common nodes, after a clarification test."""
     stop_x, stop_y = plan.tours.x[:, 0], plan.tours.y[:, 0]
     nodes = graph.prepend_nodes(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
     situation = replace(situation, nodes=nodes)
     params = situation.params
-    doubt = value_of_asking(
+    question = value_of_asking(
         situation.goals,
         jnp.min(plan.latency) / jnp.maximum(plan.mass, 1e-6),
         params=params,
-        has_looked=(probs.fitting < params.give_up) | situation.has_chosen,
+        no_search=(probs.prob_fitting < params.give_up) | situation.has_chosen,
         may_ask=situation.may_ask,
     )
-    plan = replace(plan, anchored=jnp.where(doubt.looks_on, jnp.inf, plan.anchored))
+    plan = replace(plan, anchored=jnp.where(question.searches_on, jnp.inf, plan.anchored))
     valuation, is_sure, is_not_found = assess(situation, plan, probs)
     # While looking on, observed objects have no value, or the robot could oscillate.
-    goal_value = jnp.where(doubt.looks_on, 0.0, valuation.goal_value)
+    goal_value = jnp.where(question.searches_on, 0.0, valuation.goal_value)
     valuation = replace(valuation, goal_value=goal_value)
-    decision = decide(situation, valuation, doubt=doubt)
+    decision = decide(situation, valuation, question=question)
     return replace(decision, is_stop=decision.is_stop & is_sure, is_not_found=is_not_found)
 
 
@@ -112,7 +112,7 @@ class Assessment(NamedTuple):
 
 
 def assess(situation: Situation, plan: tours.Plan, probs: Presence) -> Assessment:
-    """Value first stops of tours by their information rate, until the goal is settled.
+    """Value the first stops of tours by their information rate, until the goal is settled.
 
     The information value of a tour is the mass still to be found divided by the metres until it
     is found. A goal is settled once its object and all its landmarks have been observed and an
@@ -123,15 +123,15 @@ def assess(situation: Situation, plan: tours.Plan, probs: Presence) -> Assessmen
     """
     params, goals, nodes = situation.params, situation.goals, situation.nodes
     robot = situation.robot_x, situation.robot_y
-    is_exhausted = probs.fitting < params.give_up
+    is_exhausted = probs.prob_fitting < params.give_up
     has_no_fit = jnp.max(goals.object_accepted) < MIN_GOAL_PROB
     # Observed objects that do not fit now may be accepted in the end.
-    has_seen = jnp.any(goals.is_object[:-1])
-    is_finished = jnp.where(has_seen, probs.fitting, probs.any) < params.give_up
+    has_object = jnp.any(goals.is_object[:-1])
+    is_finished = jnp.where(has_object, probs.prob_fitting, probs.prob_any) < params.give_up
     # A keep-out zone hides its unseen mass in one place, so the limit is stricter.
-    has_detour = jnp.any(situation.forbidden.price > 0.0)
+    has_detour = jnp.any(situation.forbidden.cost > 0.0)
     limit = jnp.where(has_detour, MAX_UNSEEN_DETOUR, MAX_UNSEEN)
-    is_finished = is_finished & ((probs.unlooked <= limit) | (params.absent <= 0.0))
+    is_finished = is_finished & ((probs.miss <= limit) | (params.absent <= 0.0))
     confirmed = jnp.where(is_exhausted, goals.object_accepted, goals.object_confirmed)
     goals = replace(goals, object_confirmed=confirmed)
     terrain = situation.belief.terrain
@@ -143,9 +143,9 @@ def assess(situation: Situation, plan: tours.Plan, probs: Presence) -> Assessmen
     confirmed = jnp.max(goals.object_confirmed)
     unseen_mass = jnp.sum(goals.hypothesis_mass)
     is_best = jnp.arange(goals.object_x.shape[0]) == jnp.argmax(goals.object_confirmed)
-    is_likeliest = confirmed >= jnp.max(jnp.where(is_best, 0.0, goals.object_accepted))
+    is_best_goal = confirmed >= jnp.max(jnp.where(is_best, 0.0, goals.object_accepted))
     is_open = (unseen_mass <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
-    takes_likeliest = ((is_open & is_likeliest) | is_exhausted) & (confirmed >= MIN_GOAL_PROB)
+    takes_likeliest = ((is_open & is_best_goal) | is_exhausted) & (confirmed >= MIN_GOAL_PROB)
     is_sure = (plan.anchored <= params.rival_share * confirmed) | takes_likeliest
     is_settled = is_sure & ((confirmed >= params.stop_probability) | takes_likeliest)
     mass_here = jnp.where(situation.is_find > 0.5, view_mass, reach_mass)

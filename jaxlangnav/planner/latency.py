@@ -85,15 +85,15 @@ def first_sight(
     from_x = jnp.concatenate([robot_x * start, tours.x[:, :-1]], axis=1)
     from_y = jnp.concatenate([robot_y * start, tours.y[:, :-1]], axis=1)
     length = terrain.travel.metres(from_x, from_y, tours.x, tours.y)
-    walked = jnp.cumsum(length, axis=1)
+    travelled = jnp.cumsum(length, axis=1)
     # All segments of all tours against all positions, [T, K, C].
     stretch = Segment(from_x, from_y, tours.x, tours.y)
     offset = terrain.travel.first_sight(terrain.view, stretch, x, y, radius, opening)
-    sight_at = (walked - length)[:, :, None] + offset
+    sight_at = (travelled - length)[:, :, None] + offset
     first = sight_at[:, 0]
     for stop in range(1, sight_at.shape[1]):  # a reduction over a middle axis is not vectorised
         first = jnp.minimum(first, sight_at[:, stop])
-    return materialize(first), walked[:, -1]
+    return materialize(first), travelled[:, -1]
 
 
 def _patch_travel(is_missed: Array, area: Array) -> Array:
@@ -140,33 +140,33 @@ def latency(
     radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
     opening = sensor.field_of_view
     half_width = sensor.range_max * jnp.sin(jnp.minimum(0.5 * opening, 0.5 * jnp.pi))
-    places_x = jnp.concatenate([search.x, search.partner_x])
-    places_y = jnp.concatenate([search.y, search.partner_y])
-    sight_at, walked = first_sight(
-        tours, places_x, places_y, robot_x, robot_y, radius, opening, terrain=search.terrain
+    position_x = jnp.concatenate([search.x, search.partner_x])
+    position_y = jnp.concatenate([search.y, search.partner_y])
+    sight_at, length = first_sight(
+        tours, position_x, position_y, robot_x, robot_y, radius, opening, terrain=search.terrain
     )
     anchored, partner = jnp.split(sight_at, 2, axis=1)
     either = jnp.minimum(anchored, partner)
-    away = search.terrain.travel.metres(
+    distance = search.terrain.travel.metres(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
     if search.forbidden is not None:  # cells that a tour misses have to be entered
-        away = away + cost_at(search.x, search.y, search.forbidden)[None]
+        distance = distance + cost_at(search.x, search.y, search.forbidden)[None]
     mass = search.mass
     # Cells of negligible mass are not worth a detour.
-    counts = (mass > 0.1 * jnp.mean(mass))[None, :]
-    never_seen = (either >= LARGE) & counts
+    is_relevant = (mass > 0.1 * jnp.mean(mass))[None, :]
+    never_seen = (either >= LARGE) & is_relevant
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(never_seen, axis=1) * cell / (4.0 * half_width)
-    rest = (walked + sweep)[:, None] + away
-    cost_unanchored = search.unanchored[None, :] * jnp.where(either < LARGE, either, rest)
-    cost_anchored = search.anchored[None, :] * jnp.where(anchored < LARGE, anchored, rest)
+    remaining = (length + sweep)[:, None] + distance
+    cost_unanchored = search.unanchored[None, :] * jnp.where(either < LARGE, either, remaining)
+    cost_anchored = search.anchored[None, :] * jnp.where(anchored < LARGE, anchored, remaining)
     total = jnp.sum(cost_unanchored + cost_anchored, axis=1)
-    is_missed = (anchored >= LARGE) & counts
+    is_missed = (anchored >= LARGE) & is_relevant
     missed = jnp.sum(is_missed, axis=1)
-    leg = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(missed, 1)
-    rest = walked + leg + missed * cell / (2.0 * half_width) + _patch_travel(is_missed, area)
-    full = jnp.where(missed > 0, rest, jnp.max(jnp.where(counts, anchored, 0.0), axis=1))
-    total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * full
+    leg = jnp.sum(jnp.where(is_missed, distance, 0.0), axis=1) / jnp.maximum(missed, 1)
+    remaining = length + leg + missed * cell / (2.0 * half_width) + _patch_travel(is_missed, area)
+    full = jnp.where(missed > 0, remaining, jnp.max(jnp.where(is_relevant, anchored, 0.0), axis=1))
+    total = (1.0 - search.prob_absent) * total + search.prob_absent * jnp.sum(mass) * full
     is_at_first = is_reached(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y)
     return total + jnp.where(is_at_first, LARGE, 0.0)

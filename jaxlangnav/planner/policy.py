@@ -40,7 +40,7 @@ class PolicyDescription:
     """Texts by which reports and figures describe a policy's choices."""
 
     place: str = "a place of its own choice"
-    """Name of the policy's own waypoints."""
+    """Name of the policy's custom waypoints."""
     reason: str = "of {number} places it is worth most to its policy (value {value:.2f})"
     """Why a waypoint was chosen; {tested} is the fraction of maps that the path tests."""
     reason_object: str | None = None
@@ -51,12 +51,12 @@ class PolicyDescription:
 
 @runtime_checkable
 class Policy(Protocol):
-    """A policy decides where the robot goes, and when it has arrived.
+    """Policy of the planner: decides on the next waypoint, and when to stop.
 
     A custom policy derives from this class and has ``init`` and ``step``; the rest has defaults.
-    It is hashable, as a frozen dataclass of plain numbers is: other values are another policy, for
-    which another program is compiled. Or it is a ``pytree``: its arrays are traced in ``step`` and
-    ``map_params``, and ShapeDtypeStructs elsewhere.
+    It is hashable, such as a frozen dataclass of plain numbers: other values are another policy and
+    recompile. Or it is a ``pytree``: its arrays are traced in ``step`` and ``map_params``, and
+    ShapeDtypeStructs elsewhere.
     """
 
     @property
@@ -123,10 +123,10 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
     def describe(leaf: Any) -> str:
         return f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}"
 
-    had, has = jax.tree.map(describe, memory), jax.tree.map(describe, after)
-    if had != has:
+    old, new = jax.tree.map(describe, memory), jax.tree.map(describe, after)
+    if old != new:
         raise ValueError(
-            f"policy {policy.name} is given a memory of {had} and returns one of {has}: shapes and "
+            f"policy {policy.name} is given a memory of {old} and returns one of {new}: shapes and "
             "dtypes must stay as its init makes them"
         )
     is_stop = decision.is_stop & situation.may_stop & ~decision.doubt.asks

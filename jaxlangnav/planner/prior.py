@@ -34,30 +34,30 @@ def table() -> np.ndarray:
     Raises a ValueError if the file has no finite, non-negative table.
     """
     try:
-        found = parse_floats(read_file(TABLE_FILE, at_most=_MAX_BYTES))
-        if found.shape != (RANGE_BINS, BEARING_BINS) or (found < 0.0).any():
-            raise ValueError(f"shape {found.shape}, or a negative density")
+        density = parse_floats(read_file(TABLE_FILE, at_most=_MAX_BYTES))
+        if density.shape != (RANGE_BINS, BEARING_BINS) or (density < 0.0).any():
+            raise ValueError(f"shape {density.shape}, or a negative density")
     except (OSError, ValueError) as error:
         raise ValueError(f"{TABLE_FILE}: not a table of densities ({error})") from error
-    return found
+    return density
 
 
 def relative_density(
-    coverage: Coverage, viewer: Array, x: Array, y: Array, share: Array, ahead: Array
+    coverage: Coverage, viewer: Array, x: Array, y: Array, weight: Array, ahead: Array
 ) -> Array:
     """Look up the prior density of an object at each position, relative to uniform.
 
-        (share · learned + 1 − share) · exp κ (cos b − 1)
+        (w · learned + 1 − w) · exp κ (cos b − 1)
 
-    Limits: 1 everywhere for a share and κ of 0; 1 − share straight ahead where no training world
-    had an object.
+    Limits: 1 everywhere for w and κ of 0; 1 − w straight ahead where no training world had an
+    object.
 
     Args:
         coverage: for the operating area.
         viewer: f32[3], x, y, heading when the instruction was heard, map frame.
         x: f32[C], metres, map frame.
         y: f32[C], metres.
-        share: f32[] in [0, 1], weight of the table; the rest is uniform.
+        weight: f32[] in [0, 1], w, weight of the table; the rest is uniform.
         ahead: f32[], κ ≥ 0, concentration of bearings b about the viewer's heading.
     """
     learned = jnp.asarray(table())
@@ -76,4 +76,4 @@ def relative_density(
     is_inside = (row < rows) & (column < columns)
     flat = jnp.where(is_inside, row * columns + column, 0.0).astype(jnp.int32)
     value = jnp.where(is_inside, learned.reshape(-1)[flat], 0.0)
-    return (share * value + (1.0 - share)) * jnp.exp(ahead * (jnp.cos(bearing) - 1.0))
+    return (weight * value + (1.0 - weight)) * jnp.exp(ahead * (jnp.cos(bearing) - 1.0))

@@ -1,8 +1,8 @@
 """Relevance of mentions to the goal: connected components of the relation graph (ours).
 
 A sentence may mention more than its current command needs: constraints, the next command's goal,
-earlier statements. The relations of a reading connect its mentions into groups; the group of the
-goal is relevant. The robot, to which any object may be related, connects nothing.
+earlier statements. The relations of an interpretation connect its mentions into groups; the group
+of the goal is relevant. The robot, to which any object may be related, connects nothing.
 
 Sets of mentions are bits of integers: bit m of a set says whether mention m is in it.
 """
@@ -20,7 +20,7 @@ MIN_MENTION_PROB = 1e-3
 
 
 def groups(readings: Readings) -> Array:
-    """Compute the connected components of mentions under the relations of each of K readings.
+    """Compute the connected components of mentions in each of K interpretations.
 
     i32[M, K], for each mention the set of its component, including itself.
     """
@@ -29,12 +29,12 @@ def groups(readings: Readings) -> Array:
     is_object = readings.mention_type != ROBOT
     figure = readings.figure[..., None] == mentions  # [K, J, M]
     landmark = (readings.landmark[..., None] == mentions) & (readings.relation != NONE)[..., None]
-    is_tied = jnp.any(figure[..., :, None] & landmark[..., None, :], axis=1)  # [K, M, M]
-    is_tied = (is_tied | is_tied.mT) & is_object[:, :, None] & is_object[:, None, :]
-    is_tied = is_tied | identity
+    is_connected = jnp.any(figure[..., :, None] & landmark[..., None, :], axis=1)  # [K, M, M]
+    is_connected = (is_connected | is_connected.mT) & is_object[:, :, None] & is_object[:, None, :]
+    is_connected = is_connected | identity
     for _ in range(max(1, int(np.ceil(np.log2(num_mentions))))):
-        is_tied = jnp.any(is_tied[:, :, :, None] & is_tied[:, None, :, :], axis=2)
-    return _bitset(is_tied.T)
+        is_connected = jnp.any(is_connected[:, :, :, None] & is_connected[:, None, :, :], axis=2)
+    return _bitset(is_connected.T)
 
 
 def _bitset(is_member: Array) -> Array:
@@ -44,7 +44,7 @@ def _bitset(is_member: Array) -> Array:
 
 
 def believed_groups(readings: Readings, particles: SemanticMap) -> Array:
-    """Look up the groups under each particle's reading, i32[M, P]."""
+    """Look up the groups under each particle's interpretation, i32[M, P]."""
     table = groups(readings).T  # [K, M]
     num_particles = particles.reading.shape[-1]
     index = jnp.broadcast_to(particles.reading, (table.shape[1], num_particles))

@@ -22,7 +22,7 @@ from jaxlangnav.terrain import OPEN, Eye, Terrain
 CELLS = 12
 """Cells of the search map per side; must divide those of the coverage map."""
 LATTICE = 6
-"""Viewpoints per side of the lattice for greedy tours."""
+"""Number of viewpoints per side of the lattice for greedy tours."""
 _TILT = 2e-3
 """Relative gradient of the cell weights across the area, to break ties: else rounding would choose
 between a tour and its mirror image, differently in each compiled program."""
@@ -39,40 +39,40 @@ class SearchMap:
     anchored: Array  # f32[C] probability that a target anchored to an observed object lies there
     partner_x: Array  # f32[C] metres: position of the other one of an unanchored pair; else x
     partner_y: Array  # f32[C]
-    unseen: Array  # f32[] probability that a target placed as described would still be unseen
+    unseen: Array  # f32[] u, miss probability of a target placed as described
     terrain: Terrain = OPEN  # lines of sight and travel distances
     forbidden: Zones | None = None  # keep-out zones
-    nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, no such object (``termination``)
-    missed: Array | np.float32 = np.float32(0.0)  # f32[] mean miss probability over the area
-    elsewhere: Array | np.float32 = np.float32(0.0)  # f32[C] relocation density
+    prob_absent: Array | np.float32 = np.float32(0.0)  # f32[] q, no such object (``termination``)
+    mean_miss: Array | np.float32 = np.float32(0.0)  # f32[] v, mean miss probability over the area
+    relocation_density: Array | np.float32 = np.float32(0.0)  # f32[C] relocation density
 
     @property
     def mass(self) -> Array:
         """Probability that a mentioned, unobserved object lies in each cell, f32[C]."""
         return self.unanchored + self.anchored
 
-    def relocated(self, share: Array | float, least: Array | float) -> "SearchMap":
+    def relocated(self, frac: Array | float, min_moved: Array | float) -> "SearchMap":
         """Move mass to the whole unexplored area, for targets that are not where described.
 
         Args:
-            share: f32[], fraction of the mass that is moved.
-            least: f32[], lower bound of the moved mass, as few particles may have none.
+            frac: f32[], fraction of the mass that is moved.
+            min_moved: f32[], lower bound of the moved mass, as few particles may have none.
         """
-        total, kept = jnp.sum(self.mass), 1.0 - share
-        moved = jnp.maximum(share * total, least - kept * total)
-        anchored = kept * self.anchored + jnp.multiply(moved, self.elsewhere)
-        return replace(self, unanchored=kept * self.unanchored, anchored=anchored)
+        total, rest = jnp.sum(self.mass), 1.0 - frac
+        moved = jnp.maximum(frac * total, min_moved - rest * total)
+        anchored = rest * self.anchored + jnp.multiply(moved, self.relocation_density)
+        return replace(self, unanchored=rest * self.unanchored, anchored=anchored)
 
 
-def grid(area: Array, number: int) -> tuple[Array, Array]:
+def grid(area: Array, side: int) -> tuple[Array, Array]:
     """Compute the centres of number × number equal cells of an area f32[4].
 
     f32[number²] x and y, metres, map frame.
     """
-    fracs = (jnp.arange(number) + 0.5) / number
+    fracs = (jnp.arange(side) + 0.5) / side
     x = area[0] + fracs * (area[1] - area[0])
     y = area[2] + fracs * (area[3] - area[2])
-    return jnp.tile(x, number), jnp.repeat(y, number)
+    return jnp.tile(x, side), jnp.repeat(y, side)
 
 
 def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -> Array:
@@ -115,11 +115,11 @@ def _least_observed(coverage: Coverage, x: Array, y: Array) -> tuple[Array, Arra
     subcells = coverage.log_miss.reshape(CELLS, block, CELLS, block)
     subcells = subcells.transpose(0, 2, 1, 3).reshape(CELLS**2, block * block)
     offsets = np.arange(block, dtype=np.float32) - 0.5 * (block - 1)
-    along, across = np.tile(offsets, block), np.repeat(offsets, block)
-    penalty = _OFF_CENTRE * (along**2 + across**2)
-    least = jnp.argmax(subcells - penalty[None], axis=1)
+    dx, dy = np.tile(offsets, block), np.repeat(offsets, block)
+    penalty = _OFF_CENTRE * (dx**2 + dy**2)
+    best = jnp.argmax(subcells - penalty[None], axis=1)
     cell_width, cell_height = cell_size(coverage)
-    return x + cell_width * jnp.asarray(along)[least], y + cell_height * jnp.asarray(across)[least]
+    return x + cell_width * jnp.asarray(dx)[best], y + cell_height * jnp.asarray(dy)[best]
 
 
 def _viewer_factor(
@@ -193,9 +193,9 @@ def search_map(
         anchored=anchored_map,
         partner_x=belief.viewer[0] + scale * (x - belief.viewer[0]),
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
-        elsewhere=uniform_unseen / jnp.maximum(jnp.sum(uniform_unseen), 1e-9),
+        relocation_density=uniform_unseen / jnp.maximum(jnp.sum(uniform_unseen), 1e-9),
         unseen=_unseen_prob(belief.coverage, anchored_map, factor),
-        missed=jnp.mean(miss),
+        mean_miss=jnp.mean(miss),
         terrain=belief.terrain,
     )
 

@@ -22,8 +22,8 @@ class Situation:
     belief: ParticleBelief  # weighted maps with their hypotheses, and the coverage map
     nodes: Nodes  # leaves [A], waypoints to value: visited positions, observed objects, its own
     goals: Goals  # goal distribution
-    constraint: Array  # f32[R, N + 1, P] probability that a region of a slot is forbidden
-    is_relevant: Array  # bool[M, P] mentions that bear on the present goal (``relevance``)
+    forbidden_prob: Array  # f32[R, N + 1, P] probability that a region of a slot is forbidden
+    is_relevant: Array  # bool[M, P] mentions that bear on the current goal (``relevance``)
     robot_x: Array  # f32[] believed position
     robot_y: Array  # f32[]
     sensor: SensorParams  # sensing range and field of view
@@ -36,7 +36,7 @@ class Situation:
     may_stop: Array  # bool[] an observed object that may be the goal is within reach
     params: PlannerParams
     map_params: MapParams
-    spoken: Utterances | None = None  # None: no utterance is relevant to the search
+    utterances: Utterances | None = None  # None: none is relevant to the search
     num_blocks: int = static(default=1)  # blocks per side that frontiers are grouped in
 
     @property
@@ -46,16 +46,16 @@ class Situation:
 
     @property
     def forbidden(self) -> Zones:
-        """Objects to keep away from, with their keep-out zones."""
-        here, cost = (self.robot_x, self.robot_y), self.params.constraint_cost
-        return keep_out_zones(self.belief, self.constraint, *here, cost)
+        """Keep-out zones of the forbidden objects."""
+        robot, cost = (self.robot_x, self.robot_y), self.params.constraint_cost
+        return keep_out_zones(self.belief, self.forbidden_prob, *robot, cost)
 
     @property
-    def wanted(self) -> ParticleBelief:
+    def search_belief(self) -> ParticleBelief:
         """The belief restricted to search targets: the current goal and its landmarks."""
         particles = self.belief.particles
-        spoken = particles.is_mentioned & self.is_relevant
-        return replace(self.belief, particles=replace(particles, is_mentioned=spoken))
+        is_target = particles.is_mentioned & self.is_relevant
+        return replace(self.belief, particles=replace(particles, is_mentioned=is_target))
 
     @property
     def distance(self) -> Array:
@@ -91,7 +91,7 @@ class Decision:
     waypoint_y: Array  # f32[]
     next_x: Array  # f32[] metres, map frame: first turning point of a detour, else the waypoint
     next_y: Array  # f32[]
-    kind: Array  # i32[] type of the node that it goes to
+    kind: Array  # i32[] node type of the waypoint
     is_stop: Array  # bool[] the goal is within reach
     is_approach: Array  # bool[] the waypoint is an observed object that may be the goal
     is_not_found: Array  # bool[] the search is exhausted, and there is no goal
@@ -102,7 +102,7 @@ class Decision:
     information_value: Array  # f32[A] part of it from information gained on the path
     cost: Array  # f32[A] part of it lost to detours around keep-out zones
     stop_mass: Array  # f32[] goal probability within reach
-    doubt: AskDecision  # ask which object is meant, or look on before one is accepted
+    doubt: AskDecision  # ask which object is meant, or search on before one is accepted
 
     @property
     def turns(self) -> Array:

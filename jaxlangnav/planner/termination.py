@@ -65,41 +65,41 @@ def prob_exists(unseen: Array, concentration: Array, misleading: Array, clumping
 class Presence(NamedTuple):
     """Probabilities that an unobserved goal exists."""
 
-    fitting: Array  # f32[] that a fitting object exists, if an observed one does not fit
-    any: Array  # f32[] that one exists at all, if none has been observed
-    nowhere: Array  # f32[] q, that the mentioned object does not exist
-    unlooked: Array | float = 0.0  # f32[] u, unobserved fraction of its possible positions
-    elsewhere: Array | float = 0.0  # f32[] s, that it is not where described, if it exists
+    prob_fitting: Array  # f32[] that a fitting object exists, if an observed one does not fit
+    prob_any: Array  # f32[] that one exists at all, if none has been observed
+    prob_absent: Array  # f32[] q, that the mentioned object does not exist
+    miss: Array | float = 0.0  # f32[] u, miss probability of the goal over all observations
+    prob_elsewhere: Array | float = 0.0  # f32[] s, that it is not where described, if it exists
 
 
-def presence(unseen: Array, absent: Array, maps: MapParams, missed: Array | np.float32) -> Presence:
+def presence(unseen: Array, absent: Array, maps: MapParams, miss: Array | np.float32) -> Presence:
     """Compute the probabilities that an unobserved goal exists.
 
-    ``unseen`` is u, ``absent`` ν and ``missed`` v, f32[]. Limits: at ν = 0 both are the same, and q
+    ``unseen`` is u, ``absent`` ν and ``miss`` v, f32[]. Limits: at ν = 0 both are the same, and q
     is 0.
     """
-    nowhere = (1.0 - maps.misleading) * absent
-    error = maps.misleading + nowhere
+    nonexistent = (1.0 - maps.misleading) * absent
+    error = maps.misleading + nonexistent
     fitting, any_exist, placed = (
         prob_exists(unseen, maps.concentration, rate, maps.clumping)
-        for rate in (maps.misleading, error, maps.misleading * missed)
+        for rate in (maps.misleading, error, maps.misleading * miss)
     )
-    nowhere = nowhere / jnp.maximum(error, 1e-12) * (1.0 - any_exist)
-    return Presence(fitting, any_exist, nowhere, unlooked=unseen, elsewhere=1.0 - placed)
+    prob_absent = nonexistent / jnp.maximum(error, 1e-12) * (1.0 - any_exist)
+    return Presence(fitting, any_exist, prob_absent, miss=unseen, prob_elsewhere=1.0 - placed)
 
 
 def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:
     """List the object types that a sentence mentions and that have not been observed (host only).
 
-    Type codes of the likeliest reading, in the order of the mentions; ``ANYTHING`` if all observed
-    objects are named by their types. ``object_type``, i32[O, ...], has the type codes of all
-    observed objects, in any of the maps; NONE in between.
+    Type codes of the likeliest interpretation, in the order of the mentions; ``ANYTHING`` if all
+    observed objects are named by their types. ``object_type``, i32[O, ...], has the type codes of
+    all observed objects, in any of the maps; NONE in between.
     """
     likeliest = int(np.argmax(np.asarray(readings.log_probability)))
-    mentioned = dict.fromkeys(int(kind) for kind in np.asarray(readings.mention_type)[likeliest])
-    observed, kinds = np.unique(object_type), [kind for kind in mentioned if kind >= 0]
-    missing = [kind for kind in kinds if not np.any(is_type(observed, kind))]
+    mentioned = dict.fromkeys(int(code) for code in np.asarray(readings.mention_type)[likeliest])
+    observed, codes = np.unique(object_type), [code for code in mentioned if code >= 0]
+    missing = [code for code in codes if not np.any(is_type(observed, code))]
     # An object named by its type is not also "the thing".
-    num_named = sum(not is_anything(kind) for kind in kinds if kind not in missing)
+    num_named = sum(not is_anything(code) for code in codes if code not in missing)
     num_seen = np.any(np.reshape(object_type, (len(object_type), -1)) >= 0, axis=1).sum()
-    return [k for k in kinds if k in missing or (is_anything(k) and num_seen <= num_named)]
+    return [c for c in codes if c in missing or (is_anything(c) and num_seen <= num_named)]

@@ -15,7 +15,7 @@ from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
-from jaxlangnav.planner.constraints import keep_out, cost_at
+from jaxlangnav.planner.constraints import cost_at, keep_out
 from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_reached, latency
 from jaxlangnav.planner.search import LATTICE, SearchMap, grid, visibility
 from jaxlangnav.pytree import pytree
