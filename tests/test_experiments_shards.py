@@ -169,8 +169,8 @@ def test_a_second_holder_is_told_who_the_first_is(tmp_path: Path) -> None:
             pass
         process.communicate("")
     assert list(folder.iterdir()) == []
-    with lock(folder, (1, 1), on_note=ignore) as is_held:
-        assert is_held
+    with lock(folder, (1, 1), on_note=ignore) as is_filled:
+        assert is_filled
     assert list(folder.iterdir()) == []
 
 
@@ -183,8 +183,8 @@ def test_a_dead_holder_s_lock_is_taken_over(tmp_path: Path) -> None:
         for part in ((2, 3), (1, 1)):
             left.write_text(json.dumps({"host": "a", "pid": 7, "since": "then"}))
             told: list[str] = []
-            with lock(tmp_path, part, on_note=told.append) as is_held:
-                assert is_held
+            with lock(tmp_path, part, on_note=told.append) as is_filled:
+                assert is_filled
                 (path,) = tmp_path.iterdir()
                 assert json.loads(path.read_text())["pid"] == os.getpid()
             assert told == [
@@ -200,8 +200,8 @@ def test_parts_that_share_files_exclude_each_other(first, second, tmp_path):
     refused = pytest.raises(ValueError, match=f"part {first[0]}/{first[1]}")
     with lock(tmp_path, first, on_note=ignore):
         expected = refused if one & other else contextlib.nullcontext()
-        with expected, lock(tmp_path, second, on_note=ignore) as is_held:
-            assert is_held
+        with expected, lock(tmp_path, second, on_note=ignore) as is_filled:
+            assert is_filled
         assert len(list(tmp_path.iterdir())) == 1
 
 
@@ -211,8 +211,8 @@ def test_without_locks_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(fcntl, "flock", flock)
     told: list[str] = []
-    with lock(tmp_path, (1, 1), on_note=told.append) as is_held:
-        assert not is_held
+    with lock(tmp_path, (1, 1), on_note=told.append) as is_filled:
+        assert not is_filled
     assert "cannot be locked (No locks available)" in told[0]
     assert list(tmp_path.iterdir()) == []
 

@@ -57,7 +57,7 @@ def search_of(free, anchored=None) -> SearchMap:
 
 
 def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * np.pi) -> float:
-    """Walk from (1, 0) by millimetres until (x, y) is near and, for ``MIN_SIGHT`` metres, in view."""
+    """Walk from (1, 0) by millimetres until (x, y) is near, and in view for ``MIN_SIGHT`` m."""
     walked, at = 0.0, np.array([1.0, 0.0])
     for stop in zip(np.asarray(tour_x, float), np.asarray(tour_y, float), strict=True):
         length = np.hypot(*(np.array(stop) - at))

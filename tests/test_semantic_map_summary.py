@@ -126,7 +126,7 @@ def test_another_sentence_exchanges_what_is_spoken_of() -> None:
     back, listed = PROMOTE(after, listed, spoken(HYDRANT), belief.log_weight, True)
     np.testing.assert_array_equal(back.object_type[:3, 0], [HYDRANT, NONE, NONE])
     np.testing.assert_allclose(back.mean_x[0], 3.0)
-    assert int(jnp.sum(listed.is_held)) == 3
+    assert int(jnp.sum(listed.is_filled)) == 3
 
 
 def test_nothing_is_exchanged_until_something_is_said() -> None:

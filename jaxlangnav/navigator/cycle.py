@@ -183,8 +183,8 @@ def _observe(
     """Update the semantic map with the observation and the utterance (section 3.2)."""
     motion = params.map.motion
     # The longest step of a cycle, with the error of odometry.
-    farthest = jnp.max(params.mode_speed) * motion.step_length
-    farthest = farthest * (1.0 + DEVIATIONS * motion.odometry_noise) + _ROUNDING
+    max_travel = jnp.max(params.mode_speed) * motion.step_length
+    max_travel = max_travel * (1.0 + DEVIATIONS * motion.odometry_noise) + _ROUNDING
     # Relations of a command are relative to the pose at which it was heard.
     viewer = select_row(state.talk.viewer, state.clause)
     belief, info = semantic_filter.step(
@@ -195,8 +195,8 @@ def _observe(
         params=params.policy_of(config).map_params(params.map),
         context=state.talk.context,
         is_sparse=True,
-        farthest=farthest,
-        spoken=_mentioned_types(state) if config.map.num_bystanders else None,
+        max_travel=max_travel,
+        mentioned=_mentioned_types(state) if config.map.num_bystanders else None,
         pools_counts=config.map.pools_counts,
     )
     return replace(state, belief=belief), info

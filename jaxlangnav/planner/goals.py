@@ -101,7 +101,7 @@ def _fit_weights(behavior: Behavior, particles: SemanticMap, weight: Array) -> A
     if not particles.existence.shape[0]:
         return weights
     # The words imply that their referents exist.
-    existence = jnp.where(particles.is_meant, 1.0, particles.existence)
+    existence = jnp.where(particles.is_referent, 1.0, particles.existence)
     return weights * jnp.concatenate([existence, jnp.ones_like(weights[existence.shape[0] :])])
 
 

@@ -87,8 +87,8 @@ def first_sight(
     length = terrain.travel.metres(from_x, from_y, tours.x, tours.y)
     travelled = jnp.cumsum(length, axis=1)
     # All segments of all tours against all positions, [T, K, C].
-    stretch = Segment(from_x, from_y, tours.x, tours.y)
-    offset = terrain.travel.first_sight(terrain.view, stretch, x, y, radius, opening)
+    segment = Segment(from_x, from_y, tours.x, tours.y)
+    offset = terrain.travel.first_sight(terrain.view, segment, x, y, radius, opening)
     sight_at = (travelled - length)[:, :, None] + offset
     first = sight_at[:, 0]
     for stop in range(1, sight_at.shape[1]):  # a reduction over a middle axis is not vectorised

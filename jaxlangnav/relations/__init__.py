@@ -1,6 +1,6 @@
 """Spatial relations (section 3.1).
 
-``table`` is their registry, ``density`` eq. 7a, ``strength`` whether one holds, and who is nearest.
+``table`` is their registry, ``density`` their densities (eq. 7a), ``strength`` truth and ranks.
 """
 
 from jaxlangnav.relations.density import (
@@ -19,8 +19,8 @@ from jaxlangnav.relations.density import (
 from jaxlangnav.relations.strength import (
     degree as degree,
     holds as holds,
-    is_on_side as is_on_side,
     holds_at as holds_at,
+    is_on_side as is_on_side,
 )
 from jaxlangnav.relations.table import (
     REGISTRY as REGISTRY,

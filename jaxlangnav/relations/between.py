@@ -17,13 +17,13 @@ _Point = tuple[Array, Array] | tuple[np.ndarray, np.ndarray]
 
 SPREAD = (0.2, 0.15)
 """α and β (ours, not fitted): most of the mass is in the middle four fifths of the segment,
-and no farther from it than three tenths of its length."""
+within three tenths of its length from it."""
 _MAX_DEVIATIONS = 2.45
 """Standard deviations from the midpoint: just short of the landmarks."""
 _LANDMARK_SD = (0.8, 0.6)
-"""Standard deviations with which a landmark is drawn beyond its figure: of the log of how far,
-against the way to the other one, and in radians. What ``SPREAD`` comes to there is about as wide,
-so that the weight, which makes up for the difference, has no heavy tail."""
+"""Standard deviations of the proposal for a landmark beyond its figure: of the log range ratio, and
+of the angle in radians. They are about as wide as ``SPREAD`` there, so that importance weights have
+no heavy tail."""
 
 
 def log_density(
@@ -33,7 +33,7 @@ def log_density(
 
         log f = −(u − ½)² / 2α² − v² / 2β² − log 2πα β d²
 
-    Limits: exchanging the landmarks changes nothing; with both at one place f is that of a point.
+    Limits: symmetric in the landmarks; with both at one position f is that of a point.
 
     All are f32[...] x and y, metres, map frame: the figure, one landmark, and the other; returned
     is f32[...] per square metre.
@@ -46,9 +46,9 @@ def log_density(
 def lies_between(figure: _Point, landmark: _Point, other: _Point) -> Any:
     """Test whether a figure lies between two landmarks, bool[...].
 
-    It does within ``_MAX_DEVIATIONS`` of the density: in an ellipse about the middle of the way
-    that ends at the landmarks, three quarters as wide as it is long. Nothing lies between itself
-    and something else. All are f[...] x and y, metres, map frame; NumPy or JAX.
+    That is within ``_MAX_DEVIATIONS`` of the density: in an ellipse about their midpoint that ends
+    at the landmarks, three quarters as wide as it is long. No object lies between itself and
+    another. All are f[...] x and y, metres, map frame; NumPy or JAX.
     """
     u, v, _ = _deviations(figure, landmark, other)
     return u * u + v * v < _MAX_DEVIATIONS**2
@@ -68,18 +68,18 @@ def _deviations(figure: _Point, landmark: _Point, other: _Point) -> tuple[Any, A
 def sample(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Array]:
     """Sample a new figure, or a new landmark, given the other landmark.
 
-    The figure comes from ``log_density``; a landmark beyond its figure, as far from it as
-    the other one is but for the spread, in a density of its own.
+    The figure is from ``log_density``; a landmark is from a proposal of its own, beyond its figure
+    at about the range of the other landmark.
 
     Args:
         along_normal: f32[2, ...], standard normal draws, for the figure and for the landmark.
         across_normal: f32[2, ...]
 
     Returns:
-        f32[2, ...] along and lateral, from landmark to figure, in the frame of somebody who looks
-        from the other landmark, and in shares of how far he sees: to the landmark where the figure
-        is new, to the figure where the landmark is; and f32[1, ...], the log-density with which the
-        landmark was drawn, per square of that.
+        f32[2, ...] along and lateral, from landmark to figure, in the frame of a viewer at the
+        other landmark, in units of its distance: to the landmark where the figure is new, to the
+        figure where the landmark is; and f32[1, ...], the log proposal density of the landmark, per
+        square unit.
     """
     (along, across), (range_sd, angle_sd) = SPREAD, _LANDMARK_SD
     z_range, z_angle = along_normal[1:], across_normal[1:]

@@ -31,7 +31,7 @@ SIDE_CONCENTRATION = 4.0
 
 @pytree
 class RelationModel:
-    """``RelationParams`` made ready for the filter: constants and sampling tables."""
+    """``RelationParams`` prepared for the filter: constants and sampling tables."""
 
     log_distance: Array  # f32[R]
     log_distance_sd: Array  # f32[R]
@@ -52,11 +52,11 @@ class Density:
     axis_lateral: Array  # f32[...]
     concentration: Array  # f32[...]
     log_constant: Array  # f32[...]
-    has_range: Array  # f32[...] 1, or 0 where distance does not count: a side, a rank
+    has_range: Array  # f32[...] 1, or 0 if distance does not matter: a side, a rank
 
 
 def prepare(params: RelationParams) -> RelationModel:
-    """Compute constants and the quantile table of the von Mises angle, once per set of parameters.
+    """Compute the normalisers and the von Mises quantile table of relations.
 
     Differentiable in ``params``, f32[R] each; ``log_distance_sd`` > 0, ``concentration`` >= 0.
     """
@@ -169,7 +169,7 @@ def _log_density(pdf: Density, along: Array, lateral: Array, squared: Array) -> 
 def sample_polar(
     model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
 ) -> tuple[Array, Array]:
-    """Draw offsets of a relation, f32[...] along and lateral, from standard normals f32[...].
+    """Sample offsets of a relation, f32[...] along and lateral, from standard normals f32[...].
 
     In metres, in the frame of ``log_density``.
     """
@@ -179,7 +179,7 @@ def sample_polar(
 def sample_pdf(
     pdf: Density, model: RelationModel, relation: ArrayLike, normal_r: Array, normal_angle: Array
 ) -> tuple[Array, Array]:
-    """Draw as ``sample_polar`` does, from a density looked up before, which must have a range."""
+    """Sample as ``sample_polar`` from given density parameters, which must have a range."""
     pdf = jax.tree.map(lambda leaf: prepend_axes(leaf, normal_r.ndim), pdf)
     distance = jnp.exp(pdf.log_distance + pdf.log_distance_sd * normal_r)
     position = jnp.minimum(jnp.abs(normal_angle), MAX_NORMAL) * (NUM_QUANTILES / MAX_NORMAL)

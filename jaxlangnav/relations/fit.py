@@ -1,18 +1,17 @@
-"""Relations learned from examples: where people say things are (section 3.2, eq. 7a).
+"""Maximum a posteriori fit of relations to labelled pairs (section 3.2, eq. 7a).
 
-A labelled pair is a figure, a landmark, the word between them, where the speaker stood at the
-utterance and where the robot stands now. The frame that was meant is not labelled, so each pair is
-a mixture over three of them,
+A labelled pair is a figure, a landmark, the relation between them, the speaker's pose at the
+utterance and the robot's pose now. The intended frame is not labelled, so each pair is a mixture
+over three of them,
 
     p(o | word) = Σ_k π_k f(o; θ, frame_k),   k: viewer's frame at the utterance,
                                                  robot's present frame, undirected (κ = 0)
 
-with the density f of ``relations`` and shares π of each word. Parameters and shares maximise the
-posterior by L-BFGS on exact gradients, and the curvature there gives standard errors. What frame
-each pair was meant in is reported as a posterior.
+with the density f of ``relations`` and mixture weights π of each relation. Parameters and weights
+maximise the posterior by L-BFGS on exact gradients, and the curvature there gives standard errors.
+The frame of each pair is reported as a posterior.
 
-The filter understands relations in the viewer's frame alone. Words are "front" to "far", as
-everywhere.
+The filter uses relations in the viewer's frame alone. Relations are "front" to "far".
 """
 
 import jax
@@ -28,18 +27,18 @@ from jaxlangnav.relations.pairs import FRAMES, RelationPairs, log_frame_densitie
 from jaxlangnav.relations.table import MODELLED
 
 _RINGS = [row for row, index in enumerate(MODELLED) if index not in SIDES]
-"""Relations without a direction: κ stays 0, and no frame can be told from another."""
+"""Undirected relations: κ stays 0, and all frames are equivalent."""
 _MIN_CONCENTRATION = 1e-3
-_FLAT, _CONVERGED = 1e-4, 1e-3
-"""Length of the mean gradient that ends the search, and each number's that counts as vanished:
-float32 leaves a rounding error of about 1e-4."""
+_GRADIENT_TOL, _CONVERGED_TOL = 1e-4, 1e-3
+"""Norm of the mean gradient that ends the search, and its maximum component at convergence: float32
+has a rounding error of about 1e-4."""
 
 
 @pytree
 class RelationPrior:
-    """How far parameters are believed to lie from where the fit starts; standard deviations.
+    """Gaussian prior on parameters about the start of the fit: standard deviations.
 
-    The default is worth about one pair: it decides where there are no data, and only there.
+    The default is worth about one pair, so that it matters only without data.
     """
 
     log_distance: Array = field("log metres", default=1.0)
@@ -51,26 +50,26 @@ class RelationPrior:
 
 @pytree
 class RelationFit:
-    """Fitted relations, and how well they are known."""
+    """Fitted relations with standard errors and diagnostics."""
 
     params: RelationParams
     standard_error: RelationParams  # of each parameter; 0 where it was not fitted
-    frame_share: Array  # f32[R, F] π of each word, sums to one
+    frame_share: Array  # f32[R, F] π, mixture weights of each relation's frames, sum to one
     frame_share_error: Array  # f32[R, F]
-    frame_posterior: Array  # f32[N, F] in which frame each pair was meant
+    frame_posterior: Array  # f32[N, F] posterior of each pair's frame
     log_likelihood: Array  # f32[] mean over the pairs, log of a density per square metre
-    log_likelihood_before: Array  # f32[] at the start: initial parameters, all frames alike
-    num_pairs: Array  # i32[R] pairs of each word
+    log_likelihood_before: Array  # f32[] at the start: initial parameters, uniform frames
+    num_pairs: Array  # i32[R] number of pairs of each relation
     is_converged: Array  # bool[] the gradient has vanished
 
 
 _Free = tuple[RelationParams, Array]
-"""What is optimised, unconstrained: relations with log σ and log κ in place of σ and κ, and logits
-of the frames f32[R, F]."""
+"""Unconstrained parameters: relations with log σ and log κ in place of σ and κ, and logits of the
+frames f32[R, F]."""
 
 
 def _decode(free: _Free) -> tuple[RelationParams, Array]:
-    """Turn unconstrained numbers into relations and log-shares of the frames f32[R, F]."""
+    """Transform unconstrained parameters to relations and log mixture weights f32[R, F]."""
     params, logit = free
     is_ring = jnp.isin(jnp.arange(len(MODELLED)), jnp.asarray(_RINGS))
     concentration = jnp.where(is_ring, 0.0, jnp.exp(params.concentration))
@@ -80,7 +79,7 @@ def _decode(free: _Free) -> tuple[RelationParams, Array]:
 
 
 def _encode(params: RelationParams) -> _Free:
-    """Start from relations, with all frames alike."""
+    """Transform relations to unconstrained parameters, with uniform frames."""
     log_spread = jnp.log(params.log_distance_sd)
     log_concentration = jnp.log(jnp.maximum(params.concentration, _MIN_CONCENTRATION))
     params = replace(params, log_distance_sd=log_spread, concentration=log_concentration)
@@ -88,77 +87,77 @@ def _encode(params: RelationParams) -> _Free:
 
 
 def _log_joint(free: _Free, pairs: RelationPairs) -> Array:
-    """Log of share times density of every pair in every frame, f32[N, F]."""
-    params, log_share = _decode(free)
-    return log_frame_densities(pairs, params=params) + log_share[pairs.relation]
+    """Compute the log joint density of every pair and its frame, f32[N, F]."""
+    params, log_weight = _decode(free)
+    return log_frame_densities(pairs, params=params) + log_weight[pairs.relation]
 
 
 def _log_prior(free: _Free, start: _Free, prior: RelationPrior) -> Array:
-    """Log-prior of the unconstrained numbers, up to a constant."""
+    """Compute the log-prior of the unconstrained parameters, up to a constant."""
     deviations = RelationParams(
         log_distance=prior.log_distance,
         log_distance_sd=prior.log_distance_sd,
         axis=prior.axis,
         concentration=prior.log_concentration,
     )
-    far = jax.tree.map(
+    log_probs = jax.tree.map(
         lambda value, centre, deviation: -0.5 * jnp.sum(((value - centre) / deviation) ** 2),
         free[0],
         start[0],
         deviations,
     )
-    shares = jax.nn.log_softmax(free[1], axis=1)
-    # Shares do not change with the sum of the logits: hold that at zero.
+    frames = prior.frame_pairs / len(FRAMES) * jnp.sum(jax.nn.log_softmax(free[1], axis=1))
+    # The softmax is invariant to the sum of the logits: regularise it to zero.
     anchor = -0.5 * jnp.sum(jnp.sum(free[1], axis=1) ** 2)
-    return sum(jax.tree.leaves(far)) + prior.frame_pairs / len(FRAMES) * jnp.sum(shares) + anchor
+    return sum(jax.tree.leaves(log_probs)) + frames + anchor
 
 
 @jax.jit
 def _maximise(
     pairs: RelationPairs, start: _Free, prior: RelationPrior, max_steps: Array
 ) -> tuple[_Free, Array, Array]:
-    """Run L-BFGS from where the prior has its centre, on the mean over pairs.
+    """Minimise the mean loss over pairs by L-BFGS, from the centre of the prior.
 
-    Also f32[n, n], the curvature there, and bool[], whether the search has converged.
+    Also f32[n, n], the curvature at the optimum, and bool[], whether the search has converged.
     """
-    number, (begin, unravel) = pairs.relation.shape[0], ravel_pytree(start)
+    num_pairs, (init, unravel) = pairs.relation.shape[0], ravel_pytree(start)
 
     def loss(vector: Array) -> Array:
         free = unravel(vector)
         total = jnp.sum(jax.nn.logsumexp(_log_joint(free, pairs), axis=1))
-        return -(total + _log_prior(free, start, prior)) / number
+        return -(total + _log_prior(free, start, prior)) / num_pairs
 
-    found = descend(loss, begin, slope_length=_FLAT, max_steps=max_steps)
-    # A row at a time: a third of the compilation of ``jax.hessian``.
+    found = descend(loss, init, slope_length=_GRADIENT_TOL, max_steps=max_steps)
+    # Row by row: a third of the compilation time of ``jax.hessian``.
     curvature = jax.lax.map(
-        lambda unit: jax.jvp(jax.grad(loss), (found.point,), (unit,))[1], jnp.eye(len(begin))
+        lambda unit: jax.jvp(jax.grad(loss), (found.point,), (unit,))[1], jnp.eye(len(init))
     )
-    is_converged = jnp.max(jnp.abs(found.slope)) < _CONVERGED
-    return unravel(found.point), curvature * number, is_converged
+    is_converged = jnp.max(jnp.abs(found.slope)) < _CONVERGED_TOL
+    return unravel(found.point), curvature * num_pairs, is_converged
 
 
 def _standard_errors(
     free: _Free, curvature: Array, num_pairs: Array
 ) -> tuple[RelationParams, Array]:
-    """Carry the curvature over to the parameters and shares (the delta method)."""
+    """Compute standard errors of parameters and weights from the curvature (delta method)."""
     vector, unravel = ravel_pytree(free)
     covariance = np.linalg.pinv(np.asarray(curvature, np.float64), hermitian=True)
 
     def outputs(values: Array) -> tuple[RelationParams, Array]:
-        params, log_share = _decode(unravel(values))
-        return params, jnp.exp(log_share)
+        params, log_weight = _decode(unravel(values))
+        return params, jnp.exp(log_weight)
 
-    slopes = jax.jit(jax.jacfwd(outputs))(vector)
-    is_known = np.asarray(num_pairs) > 0
+    params, weight = jax.jit(jax.jacfwd(outputs))(vector)
+    has_pairs = np.asarray(num_pairs) > 0
 
     def error(leaf: Array) -> Array:
-        slope = np.asarray(leaf, np.float64)
-        variance = np.einsum("...i,ij,...j->...", slope, covariance, slope)
-        known = is_known.reshape(-1, *(1,) * (variance.ndim - 1))
-        return jnp.asarray(np.sqrt(np.maximum(np.where(known, variance, 0.0), 0.0)), jnp.float32)
+        jacobian = np.asarray(leaf, np.float64)
+        variance = np.einsum("...i,ij,...j->...", jacobian, covariance, jacobian)
+        is_fitted = has_pairs.reshape(-1, *(1,) * (variance.ndim - 1))
+        variance = np.where(is_fitted, variance, 0.0)
+        return jnp.asarray(np.sqrt(np.maximum(variance, 0.0)), jnp.float32)
 
-    params, share = slopes
-    return jax.tree.map(error, params), error(share)
+    return jax.tree.map(error, params), error(weight)
 
 
 def fit_relations(
@@ -168,30 +167,30 @@ def fit_relations(
     prior: RelationPrior | None = None,
     max_iterations: int = 200,
 ) -> RelationFit:
-    """Fit relations and the shares of their frames to labelled pairs.
+    """Fit relations and the mixture weights of their frames to labelled pairs.
 
-    Words without pairs keep their initial parameters. "Near" and "far" have no direction: only
+    Relations without pairs keep their initial parameters. "Near" and "far" have no direction: only
     their distances are fitted. ``params`` of the fit goes through ``relations.prepare`` into
     ``MapParams.relations``.
 
     Args:
         pairs: N labelled pairs; see ``relation_pairs.make_pairs``.
-        init: where the fit starts and the prior has its centre; the defaults if None.
-        prior: how strong it is; about one pair if None.
+        init: start of the fit and centre of the prior; the defaults if None.
+        prior: standard deviations; worth about one pair if None.
         max_iterations: of L-BFGS.
     """
     start = _encode(default_params() if init is None else init)
-    held = RelationPrior() if prior is None else prior
-    free, curvature, is_converged = _maximise(pairs, start, held, jnp.float32(max_iterations))
+    prior = RelationPrior() if prior is None else prior
+    free, curvature, is_converged = _maximise(pairs, start, prior, jnp.float32(max_iterations))
     num_pairs = jnp.bincount(pairs.relation, length=len(MODELLED))
-    params, log_share = _decode(free)
-    standard_error, share_error = _standard_errors(free, curvature, num_pairs)
+    params, log_weight = _decode(free)
+    standard_error, weight_error = _standard_errors(free, curvature, num_pairs)
     joint = _log_joint(free, pairs)
     return RelationFit(
         params=params,
         standard_error=standard_error,
-        frame_share=jnp.exp(log_share),
-        frame_share_error=share_error,
+        frame_share=jnp.exp(log_weight),
+        frame_share_error=weight_error,
         frame_posterior=jax.nn.softmax(joint, axis=1),
         log_likelihood=jnp.mean(jax.nn.logsumexp(joint, axis=1)),
         log_likelihood_before=jnp.mean(jax.nn.logsumexp(_log_joint(start, pairs), axis=1)),
@@ -201,7 +200,7 @@ def fit_relations(
 
 
 def describe(fit: RelationFit) -> list[dict[str, float | str]]:
-    """List what has been fitted, a row for each word with pairs.
+    """List the fitted parameters, a row for each relation with pairs.
 
     ``relation``, ``pairs``, ``distance`` (median, metres), ``spread``, ``axis`` (degrees),
     ``concentration``, each with its standard error ``…_se``, and the shares of the frames.
@@ -210,7 +209,7 @@ def describe(fit: RelationFit) -> list[dict[str, float | str]]:
     params, error = fit.params, fit.standard_error
     for index in np.flatnonzero(fit.num_pairs):
         median = jnp.exp(params.log_distance[index])
-        numbers = {
+        values = {
             "distance": median,
             "distance_se": median * error.log_distance[index],
             "spread": params.log_distance_sd[index],
@@ -221,10 +220,10 @@ def describe(fit: RelationFit) -> list[dict[str, float | str]]:
             "concentration_se": error.concentration[index],
         }
         for end, shares in (("", fit.frame_share), ("_se", fit.frame_share_error)):
-            named = zip(FRAMES, shares[index], strict=True)
-            numbers |= {f"share_{frame}{end}": share for frame, share in named}
+            items = zip(FRAMES, shares[index], strict=True)
+            values |= {f"share_{frame}{end}": share for frame, share in items}
         rows.append(
             {"relation": REGISTRY[MODELLED[index]].name, "pairs": int(fit.num_pairs[index])}
-            | {name: float(number) for name, number in numbers.items()}
+            | {name: float(value) for name, value in values.items()}
         )
     return rows

@@ -1,7 +1,7 @@
-"""Labelled pairs of a figure and a landmark, in every frame of reference (section 3.2, eq. 7a).
+"""Labelled pairs of a figure and a landmark, and their density in each frame (section 3.2, eq. 7a).
 
-What people say of where things are, as data: the word, both places, where the speaker stood at the
-utterance and where the robot is now. In which of the frames it was meant is not labelled.
+A pair has a relation, the positions of figure and landmark, the speaker's pose at the utterance and
+the robot's pose now. The intended frame of reference is not labelled.
 """
 
 import jax
@@ -31,7 +31,7 @@ class RelationPairs:
 
     relation: Array  # i32[N] index into ``messages.RELATIONS``
     figure: Array  # f32[N, 2] x, y
-    landmark: Array  # f32[N, 2] not read where the landmark is the robot
+    landmark: Array  # f32[N, 2] ignored where the landmark is the robot
     is_robot: Array  # bool[N] the landmark is the robot itself ("on your left")
     viewer: Array  # f32[N, 3] x, y, heading of speaker and robot at the utterance
     robot: Array  # f32[N, 3] x, y, heading of the robot now
@@ -45,7 +45,7 @@ def make_pairs(
     robot: np.ndarray | None = None,
     is_robot: np.ndarray | None = None,
 ) -> RelationPairs:
-    """Check and pack N labelled pairs (host only).
+    """Validate N labelled pairs and convert them to arrays (host only).
 
     Args:
         relation: i[N], index into ``messages.RELATIONS``.
@@ -59,49 +59,49 @@ def make_pairs(
         ValueError: no pairs, shapes that do not agree, an unknown relation, numbers that are not
             finite.
     """
-    word = np.atleast_1d(np.asarray(relation))
-    number = len(word)
-    if number == 0:
+    index = np.atleast_1d(np.asarray(relation))
+    num_pairs = len(index)
+    if num_pairs == 0:
         raise ValueError("there are no pairs to fit relations to")
-    given = {
+    fields = {
         "figure": np.asarray(figure, np.float32),
         "landmark": np.asarray(landmark, np.float32),
         "viewer": np.asarray(viewer, np.float32),
         "robot": np.asarray(viewer if robot is None else robot, np.float32),
-        "is_robot": np.zeros(number, bool) if is_robot is None else np.asarray(is_robot, bool),
+        "is_robot": np.zeros(num_pairs, bool) if is_robot is None else np.asarray(is_robot, bool),
     }
     sizes = {"figure": (2,), "landmark": (2,), "viewer": (3,), "robot": (3,), "is_robot": ()}
-    for name, values in given.items():
-        shape = (number, *sizes[name])
+    for name, values in fields.items():
+        shape = (num_pairs, *sizes[name])
         if values.shape != shape:
-            raise ValueError(f"{name} has shape {values.shape}, but {number} pairs need {shape}")
+            raise ValueError(f"{name} has shape {values.shape}, but {num_pairs} pairs need {shape}")
         if not np.isfinite(values).all():
             raise ValueError(f"{name} holds numbers that are not finite: leave those pairs out")
-    if not np.isin(word, np.arange(len(RELATIONS))).all():
+    if not np.isin(index, np.arange(len(RELATIONS))).all():
         raise ValueError(
             f"relation must be an index from 0 to {len(RELATIONS) - 1} ({', '.join(RELATIONS)})"
         )
-    packed = {name: jnp.asarray(values) for name, values in given.items()}
-    return RelationPairs(relation=jnp.asarray(word, jnp.int32), **packed)
+    arrays = {name: jnp.asarray(values) for name, values in fields.items()}
+    return RelationPairs(relation=jnp.asarray(index, jnp.int32), **arrays)
 
 
 def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, ReferenceFrame]:
-    """Compute offsets and directions of the pairs as seen from a pose f32[N, 3]."""
+    """Compute offsets and reference frames of the pairs for a pose f32[N, 3]."""
     x, y = jnp.where(pairs.is_robot[:, None], pose[:, :2], pairs.landmark).T
-    seen, own = viewer_frame(pose[:, 0], pose[:, 1], x, y), robot_frame(pose[:, 2])
-    frame = jax.tree.map(lambda one, other: jnp.where(pairs.is_robot, one, other), own, seen)
+    extrinsic, intrinsic = viewer_frame(pose[:, 0], pose[:, 1], x, y), robot_frame(pose[:, 2])
+    frame = jax.tree.map(lambda i, e: jnp.where(pairs.is_robot, i, e), intrinsic, extrinsic)
     return pairs.figure[:, 0] - x, pairs.figure[:, 1] - y, frame
 
 
 def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Array:
     """Evaluate the log-density of every pair in every frame, f32[N, F] per square metre.
 
-    The frames' shares do not count. Limits: κ = 0 makes the viewer's frame and "undirected" the
-    same; a robot that has not moved since the utterance makes its present frame the viewer's.
+    Without the mixture weights of the frames. Limits: κ = 0 makes the viewer's frame and
+    "undirected" the same; without motion since the utterance the robot's frame is the viewer's.
     """
     by_viewer = _in_frame(pairs, pairs.viewer)
     by_robot = _in_frame(pairs, pairs.robot)
     undirected = replace(params, concentration=jnp.zeros_like(params.concentration))
-    directed, ring = (density_of(prepare(one), pairs.relation) for one in (params, undirected))
-    meant = ((directed, by_viewer), (directed, by_robot), (ring, by_viewer))
-    return jnp.stack([log_density_of(law, *seen) for law, seen in meant], axis=1)
+    pdf, ring = (density_of(prepare(each), pairs.relation) for each in (params, undirected))
+    components = ((pdf, by_viewer), (pdf, by_robot), (ring, by_viewer))
+    return jnp.stack([log_density_of(*component) for component in components], axis=1)

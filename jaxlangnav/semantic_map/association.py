@@ -1,7 +1,7 @@
-"""Data association: sample which object each detection is of (section 3.2, eq. 7b).
+"""Data association: sample the object of each detection (section 3.2, eq. 7b).
 
-Each detection is grounded in an existing object of its type or in a new one, drawn from the exact
-conditional distribution, so that the weight is the predictive probability of the detections.
+Each detection is associated with an existing object of its type or a new one, sampled from the
+exact conditional distribution, so that the weight is the predictive probability of the detections.
 
 Everything takes one particle, or all of them with the particle axis last ("…" in shapes).
 """
@@ -29,11 +29,11 @@ MIN_LOG_NEW = -30.0
 class Detections(NamedTuple):
     """Detections of one observation in map axes, relative to the robot."""
 
-    object_type: Array  # i32[D] kinds
+    object_type: Array  # i32[D] type codes
     offset_x: Array  # f32[D] metres, map axes; f32[D, 1, ...] where particles differ
     offset_y: Array  # see ``offset_x``
-    log_new: Array  # f32[D] log density of reports like it of what was not yet seen; f32[D, ...]
-    # where offsets differ
+    log_new: Array  # f32[D] log density of reports of a new object there; f32[D, ...] where offsets
+    # differ
     is_detection: Array  # bool[D]
 
 
@@ -42,7 +42,7 @@ class ClutterOdds(NamedTuple):
 
     log_false: Array  # f32[] density of false detections of a type
     log_confused: Array  # f32[] odds that an object is given a wrong type
-    log_as: Array  # f32[] … that it is given a specific wrong type
+    log_specific: Array  # f32[] … that it is given a specific wrong type
 
 
 def clutter_odds(
@@ -65,7 +65,7 @@ def clutter_odds(
     return ClutterOdds(
         log_false=log_of(rate / view_area) + model.log_volume(sensor),
         log_confused=log_of(odds),
-        log_as=log_of(odds / jnp.maximum(num_types - 1, 1)),
+        log_specific=log_of(odds / jnp.maximum(num_types - 1, 1)),
     )
 
 
@@ -88,7 +88,7 @@ def associate(
     uniform: Array,
     sensor: SensorParams,
     growth: Array | float = 0.0,
-    doubt: ClutterOdds | None = None,
+    clutter: ClutterOdds | None = None,
     *,
     is_pooled: bool = False,
     model: SensorModel = RANGING,
@@ -106,7 +106,7 @@ def associate(
         uniform: f32[D, ...], uniform draws in [0, 1).
         sensor: the detector's specification.
         growth: f32[], relative increase of λ for each observed object of the type (κ / α).
-        doubt: clutter and confusion odds, for particles with existence probabilities.
+        clutter: clutter and confusion odds, for particles with existence probabilities.
         is_pooled: whether observed objects of any type increase λ.
         model: observation model of the detector.
     """
@@ -117,13 +117,14 @@ def associate(
     x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
     y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
     predicted = (x, y), jnp.maximum(variance, 0.0) + model.variance(x, y, sensor)
-    log_weights = functools.partial(_log_weights, growth=growth, clutter=doubt, is_pooled=is_pooled)
+    options = {"growth": growth, "clutter": clutter, "is_pooled": is_pooled}
+    log_weights = functools.partial(_log_weights, **options)
 
-    def ground(carry: Association, detection: tuple[Detections, Array]) -> tuple[Association, None]:
-        return _ground_detection(carry, *detection, model, predicted, log_weights), None
+    def scan(carry: Association, detection: tuple[Detections, Array]) -> tuple[Association, None]:
+        return _associate_one(carry, *detection, model, predicted, log_weights), None
 
     false, zeros = jnp.zeros(x.shape, bool), jnp.zeros_like(x)
-    before = Association(
+    init = Association(
         object_type=particle.object_type,
         is_hit=false,
         is_new=false,
@@ -133,21 +134,21 @@ def associate(
         overflow=jnp.zeros(zeros.shape[1:], jnp.int32),
         existence=particle.existence,
     )
-    return jax.lax.scan(ground, before, (detections, uniform))[0]
+    return jax.lax.scan(scan, init, (detections, uniform))[0]
 
 
-def _ground_detection(
+def _associate_one(
     carry: Association,
-    seen: Detections,
+    z: Detections,
     uniform: Array,
     model: SensorModel,
     predicted: tuple[tuple[Array, Array], Array],
     log_weights: Callable[..., Any],
 ) -> Association:
-    """Associate one detection, leaves [], given the associations of earlier ones."""
-    num_objects, code, is_valid = carry.object_type.shape[0], seen.object_type, seen.is_detection
-    log_existing, x, y = model.match((seen.offset_x, seen.offset_y), *predicted)
-    log_weight, posterior = log_weights(seen, log_existing, carry)
+    """Associate one detection z, leaves [], given the associations of earlier ones."""
+    num_objects, code, is_valid = carry.object_type.shape[0], z.object_type, z.is_detection
+    log_existing, x, y = model.match((z.offset_x, z.offset_y), *predicted)
+    log_weight, posterior = log_weights(z, log_existing, carry)
     choice, log_total = categorical.draw(log_weight, uniform)
     slots = append_axes(jnp.arange(num_objects), carry.object_type.ndim)
     free = jnp.min(jnp.where(carry.object_type == NONE, slots, num_objects), axis=0)
@@ -158,13 +159,13 @@ def _ground_detection(
         if_existing, others_if_new = posterior
         existence = jnp.where(is_new & is_valid, others_if_new, existence)
         existence = jnp.where(entry, if_existing, existence)
-    entered = jnp.where(is_new, code, merge_types(carry.object_type, code))
+    new_type = jnp.where(is_new, code, merge_types(carry.object_type, code))
     return Association(
-        object_type=jnp.where(entry, entered, carry.object_type),
+        object_type=jnp.where(entry, new_type, carry.object_type),
         is_hit=carry.is_hit | entry,
         is_new=carry.is_new | (entry & is_new[None]),
-        offset_x=jnp.where(entry, jnp.where(is_new, seen.offset_x, x), carry.offset_x),
-        offset_y=jnp.where(entry, jnp.where(is_new, seen.offset_y, y), carry.offset_y),
+        offset_x=jnp.where(entry, jnp.where(is_new, z.offset_x, x), carry.offset_x),
+        offset_y=jnp.where(entry, jnp.where(is_new, z.offset_y, y), carry.offset_y),
         log_weight=carry.log_weight + jnp.where(is_valid, log_total, 0.0),
         overflow=carry.overflow + (is_valid & (slot == num_objects)).astype(jnp.int32),
         existence=existence,
@@ -172,7 +173,7 @@ def _ground_detection(
 
 
 def _log_weights(
-    seen: Detections,
+    z: Detections,
     log_existing: Array,
     carry: Association,
     growth: Array | float,
@@ -190,7 +191,7 @@ def _log_weights(
     label is wrong and h those of a certain wrong one; λ₀ is λ of a type without observed objects.
     """
     # Attributes are ignored: inconsistent attributes must not split one object into two.
-    is_alike, log_new = label_of(carry.object_type) == label_of(seen.object_type), seen.log_new
+    is_alike, log_new = label_of(carry.object_type) == label_of(z.object_type), z.log_new
     is_candidate = is_alike & ~carry.is_hit
     is_counted = carry.object_type != NONE if is_pooled else is_alike
     if clutter is None:
@@ -202,9 +203,9 @@ def _log_weights(
     is_other = ~is_alike & (carry.object_type != NONE)
     log_confused = prepend_axes(log_new + clutter.log_confused, log_more.ndim)
     log_exists = jnp.log(jnp.maximum(existence, 1e-9))
-    log_mislabelled = jnp.log(jnp.maximum(1.0 - existence, 1e-9)) + clutter.log_as
+    log_mislabelled = jnp.log(jnp.maximum(1.0 - existence, 1e-9)) + clutter.log_specific
     log_match = jnp.logaddexp(log_exists, log_mislabelled)
-    log_others = jnp.where(is_other, log_existing + log_exists + clutter.log_as, -jnp.inf)
+    log_others = jnp.where(is_other, log_existing + log_exists + clutter.log_specific, -jnp.inf)
     log_others = jax.scipy.special.logsumexp(log_others, axis=0, keepdims=True)
     log_false = jnp.logaddexp(clutter.log_false, log_confused)
     log_any = jnp.logaddexp(log_more, jnp.logaddexp(log_false, log_others))

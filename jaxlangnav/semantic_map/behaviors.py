@@ -1,9 +1,8 @@
-"""Behavior inference in every particle: once for all that share a topology (section 3.3).
+"""Behavior inference in the particles, once for each distinct topology (section 3.3).
 
-Beyond the paper, goals without an object type: only their relations identify them. For "the
-hydrant behind the cone" the relation may be wrong, and a hydrant elsewhere may be meant. For "the
-thing behind the cone" that is not so: an object elsewhere is not a referent, and if no object is
-there, there is none.
+Beyond the paper, goals without an object type: only their relations identify them. In "the hydrant
+behind the cone" the relation may be wrong, and a hydrant elsewhere the referent. For "the thing
+behind the cone" an object elsewhere is no referent, and if no object is there, there is none.
 """
 
 import jax
@@ -43,39 +42,39 @@ def infer_clause_behaviors(
 ) -> Behavior:
     """Infer the behavior of one clause in every particle.
 
-    The behavior model sees a particle's topology only, so each distinct topology is inferred
-    once, ``_BLOCK`` of them at a time, and handed to all particles that share it. ``previous_goal``
-    is the observed slot at which the command before ended, i32[]; NONE.
+    The behavior model depends on a particle's topology only, so each distinct topology is inferred
+    once, ``_BLOCK`` of them at a time, for all particles that share it. ``previous_goal`` is the
+    observed slot at which the previous command ended, i32[]; NONE.
     """
     program = select_row(instruction.program, clause)
-    number = particles.reading.shape[-1]
-    block = min(_BLOCK, number)
+    num_particles = particles.reading.shape[-1]
+    block = min(_BLOCK, num_particles)
     topology, representative, count = summary.distinct_topologies(particles)
-    padding = jnp.full((-number) % block, number, representative.dtype)
+    padding = jnp.full((-num_particles) % block, num_particles, representative.dtype)
     representative = jnp.append(representative, padding)
 
     num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
 
     def infer(index: Array, table: Array) -> Array:
         # Beyond the last topology the index is P, clipped to the last particle.
-        chosen = jax.lax.dynamic_slice_in_dim(representative, index * block, block)
+        indices = jax.lax.dynamic_slice_in_dim(representative, index * block, block)
         worlds = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
-            jax.tree.map(lambda leaf: jnp.take(leaf, chosen, axis=-1, mode="clip"), particles),
+            jax.tree.map(lambda leaf: jnp.take(leaf, indices, axis=-1, mode="clip"), particles),
             instruction.readings,
             previous_goal,
         )
         inferred = pack(infer_behaviors(program, worlds, num_phrases=program.num_phrases))
-        column = topology - index * block
+        offset_in_block = topology - index * block
         # Selects vectorise over particles, where a gather would go element by element.
-        for offset in range(block):
-            table = jnp.where(column == offset, inferred[:, offset : offset + 1], table)
+        for row in range(block):
+            table = jnp.where(offset_in_block == row, inferred[:, row : row + 1], table)
         return table
 
     zeros = Behavior(
-        action=jnp.zeros((len(ACTIONS), number), jnp.float32),
-        mode=jnp.zeros((len(MODES), number), jnp.float32),
-        goal=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
-        constraint=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
+        action=jnp.zeros((len(ACTIONS), num_particles), jnp.float32),
+        mode=jnp.zeros((len(MODES), num_particles), jnp.float32),
+        goal=jnp.zeros((len(REGIONS), num_slots, num_particles), jnp.float32),
+        constraint=jnp.zeros((len(REGIONS), num_slots, num_particles), jnp.float32),
     )
     table = jax.lax.fori_loop(0, (count + block - 1) // block, infer, pack(zeros))
     return unpack(table, zeros)
@@ -88,17 +87,17 @@ def filter_untyped_goals(
     context: UtteranceContext,
     relations: RelationModel,
 ) -> Behavior:
-    """For a goal without an object type, keep only observed objects that satisfy its relation.
+    """Remove goals of untyped mentions that violate the stated relation.
 
     Limits: if all mentions of a sentence have a type nothing changes, and nothing is computed.
     """
-    num_objects, number = particles.object_type.shape[0], particles.reading.shape[0]
-    is_any = jnp.broadcast_to(jnp.any(is_anything(readings.mention_type)), (number,))
+    num_objects, num_particles = particles.object_type.shape[0], particles.reading.shape[0]
+    is_any = jnp.broadcast_to(jnp.any(is_anything(readings.mention_type)), (num_particles,))
 
     def misplaced(args: tuple[Array, SemanticMap, Readings, UtteranceContext]) -> Array:
-        _, held, words, how = args
-        queries = pick_queries(build_queries(words, how, relations, jnp.float32(0.0)), held.reading)
-        return _misplaced_referents(held, queries)
+        _, maps, words, context = args
+        queries = build_queries(words, context, relations, jnp.float32(0.0))
+        return _misplaced_referents(maps, pick_queries(queries, maps.reading))
 
     zeros = jnp.zeros_like(particles.mean_x[:num_objects])
     is_misplaced = skip_unless_any(is_any, misplaced, (zeros, particles, readings, context))
@@ -110,11 +109,11 @@ def _misplaced_referents(particles: SemanticMap, queries: Query) -> Array:
     """Mark referents of untyped mentions that violate their relation, f32[O, P] 1 or 0."""
     num_objects = particles.object_type.shape[0]
     slots = jnp.arange(num_objects)[:, None]
-    is_open = particles.referent == NONE
-    seen_x = lookup(particles.mean_x[:num_objects, None], particles.referent)
-    x = jnp.where(is_open, particles.hypothesis_x, seen_x)
-    seen_y = lookup(particles.mean_y[:num_objects, None], particles.referent)
-    y = jnp.where(is_open, particles.hypothesis_y, seen_y)
+    is_unobserved = particles.referent == NONE
+    observed_x = lookup(particles.mean_x[:num_objects, None], particles.referent)
+    x = jnp.where(is_unobserved, particles.hypothesis_x, observed_x)
+    observed_y = lookup(particles.mean_y[:num_objects, None], particles.referent)
+    y = jnp.where(is_unobserved, particles.hypothesis_y, observed_y)
 
     def check(query: Query) -> Array:
         figure, landmark = query.mention[FIGURE], query.mention[LANDMARK]

@@ -1,8 +1,8 @@
 """Components: additions to the paper's filter step, as hooks (section 3.2; ours).
 
-A component changes belief and observation before the motion update (``admit``), after the
-measurement update (``keep``), and after resampling (``settle``). Without any the step is the
-paper's. Existence and counts are factors of eq. 7b and 8 (``association``, ``counts``).
+A component may change belief and observation at three hooks of a step: before the motion update,
+after the measurement update, and after resampling. Without components the step is the paper's.
+Existence and counts are factors of eq. 7b and 8 (``association``, ``counts``).
 """
 
 from collections.abc import Callable
@@ -24,29 +24,30 @@ Change = Callable[[ParticleBelief, GatedStep], tuple[ParticleBelief, GatedStep]]
 class Component(NamedTuple):
     """One addition to the paper's filter step: three hooks, each the identity by default."""
 
-    admit: Change = lambda belief, gated: (belief, gated)
-    keep: Change = lambda belief, gated: (belief, gated)
-    settle: Callable[[ParticleBelief], ParticleBelief] = lambda belief: belief
+    before_motion: Change = lambda belief, gated: (belief, gated)
+    after_update: Change = lambda belief, gated: (belief, gated)
+    after_resampling: Callable[[ParticleBelief], ParticleBelief] = lambda belief: belief
 
 
 def _reset_weights(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
     """Reset weights to uniform where all are zero or one is not finite, and flag the fault."""
     log_weight = belief.log_weight
-    is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
-    log_weight = jnp.where(is_alive, log_weight, -jnp.log(float(log_weight.shape[0])))
-    fault = gated.fault | jnp.where(is_alive, 0, int(Fault.WEIGHTS))
+    is_valid = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
+    log_weight = jnp.where(is_valid, log_weight, -jnp.log(float(log_weight.shape[0])))
+    fault = gated.fault | jnp.where(is_valid, 0, int(Fault.WEIGHTS))
     return replace(belief, log_weight=log_weight), gated._replace(fault=fault)
 
 
 def _split(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
     """Split unreferenced objects (bystanders) from the particles' own, in map and detections."""
-    bystanders, spoken = belief.bystanders, gated.spoken
-    if spoken is None or bystanders.x.shape[0] == 0 or not belief.sensor_model.is_located:
+    bystanders, types = belief.bystanders, gated.mentioned
+    if types is None or bystanders.x.shape[0] == 0 or not belief.sensor_model.is_located:
         return belief, gated
-    parted = exchange(belief.particles, bystanders, spoken, belief.log_weight, belief.must_ground)
-    named, others = split_by_type(gated.observation, spoken)
-    belief = replace(belief, particles=parted[0], bystanders=parted[1])
-    return belief, gated._replace(observation=named, others=others)
+    weight = belief.log_weight
+    particles, listed = exchange(belief.particles, bystanders, types, weight, belief.must_ground)
+    observation, others = split_by_type(gated.observation, types)
+    belief = replace(belief, particles=particles, bystanders=listed)
+    return belief, gated._replace(observation=observation, others=others)
 
 
 def _add_bystanders(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
@@ -61,15 +62,15 @@ def _add_bystanders(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleB
         squared = (particles.mean_x[-1] - mean[0]) ** 2 + (particles.mean_y[-1] - mean[1]) ** 2
         variance = variance + 0.5 * squared
     robot = *mean, jnp.sum(weight * variance)
-    seen = correct_heading(belief, gated.others)
-    updated, num_lost = add_bystanders(belief.bystanders, seen, robot)
-    return replace(belief, bystanders=updated), gated._replace(num_lost=num_lost)
+    corrected = correct_heading(belief, gated.others)
+    updated, num_dropped = add_bystanders(belief.bystanders, corrected, robot)
+    return replace(belief, bystanders=updated), gated._replace(num_dropped=num_dropped)
 
 
 COMPONENTS = (
-    Component(admit=gate),
-    Component(admit=_reset_weights),
-    Component(admit=_split, keep=_add_bystanders),
-    Component(settle=switch_bias_hypothesis),
+    Component(before_motion=gate),
+    Component(before_motion=_reset_weights),
+    Component(before_motion=_split, after_update=_add_bystanders),
+    Component(after_resampling=switch_bias_hypothesis),
 )
 """Gating, weight reset, unreferenced objects, and the sign of a constant heading bias."""

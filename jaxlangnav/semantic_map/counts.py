@@ -15,10 +15,10 @@ Types may have a rate each, or share one (``MapConfig.pools_counts``). For T typ
 n counts the objects of all of them, observed in T times the area: s is T s.
 
 Detected objects may not exist (``association.ClutterOdds``): for objects that exist with
-probabilities r, n is their sum, and what tells of their number tells of each of them
-(``raise_existence``, ``lower_existence``). That the r of two things hang together is not kept.
+probabilities r, n is their sum, and evidence on the number of objects updates each r
+(``raise_existence``, ``lower_existence``). Correlations between the r are neglected.
 
-Limits: κ → 0 leaves the fixed expectation α; r = 1 for all is as without doubt.
+Limits: κ → 0 leaves the fixed expectation α; r = 1 for all is the model without clutter.
 """
 
 import jax.numpy as jnp
@@ -34,20 +34,20 @@ def unseen_frac(coverage: Coverage) -> Array:
 
 
 def log_expected(
-    number: Array, unseen: Array, *, params: MapParams, num_pooled: Array | None = None
+    count: Array, unseen: Array, *, params: MapParams, num_pooled: Array | None = None
 ) -> Array:
     """Compute the log expected number of further objects of a type in the whole area.
 
         log (α + κ n) / (1 + T κ (1 − u))
 
     Args:
-        number: f32[...] or i32[...], n ≥ 0, observed objects of the type, or of all pooled types,
+        count: f32[...] or i32[...], n ≥ 0, observed objects of the type, or of all pooled types,
             that are not mentioned.
         unseen: broadcastable to it, u, unobserved fraction of the area.
         params: concentration α and clumping κ.
         num_pooled: broadcastable to it, T, types that share one rate; None: each has its own.
     """
-    return jnp.log(params.concentration + params.clumping * number) - log_exposure(
+    return jnp.log(params.concentration + params.clumping * count) - log_exposure(
         unseen, params=params, num_pooled=num_pooled
     )
 
@@ -63,9 +63,8 @@ def raise_existence(existence: Array, growth: Array | float, prob_real: Array | 
 
         r_i' = r_i (1 + ρ g (1 − r_i) / (1 + g Σ_j r_j)),   g = κ / α
 
-    with r, f32[O, ...], 0 of types with another rate and in empty slots, and ρ, f32[...], the
-    probability that the new one is itself real. Limits: no growth, nothing real (ρ = 0) and what is
-    sure (r = 1) stay as they are.
+    with r, f32[O, ...], 0 for types with another rate and in empty slots, and ρ, f32[...], the
+    probability that the new one is itself real. Limits: unchanged for g = 0, ρ = 0 or r = 1.
     """
     gain = prob_real * growth / (1.0 + growth * jnp.sum(existence, axis=0))
     return existence * (1.0 + jnp.asarray(gain)[None] * (1.0 - existence))
@@ -78,7 +77,7 @@ def lower_existence(existence: Array, log_exposure: Array) -> tuple[Array, Array
 
     Log-likelihood, f32[...], and r', f32[O, ...]; of r, 0 in empty slots, and −log q ≥ 0, f32[].
     """
-    # Over q, so that what is sure stays so to the last bit.
+    # Divided by q, so that r = 1 stays 1 exactly.
     log_norm = jnp.log1p((1.0 - existence) * jnp.expm1(log_exposure))
     log_likelihood = jnp.where(existence > 0.0, log_norm - log_exposure, 0.0)
     return jnp.sum(log_likelihood, axis=0), existence * jnp.exp(-log_norm)

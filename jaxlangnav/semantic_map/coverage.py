@@ -69,10 +69,10 @@ def add_view(
 
 
 def log_miss_at(coverage: Coverage, x: Array, y: Array, first_row: Array | int = 0) -> Array:
-    """Look up the log-probability that an object at (x, y) would still be unseen.
+    """Look up the log miss probability of an object at (x, y), f32[...].
 
-    f32[...]; −∞ outside the operating area, where nothing is. Of coverage maps stacked
-    by rows, f32[n G, G], the one that begins at ``first_row`` is used, and areas are f32[4, ...].
+    It is −∞ outside the operating area, where no object is. Of coverage maps stacked by rows,
+    f32[n G, G], the one that begins at ``first_row`` is used, and areas are f32[4, ...].
     """
     num_cells = coverage.log_miss.shape[-1]
     size_x, size_y = (prepend_axes(size, x.ndim) for size in cell_size(coverage))

@@ -47,7 +47,7 @@ class FilterInfo:
     overflow: Array  # i32[] detections without a free slot, maximum over particles, or without
     # one among the bystanders
     fault: Array  # i32[] bits of messages.Fault: why the observation was rejected; zero weights
-    is_news: Array  # bool[] an object was seen for the first time, or an utterance came in
+    is_news: Array  # bool[] a new object or a new utterance
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
     is_contradiction: Array  # bool[] … above ``LOG_CONTRADICTION``: it contradicts the map
 
@@ -103,12 +103,12 @@ def start(
     )
 
 
-def _num_pooled(belief: ParticleBelief, spoken: Array | None) -> Array:
+def _num_pooled(belief: ParticleBelief, mentioned: Array | None) -> Array:
     """Count the object types that share one rate, f32[]: those that the task mentions."""
-    if spoken is None:
+    if mentioned is None:
         return belief.num_types.astype(jnp.float32)
-    is_valid = jnp.arange(spoken.shape[0]) < belief.num_types
-    return jnp.maximum(jnp.sum(spoken & is_valid), 1).astype(jnp.float32)
+    is_valid = jnp.arange(mentioned.shape[0]) < belief.num_types
+    return jnp.maximum(jnp.sum(mentioned & is_valid), 1).astype(jnp.float32)
 
 
 def _assert_arrays(belief: ParticleBelief, readings: Readings, observation: Observation) -> None:
@@ -121,8 +121,8 @@ def _assert_arrays(belief: ParticleBelief, readings: Readings, observation: Obse
 
 
 def _draw(keys: Array, num_detections: int, count: int) -> tuple[Any, Array, Array]:
-    """Draw the uniform numbers of a step: f32[D, P] twice, f32[2, P], f32[]."""
-    # Association and range of each detection (the range separately, as it is seldom needed);
+    """Sample the uniform numbers of a step: f32[D, P] twice, f32[2, P], f32[]."""
+    # Association and range of each detection (the range separately, as it is rarely used);
     # survival and ancestor of each particle; offset of the systematic resampling.
     associate, survive, resample = batching.uniforms(
         keys[np.array([0, 2, 3])], max(num_detections, 2) * count
@@ -160,8 +160,8 @@ def step(
     params: MapParams,
     context: UtteranceContext | None = None,
     is_sparse: bool = False,
-    farthest: Array | None = None,
-    spoken: Array | None = None,
+    max_travel: Array | None = None,
+    mentioned: Array | None = None,
     pools_counts: bool = False,
     components: Sequence[Component] = COMPONENTS,
 ) -> tuple[ParticleBelief, FilterInfo]:
@@ -175,37 +175,37 @@ def step(
         params: traced parameters.
         context: poses at which relations were uttered; by default the belief's viewer.
         is_sparse: under ``vmap`` ground the words only where needed; no reverse-mode gradient.
-        farthest: f32[], metres that the robot can have gone since the last step; None: no bound.
-        spoken: bool[T], types that the task mentions; the others are bystanders; None: all.
+        max_travel: f32[], metres that the robot can have gone since the last step; None: no bound.
+        mentioned: bool[T], types that the task mentions; the others are bystanders; None: all.
         pools_counts: whether the mentioned types share one rate (``counts``).
         components: additions to the paper's step, which has none.
     """
     _assert_arrays(belief, readings, observation)
     keys, is_uttered = jax.random.split(key, 4), belief.must_ground
     assoc, survive, resample = _draw(keys, observation.detection_type.size, belief.log_weight.size)
-    gated = GatedStep(observation, farthest, spoken)
+    gated = GatedStep(observation, max_travel, mentioned)
     for component in components:
-        belief, gated = component.admit(belief, gated)
+        belief, gated = component.before_motion(belief, gated)
     # Sample the motion (eq. 6) and the data association (7b), and weigh (8).
     observed, noise = gated.observation, drift_noise(keys[0], belief)
     belief = predict(belief, observed.pose, gated.is_jump, noise, params=params)
-    pooled = _num_pooled(belief, spoken) if pools_counts else None
+    pooled = _num_pooled(belief, mentioned) if pools_counts else None
     belief, update = observe(assoc, belief, observed, params=params, num_pooled=pooled)
     for component in components:
-        belief, gated = component.keep(belief, gated)
+        belief, gated = component.after_update(belief, gated)
     # Sample new groundings of the utterance (7a) where they were refuted.
     options = {"context": context, "is_sparse": is_sparse, "num_pooled": pooled}
     ground = functools.partial(ground_words, params=params, **options)
     grounded = reground(keys[1], survive, belief, readings, update, ground)
     belief, ess, is_resampled = _resample(resample, belief, grounded, params)
     for component in components:
-        belief = component.settle(belief)
+        belief = component.after_resampling(belief)
     return belief, FilterInfo(
         effective_sample_size=ess,
         is_resampled=is_resampled,
         num_regrounded=jnp.sum(grounded.is_fresh),
         log_language_evidence=grounded.log_language,
-        overflow=jnp.max(update.overflow) + gated.num_lost,
+        overflow=jnp.max(update.overflow) + gated.num_dropped,
         fault=gated.fault | jnp.where(grounded.is_dead, int(Fault.WEIGHTS), 0),
         is_news=is_uttered | jnp.any(update.is_new),
         surprise=update.surprise,

@@ -1,8 +1,8 @@
-"""Gating: reject an observation with an impossible field (section 3.2; fail safe).
+"""Gating: rejection of observations with an impossible field (section 3.2; fail safe).
 
-Every field is checked against its bounds, as one impossible number would spoil every particle.
+Every field is checked against its bounds, as one impossible number would corrupt every particle.
 If one is out of bounds the whole observation is rejected, as the rest may be wrong, too: the
-filter takes the step of a robot that has stood still and detects nothing.
+filter steps as if the robot had not moved and detected nothing.
 
 A pose farther from the last one than the robot can have gone is rejected at first. If the next
 observation repeats it, it is accepted, and the part of the jump that motion does not explain is
@@ -27,7 +27,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.terrain.view import beyond
 
 AREA_SIDES = (0.1, 1e4)
-"""Metres, shortest and longest side of an operating area."""
+"""Metres, minimum and maximum side of an operating area."""
 MAX_HEADING = 1e4
 """Radians, bound of a heading, either sign: the resolution of float32 there is a milliradian."""
 
@@ -87,12 +87,12 @@ class GatedStep(NamedTuple):
     """An observation on its way through a filter step, with the results of gating."""
 
     observation: Observation  # as reported; after gating, what the particles are updated with
-    farthest: Array | None = None  # f32[] metres the robot can have gone since; None: anywhere
-    spoken: Array | None = None  # bool[T] types that the task speaks of; None: all
+    max_travel: Array | None = None  # f32[] metres of motion since the last one; None: unbounded
+    mentioned: Array | None = None  # bool[T] types that the task mentions; None: all
     fault: Array | int = 0  # i32[] bits of Fault; 0 for a valid observation
     is_jump: Array | bool = False  # bool[] motion does not explain the pose, which is accepted
-    others: Observation | None = None  # detections of types that the task does not speak of
-    num_lost: Array | int = 0  # i32[] number of those that did not fit into their list
+    others: Observation | None = None  # detections of types that the task does not mention
+    num_dropped: Array | int = 0  # i32[] number of those that did not fit into their list
 
 
 def _is_sensor(sensor: SensorParams) -> Array:
@@ -143,13 +143,13 @@ def gate(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, Gate
 
     The result is finite: as reported, or, if rejected, nothing detected from the last pose.
     """
-    observation, farthest = gated.observation, gated.farthest
+    observation, max_travel = gated.observation, gated.max_travel
     pose, last = observation.pose, belief.last_pose
     has_pose = is_pose(pose, belief.coverage.area)
     is_jumped = is_repeated = jnp.asarray(False)
-    if farthest is not None:
-        is_jumped = has_pose & ~_is_within(pose, last, farthest)
-        is_repeated = _is_within(pose, belief.reported_pose, farthest)
+    if max_travel is not None:
+        is_jumped = has_pose & ~_is_within(pose, last, max_travel)
+        is_repeated = _is_within(pose, belief.reported_pose, max_travel)
     has_sensor, detected = _is_sensor(observation.sensor), observation.is_detection
     # Detections can be checked only against a valid specification.
     is_invalid = detected & has_sensor & ~_is_detectable(observation, belief.num_types)

@@ -31,7 +31,7 @@ def stack_coverage(belief: ParticleBelief) -> tuple[Coverage, Array]:
 
 
 def log_miss_at_offset(belief: ParticleBelief, x: Array, y: Array) -> Array:
-    """Look up the log-probability that objects at offsets from the robot were missed so far.
+    """Look up the log miss probability of objects at offsets from the robot.
 
     x and y are f32[D] metres, map axes; f32[D, 1, P] where particles differ, for f32[D, P].
     """

@@ -31,8 +31,8 @@ def predict(
 ) -> ParticleBelief:
     """Predict the robot's position in every particle from odometry since the last step.
 
-    The dead-reckoned pose is f32[3]; if it is a jump, bool[], the robot may be there or where it
-    was. Particles with a ``drift`` need ``noise``, f32[P], standard normal.
+    The dead-reckoned pose is f32[3]; if it is a jump, bool[], the robot may be there or at its last
+    position. Particles with a ``drift`` need ``noise``, f32[P], standard normal.
     """
     step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
     noise_ratio = jnp.where(is_jump, 1.0, params.motion.odometry_noise)
@@ -50,7 +50,7 @@ def predict(
 
 
 def drift_noise(key: Array, belief: ParticleBelief) -> Array | None:
-    """Draw standard normals for the headings' drift, f32[P]; None with a compass."""
+    """Sample standard normals for the headings' drift, f32[P]; None with a compass."""
     if belief.particles.drift.shape[0] == 0:
         return None
     return jax.random.normal(jax.random.fold_in(key, _DRIFT_KEY), belief.log_weight.shape)
@@ -68,7 +68,7 @@ def particle_headings(belief: ParticleBelief, heading: Array) -> Array:
     return heading if drift is None else heading + belief.particles.drift[:1] - drift
 
 
-def add_drift(drift: Array, way: Array, turn: Array, noise: Array, *, motion: MotionParams) -> Array:
+def add_drift(drift: Array, s: Array, phi: Array, noise: Array, *, motion: MotionParams) -> Array:
     """Sample the heading error of odometry after a motion.
 
         e' = e + b ζ s + √(σ² s + τ² |φ|) ε
@@ -79,13 +79,13 @@ def add_drift(drift: Array, way: Array, turn: Array, noise: Array, *, motion: Mo
 
     Args:
         drift: f32[2, ...], e and ζ.
-        way: f32[], s, metres.
-        turn: f32[], φ, radians.
+        s: f32[], s, metres.
+        phi: f32[], φ, radians.
         noise: f32[...], ε.
         motion: heading_bias b, heading_noise σ, turn_noise τ.
     """
-    variance = motion.heading_noise**2 * way + motion.turn_noise**2 * jnp.abs(turn)
-    error = drift[0] + motion.heading_bias * drift[1] * way + jnp.sqrt(variance) * noise
+    variance = motion.heading_noise**2 * s + motion.turn_noise**2 * jnp.abs(phi)
+    error = drift[0] + motion.heading_bias * drift[1] * s + jnp.sqrt(variance) * noise
     return jnp.stack([error, jnp.where(motion.heading_bias > 0.0, drift[1], 0.0)])
 
 

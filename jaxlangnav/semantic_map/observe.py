@@ -23,14 +23,14 @@ from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.counts import log_expected, log_exposure, lower_existence, unseen_frac
 from jaxlangnav.semantic_map.coverage import area_size
 from jaxlangnav.semantic_map.heading_bias import log_miss_at_offset, update_coverage
-from jaxlangnav.semantic_map.motion import particle_headings, correct_heading
+from jaxlangnav.semantic_map.motion import correct_heading, particle_headings
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 from jaxlangnav.semantic_map.update import condition, log_absence
 from jaxlangnav.terrain.view import rotated
 
 MIN_ABSENT_PROB = 1e-2
-"""Least probability that a detected object does not exist: objects may be removed."""
+"""Lower bound of the probability that a detected object does not exist: objects may be removed."""
 
 
 class MeasurementUpdate(NamedTuple):
@@ -54,7 +54,7 @@ def observe(
     params: MapParams,
     num_pooled: Array | None = None,
 ) -> tuple[ParticleBelief, MeasurementUpdate]:
-    """Associate the detections, condition on them, and compute the likelihood with misses.
+    """Associate the detections, condition on them, and compute the likelihood including misses.
 
     The weights of the belief are not changed.
 
@@ -90,13 +90,13 @@ def observe(
     log_objects, log_hypotheses, existence = log_absence(
         belief.particles, associated.is_hit, heading, softness, sensor, belief.terrain.view, model
     )
-    belief, log_exposed, log_meant, is_lost = _update_counts(belief, prior_map, existence, exposure)
+    belief, log_exposed, log_ref, is_lost = _update_counts(belief, prior_map, existence, exposure)
     log_map = associated.log_weight + log_objects + log_exposed
     log_new = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
     log_report = log_new + model.log_volume(sensor), model.log_fit(sensor)
     return belief, MeasurementUpdate(
         log_map=log_map,
-        log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_meant,
+        log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_ref,
         is_new=associated.is_new,
         is_other=associated.object_type != prior_map.object_type,
         is_lost=is_lost,
@@ -141,17 +141,17 @@ def _update_counts(
 ) -> tuple[ParticleBelief, Array, Array, Array | None]:
     """Update counts and existence for the newly observed area (``counts``), and prune.
 
-    f32[P], log-likelihood of the maps; additional one of the referents; whether one was pruned.
+    Also f32[P], log-likelihood of the maps; that of the referents; whether one was pruned.
     """
-    particles, is_meant = belief.particles, prior_map.is_meant
-    log_meant = exposure * jnp.sum(is_meant, axis=0)
+    particles, is_referent = belief.particles, prior_map.is_referent
+    log_ref = exposure * jnp.sum(is_referent, axis=0)
     if existence.shape[0] == 0:
-        return belief, -exposure * jnp.sum(particles.is_observed, axis=0), log_meant, None
+        return belief, -exposure * jnp.sum(particles.is_observed, axis=0), log_ref, None
     log_exposed, existence = lower_existence(existence, exposure)
     log_survival = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(prior_map.existence, 1e-9))
-    log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_survival, 0.0), axis=0)
+    log_ref = log_ref + jnp.sum(jnp.where(is_referent, log_survival, 0.0), axis=0)
     particles, is_lost = prune_objects(replace(particles, existence=existence))
-    return replace(belief, particles=particles), log_exposed, log_meant, is_lost
+    return replace(belief, particles=particles), log_exposed, log_ref, is_lost
 
 
 MIN_EXISTENCE, MIN_EXISTENCE_FULL = 1e-4, 0.02
@@ -170,7 +170,7 @@ def prune_objects(particles: SemanticMap) -> tuple[SemanticMap, Array]:
     is_least_likely = (jnp.arange(is_used.shape[0])[:, None] == least_likely) & is_crowded
     limit = jnp.where(is_least_likely, MIN_EXISTENCE_FULL, MIN_EXISTENCE)
     is_pruned = is_observed & (likeliest < limit)
-    is_lost = jnp.any(is_pruned & particles.is_meant, axis=0)
+    is_lost = jnp.any(is_pruned & particles.is_referent, axis=0)
     # Most observations prune none.
     rounds = jnp.any(is_pruned).astype(jnp.int32)
     pruned = jax.lax.fori_loop(0, rounds, lambda _, carry: clear(carry, is_pruned), particles)
@@ -183,7 +183,7 @@ Table 2's worlds one exceeds it."""
 
 
 def surprise(
-    log_weight: Array, grounded: Association, log_map: Array, log_new: Array, log_known: Array
+    log_weight: Array, associated: Association, log_map: Array, log_new: Array, log_known: Array
 ) -> Array:
     """Compute the log Bayes factor of a perfectly fitting observation against the actual one.
 
@@ -194,7 +194,7 @@ def surprise(
 
     Args:
         log_weight: f32[P], before the observation, normalised.
-        grounded: data association of the particles, leaves [..., P].
+        associated: data association of the particles, leaves [..., P].
         log_map: f32[P], log probability of detections and absences of seen objects.
         log_new: f32[], log λ, density of reports of objects not yet seen.
         log_known: f32[], ``SensorModel.log_fit``.
@@ -203,8 +203,8 @@ def surprise(
         f32[], nats; about 0 or less for an expected observation, and 0 if detections found no
         free slot (counted separately) or all weights were zero.
     """
-    num_new = jnp.sum(grounded.is_new, axis=0)
-    num_known = jnp.sum(grounded.is_hit, axis=0) - num_new
+    num_new = jnp.sum(associated.is_new, axis=0)
+    num_known = jnp.sum(associated.is_hit, axis=0) - num_new
     log_fitting = num_new * log_new + num_known * log_known
-    _, log_share, is_dead = categorical.log_normalize(log_weight + log_map - log_fitting)
-    return jnp.where(is_dead | (jnp.max(grounded.overflow) > 0), 0.0, -log_share)
+    _, log_ratio, is_dead = categorical.log_normalize(log_weight + log_map - log_fitting)
+    return jnp.where(is_dead | (jnp.max(associated.overflow) > 0), 0.0, -log_ratio)

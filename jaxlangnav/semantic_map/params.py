@@ -18,15 +18,15 @@ class MapParams:
         "α, expected number of further objects of a type in the area", default=0.3
     )
     clumping: Array = field(
-        "κ, how much more of a type each one seen makes probable; 0: not at all", default=0.0
+        "κ, overdispersion of the number of objects of a type; 0: Poisson", default=0.0
     )
     kernel: Array = field("metres, standard deviation of a sampled metric constraint", default=0.1)
     superlative_softness: Array = field(
         "metres within which two distances count as equal", default=0.3
     )
     misleading: Array = field(
-        "ε, probability that a relation said does not hold at all; the policy "
-        "``faithful`` takes every word to be true",
+        "ε, probability that a stated relation is false; the policy "
+        "``faithful`` assumes that all are true",
         default=0.05,
     )
     resample_threshold: Array = field("resample where ESS / P falls below this", default=0.5)
@@ -45,10 +45,10 @@ class MapConfig:
     """Capacity for objects of types not mentioned; 0: every observed object takes a slot."""
 
     has_doubts: bool = False
-    """Whether detected objects may not exist, as ``SensorParams`` has it; else all exist."""
+    """Whether objects have existence probabilities, with the clutter of ``SensorParams``."""
 
     has_drift: bool = False
-    """Whether the heading drifts, as ``MotionParams`` has it; else a compass measures it."""
+    """Whether the heading drifts, by ``MotionParams``; else a compass measures it."""
 
     pools_counts: bool = False
     """Whether object types share one rate of their number (``counts``)."""
@@ -61,5 +61,5 @@ class MapConfig:
 
 
 def default_map_params() -> MapParams:
-    """Build the parameters used in all tables unless they say otherwise."""
+    """Build the default parameters, those of the results tables."""
     return MapParams(relations=prepare(default_params()), motion=default_motion())

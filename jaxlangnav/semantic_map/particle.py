@@ -1,14 +1,13 @@
 """The semantic map: topology, joint Gaussian over positions, weight (section 3.2, eq. 5c).
 
-One particle is S = {G, X, w}. Its topology G is which objects exist, of what type, observed or
-hypothesised, and which of them the words refer to; X is a joint Gaussian over the robot and all
-objects, kept as mean and covariance Σ (``numerics.gaussian``); w is its weight.
+One particle is S = {G, X, w}. Its topology G has the objects with their types, observed or
+hypothesised, and the referents of the mentions; X is a joint Gaussian over the robot and all
+objects, with mean and covariance Σ (``numerics.gaussian``); w is its weight.
 
 Slots 0 … O−1 hold observed objects, slots O … O+M−1 one hypothesis for each mention of the
 instruction that has not been observed; N = O + M. The matrix Σ covers the observed objects and
-the robot (index O). A hypothesised object hangs on its anchor by a single sampled constraint, so
-its Gaussian follows from the anchor's and needs no row in Σ: taking a hypothesis back leaves no
-trace.
+the robot (index O). A hypothesised object is tied to its anchor by a single sampled constraint, so
+its Gaussian follows from the anchor's and needs no row in Σ: a removed hypothesis leaves no trace.
 
 Batches of particles carry the particle axis **last**; ``vmap`` with ``in_axes=-1``.
 """
@@ -20,27 +19,27 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import pytree, replace
 
 START_VARIANCE = 1e-4
-"""Square metres, of the robot's first position in each axis: known to a centimetre."""
+"""Variance of the robot's initial position, square metres per axis: one centimetre."""
 
 
 @pytree
 class SemanticMap:
     """One particle. Positions in metres, map frame."""
 
-    object_type: Array  # i32[O] kind (``object_types``); NONE in empty slots
+    object_type: Array  # i32[O] type code (``object_types``); NONE in empty slots
     covariance: Array  # f32[O + 1, O + 1] Σ, m², both axes; robot last; zero in empty slots
     mean_x: Array  # f32[O + 1] metres; robot last; zero in empty slots
     mean_y: Array  # f32[O + 1] metres
-    reading: Array  # i32[] which of the K readings this particle believes
-    referent: Array  # i32[M] observed slot each mention refers to; NONE while only hypothesised
-    anchor: Array  # i32[M] slot in [0, N) that a hypothesis hangs on; NONE for the ground
-    root: Array  # i32[M] observed slot at the end of that chain of anchors; NONE for the ground
+    reading: Array  # i32[] index of the particle's interpretation, of K
+    referent: Array  # i32[M] observed slot of each mention; NONE while only hypothesised
+    anchor: Array  # i32[M] slot in [0, N) that a hypothesis is tied to; NONE: the map frame
+    root: Array  # i32[M] observed slot at the end of that chain of anchors; NONE: the map frame
     hypothesis_x: Array  # f32[M] metres, mean of the hypothesis
     hypothesis_y: Array  # f32[M]
-    is_mentioned: Array  # bool[M] the particle's reading has this mention, and it is an object
-    existence: Array  # f32[O] probability that it exists, whatever the words mean; f32[0]: all do
-    drift: Array  # f32[2] radians by which the true heading exceeds odometry's, and the sign of
-    # its steady part, 0 where there is none; f32[0]: a compass gives the heading
+    is_mentioned: Array  # bool[M] the interpretation has this mention, and it is an object
+    existence: Array  # f32[O] existence probability, apart from the utterance; f32[0]: all exist
+    drift: Array  # f32[2] heading error of odometry, radians, and sign of its constant bias, 0 if
+    # there is none; f32[0]: a compass gives the heading
 
     @property
     def is_observed(self) -> Array:
@@ -48,8 +47,8 @@ class SemanticMap:
         return self.object_type != NONE
 
     @property
-    def is_meant(self) -> Array:
-        """Which observed slots the particle's words refer to, bool[O, ...]."""
+    def is_referent(self) -> Array:
+        """Which observed slots are referents of mentions, bool[O, ...]."""
         slots = jnp.arange(self.object_type.shape[0])
         slots = slots.reshape(-1, *(1,) * self.referent.ndim)
         refers = jnp.where(self.is_mentioned, self.referent, NONE)
@@ -70,12 +69,12 @@ def empty(
     has_doubts: bool = False,
     has_drift: bool = False,
 ) -> SemanticMap:
-    """Build one particle, with room for O objects and M mentions, that has seen and heard nothing.
+    """Build an empty particle with capacity for O objects and M mentions.
 
-    What is detected may not exist where it ``has_doubts``; the heading drifts if it ``has_drift``.
+    Objects have existence probabilities if it ``has_doubts``; the heading drifts if ``has_drift``.
     """
     robot = jnp.zeros(num_objects + 1, jnp.float32).at[num_objects].set(1.0)
-    none, nowhere = jnp.full(num_mentions, NONE, jnp.int32), jnp.zeros(num_mentions, jnp.float32)
+    none, zero = jnp.full(num_mentions, NONE, jnp.int32), jnp.zeros(num_mentions, jnp.float32)
     return SemanticMap(
         object_type=jnp.full(num_objects, NONE, jnp.int32),
         covariance=jnp.diag(robot * START_VARIANCE),
@@ -85,23 +84,25 @@ def empty(
         referent=none,
         anchor=none,
         root=none,
-        hypothesis_x=nowhere,
-        hypothesis_y=nowhere,
+        hypothesis_x=zero,
+        hypothesis_y=zero,
         is_mentioned=jnp.zeros(num_mentions, bool),
         existence=jnp.zeros(num_objects if has_doubts else 0, jnp.float32),
         drift=jnp.zeros(2 if has_drift else 0, jnp.float32),
     )
 
 
-def clear(particle: SemanticMap, is_gone: Array) -> SemanticMap:
-    """Empty observed slots, bool[O, ...]; what refers to them is to be grounded anew."""
-    gone = jnp.concatenate([is_gone, jnp.zeros_like(is_gone[:1])])
+def clear(particle: SemanticMap, is_cleared: Array) -> SemanticMap:
+    """Clear observed slots, bool[O, ...]; mentions of them have to be re-grounded."""
+    in_row = jnp.concatenate([is_cleared, jnp.zeros_like(is_cleared[:1])])
     has_doubts = particle.existence.shape[0] > 0
     return replace(
         particle,
-        object_type=jnp.where(is_gone, NONE, particle.object_type),
-        covariance=jnp.where(gone[:, None] | gone[None], 0.0, particle.covariance),
-        mean_x=jnp.where(gone, 0.0, particle.mean_x),
-        mean_y=jnp.where(gone, 0.0, particle.mean_y),
-        existence=jnp.where(is_gone, 0.0, particle.existence) if has_doubts else particle.existence,
+        object_type=jnp.where(is_cleared, NONE, particle.object_type),
+        covariance=jnp.where(in_row[:, None] | in_row[None], 0.0, particle.covariance),
+        mean_x=jnp.where(in_row, 0.0, particle.mean_x),
+        mean_y=jnp.where(in_row, 0.0, particle.mean_y),
+        existence=jnp.where(is_cleared, 0.0, particle.existence)
+        if has_doubts
+        else particle.existence,
     )

@@ -1,4 +1,4 @@
-"""Summaries of particles for the behavior model: its world, and distinct topologies."""
+"""Inputs of the behavior model: a particle's objects and relations, and distinct topologies."""
 
 import math
 
@@ -17,22 +17,22 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
 
     Args:
         particle: one particle.
-        readings: interpretations of the sentence, with the relations of the edges.
+        readings: interpretations of the sentence.
         previous: i32[], observed slot that was the goal of the last command; NONE at first.
 
     Returns:
         Objects (observed, then hypothesised, the robot last) and edges of the topology.
     """
     num_objects, num_mentions = particle.object_type.shape[0], particle.referent.shape[0]
-    size = num_objects + num_mentions + 1
-    slots, mentions = jnp.arange(size), jnp.arange(num_mentions)
+    num_slots = num_objects + num_mentions + 1
+    slots, mentions = jnp.arange(num_slots), jnp.arange(num_mentions)
     reading = select_row(readings, particle.reading)
     mention_type, robot = reading.mention_type, jnp.full(1, ROBOT, jnp.int32)
     hypothesised = jnp.where(particle.is_hypothesised, mention_type, NONE)
     object_type = jnp.concatenate([particle.object_type, hypothesised, robot])
     is_object = jnp.concatenate([particle.is_observed, particle.is_hypothesised, jnp.ones(1, bool)])
     slot = jnp.where(particle.referent == NONE, num_objects + mentions, particle.referent)
-    slot = jnp.where(mention_type == ROBOT, size - 1, slot)
+    slot = jnp.where(mention_type == ROBOT, num_slots - 1, slot)
     figure, landmark = (
         jnp.sum(jnp.where(ends[:, None] == mentions[None], slot[None], 0), axis=1)
         for ends in (reading.figure, reading.landmark)
@@ -80,10 +80,10 @@ def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
     packed = _pack(particles.referent, num_objects + 3), _pack(flags, 8)
     words, index = jnp.concatenate([particles.object_type, *packed]), jnp.arange(num_particles)
 
-    def is_left(carry: tuple[Array, Array, Array]) -> Array:
+    def is_unfinished(carry: tuple[Array, Array, Array]) -> Array:
         return jnp.any(carry[0] < 0)
 
-    def peel(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def assign_next(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         topology, representative, count = carry
         first = jnp.argmax(topology < 0)
         is_same = jnp.all(words == words[:, first, None], axis=0)
@@ -95,4 +95,4 @@ def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
 
     # One topology after the other: comparing all pairs of particles is quadratic in P.
     start = (jnp.full(num_particles, -1), jnp.full(num_particles, num_particles), jnp.int32(0))
-    return jax.lax.while_loop(is_left, peel, start)
+    return jax.lax.while_loop(is_unfinished, assign_next, start)

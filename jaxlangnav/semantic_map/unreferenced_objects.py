@@ -1,11 +1,11 @@
 """Unreferenced objects (bystanders): one shared list of objects of unmentioned types (ours).
 
-The ways to ground a relation grow with the square of the things that a particle holds. So things of
-types that the task does not name are kept in one list for all particles. Where a later sentence
-names their type they are entered into every particle (``exchange``), and what it speaks of no more
-goes back to the list.
+The number of groundings of a relation is quadratic in the objects of a particle. So objects of
+types that the task does not mention are stored in one list for all particles. If a later sentence
+mentions their type, they are inserted into every particle (``exchange``); objects that are no
+longer mentioned return to the list.
 
-Limits: a list of no room (B = 0) is never looked at, and everything seen enters the particles.
+Limits: with capacity B = 0 the list is not used, and every object enters the particles.
 """
 
 import jax
@@ -32,29 +32,29 @@ class Bystanders:
     variance: Array  # f32[B] m², both axes
 
     @property
-    def is_held(self) -> Array:
+    def is_filled(self) -> Array:
         """Which entries are filled, bool[B]."""
         return self.object_type != NONE
 
 
-def no_bystanders(number: int) -> Bystanders:
-    """Build an empty list with capacity for ``number`` objects."""
-    zero = jnp.zeros(number, jnp.float32)
-    return Bystanders(object_type=jnp.full(number, NONE, jnp.int32), x=zero, y=zero, variance=zero)
+def no_bystanders(size: int) -> Bystanders:
+    """Build an empty list with capacity for ``size`` objects."""
+    zero = jnp.zeros(size, jnp.float32)
+    return Bystanders(object_type=jnp.full(size, NONE, jnp.int32), x=zero, y=zero, variance=zero)
 
 
-def is_named_type(object_type: Array, spoken: Array) -> Array:
-    """Mark the types i32[...] that the task mentions, bool[...]; false for NONE."""
+def is_named_type(object_type: Array, named: Array) -> Array:
+    """Test which types i32[...] the task mentions, bool[...]; false for NONE."""
     label = label_of(object_type)
-    return (label >= 0) & jnp.take(spoken, jnp.maximum(label, 0), mode="clip")
+    return (label >= 0) & jnp.take(named, jnp.maximum(label, 0), mode="clip")
 
 
-def split_by_type(observation: Observation, spoken: Array) -> tuple[Observation, Observation]:
+def split_by_type(observation: Observation, named: Array) -> tuple[Observation, Observation]:
     """Split detections into those of types that the task mentions, bool[T], and all others."""
-    is_of_task = is_named_type(observation.detection_type, spoken)
+    is_named = is_named_type(observation.detection_type, named)
     is_detection = observation.is_detection
-    named = replace(observation, is_detection=is_detection & is_of_task)
-    return named, replace(observation, is_detection=is_detection & ~is_of_task)
+    mentioned = replace(observation, is_detection=is_detection & is_named)
+    return mentioned, replace(observation, is_detection=is_detection & ~is_named)
 
 
 def add_bystanders(
@@ -64,7 +64,7 @@ def add_bystanders(
 
     Args:
         bystanders: before the observation.
-        observation: detections, after gating, of types not mentioned.
+        observation: detections, after gating, of types not named.
         robot: f32[] each, x, y in metres, map frame, and the variance of either in m².
 
     Returns:
@@ -89,10 +89,10 @@ def _add(listed: Bystanders, sighting: Bystanders) -> tuple[Bystanders, Array]:
     is_candidate = (listed.object_type == sighting.object_type) & is_near
     slots = jnp.arange(listed.x.shape[0])
     nearest = jnp.argmin(jnp.where(is_candidate, squared, jnp.inf))
-    free_slot = jnp.argmax(~listed.is_held)
-    is_listed, has_room = jnp.any(is_candidate), jnp.any(~listed.is_held)
+    free_slot = jnp.argmax(~listed.is_filled)
+    is_listed, has_room = jnp.any(is_candidate), jnp.any(~listed.is_filled)
     is_target = slots == jnp.where(is_listed, nearest, free_slot)
-    is_target = is_target & sighting.is_held & (is_listed | has_room)
+    is_target = is_target & sighting.is_filled & (is_listed | has_room)
     gain = jnp.where(is_listed, listed.variance / (listed.variance + sighting.variance), 1.0)
     updated = Bystanders(
         object_type=jnp.where(is_target, sighting.object_type, listed.object_type),
@@ -100,14 +100,14 @@ def _add(listed: Bystanders, sighting: Bystanders) -> tuple[Bystanders, Array]:
         y=jnp.where(is_target, listed.y + gain * (sighting.y - listed.y), listed.y),
         variance=jnp.where(is_target, gain * sighting.variance, listed.variance),
     )
-    return updated, (sighting.is_held & ~is_listed & ~has_room).astype(jnp.int32)
+    return updated, (sighting.is_filled & ~is_listed & ~has_room).astype(jnp.int32)
 
 
 _State = tuple[SemanticMap, Bystanders]
 
 
 def exchange(
-    particles: SemanticMap, listed: Bystanders, spoken: Array, log_weight: Array, is_told: Array
+    particles: SemanticMap, listed: Bystanders, named: Array, log_weight: Array, is_new: Array
 ) -> tuple[SemanticMap, Bystanders]:
     """Exchange objects between particles and list after a new sentence.
 
@@ -118,39 +118,39 @@ def exchange(
     Args:
         particles: leaves [..., P].
         listed: the list.
-        spoken: bool[T], types that the task mentions.
+        named: bool[T], types that the task mentions.
         log_weight: f32[P].
-        is_told: bool[], there is a new sentence that has not been grounded yet.
+        is_new: bool[], there is a new sentence that has not been grounded yet.
     """
     num_objects = particles.object_type.shape[0]
     likeliest = jnp.argmax(log_weight)
 
     def list_slot(slot: Array, state: _State) -> _State:
-        held, listed = state
-        leaves = held.object_type, held.mean_x, held.mean_y, jnp.diagonal(held.covariance).T
-        object_type, x, y, spread = (select_row(leaf, slot)[likeliest] for leaf in leaves)
-        object_type = jnp.where(is_named_type(object_type, spoken), NONE, object_type)
-        sighting = Bystanders(object_type=object_type, x=x, y=y, variance=spread)
-        return held, _add(listed, sighting)[0]
+        maps, listed = state
+        leaves = maps.object_type, maps.mean_x, maps.mean_y, jnp.diagonal(maps.covariance).T
+        object_type, x, y, variance = (select_row(leaf, slot)[likeliest] for leaf in leaves)
+        object_type = jnp.where(is_named_type(object_type, named), NONE, object_type)
+        sighting = Bystanders(object_type=object_type, x=x, y=y, variance=variance)
+        return maps, _add(listed, sighting)[0]
 
     def clear_slots(_: Array, state: _State) -> _State:
-        held, listed = state
-        return clear(held, held.is_observed & ~is_named_type(held.object_type, spoken)), listed
+        maps, listed = state
+        return clear(maps, maps.is_observed & ~is_named_type(maps.object_type, named)), listed
 
     def insert_next(_: Array, state: _State) -> _State:
-        held, listed = state
-        is_named = is_named_type(listed.object_type, spoken)
+        maps, listed = state
+        is_named = is_named_type(listed.object_type, named)
         chosen = jnp.argmax(is_named)
-        is_possible = jnp.any(is_named) & jnp.any(held.object_type == NONE)
-        is_taken = (jnp.arange(listed.x.shape[0]) == chosen) & is_possible
-        remaining = replace(listed, object_type=jnp.where(is_taken, NONE, listed.object_type))
-        return _insert(held, select_row(listed, chosen), is_possible), remaining
+        is_possible = jnp.any(is_named) & jnp.any(maps.object_type == NONE)
+        is_moved = (jnp.arange(listed.x.shape[0]) == chosen) & is_possible
+        remaining = replace(listed, object_type=jnp.where(is_moved, NONE, listed.object_type))
+        return _insert(maps, select_row(listed, chosen), is_possible), remaining
 
     # In most steps neither loop has an iteration.
-    rounds = jnp.where(is_told, num_objects, 0)
+    rounds = jnp.where(is_new, num_objects, 0)
     state = jax.lax.fori_loop(0, rounds, list_slot, (particles, listed))
-    state = jax.lax.fori_loop(0, jnp.where(is_told, 1, 0), clear_slots, state)
-    rounds = jnp.where(is_told, jnp.sum(is_named_type(listed.object_type, spoken)), 0)
+    state = jax.lax.fori_loop(0, jnp.where(is_new, 1, 0), clear_slots, state)
+    rounds = jnp.where(is_new, jnp.sum(is_named_type(listed.object_type, named)), 0)
     return jax.lax.fori_loop(0, rounds, insert_next, state)
 
 

@@ -22,7 +22,7 @@ def condition(
     sensor: SensorParams,
     model: SensorModel = RANGING,
 ) -> SemanticMap:
-    """Condition the Gaussian on the grounded detections: exact, one scalar update for each.
+    """Condition the Gaussian on the associated detections: exact, one scalar update for each.
 
         x_o = x_robot + z_o + N(0, R)   for a new object o, which has a flat prior,
         z_o = x_o − x_robot + N(0, R)   for one that is known
@@ -49,7 +49,7 @@ def condition(
     joint = gaussian.condition_offsets(
         joint, offset_pairs, association.is_hit & is_known, offset_x, offset_y, variance
     )
-    # A root of NONE is no slot: a hypothesis on the ground does not move.
+    # A root of NONE is no slot: a hypothesis without an anchor does not move.
     shift_x = lookup((joint.mean_x - particle.mean_x)[:num_objects], particle.root)
     shift_y = lookup((joint.mean_y - particle.mean_y)[:num_objects], particle.root)
     return replace(

@@ -11,7 +11,7 @@ from jaxlangnav.terrain.view import Eye, OpenField, StraightLines, Travel, View
 
 __all__ = [
     "OPEN",
-    "POSITIONS",
+    "RANGING",
     "Eye",
     "OpenField",
     "SensorModel",

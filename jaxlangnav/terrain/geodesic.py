@@ -1,4 +1,4 @@
-"""Geodesic distances among straight walls, by a visibility graph of their ends.
+"""Geodesic distances among straight walls, by the visibility graph of their ends.
 
 A shortest path among straight walls turns at their ends only. So the distances of all ends are
 computed once (Floyd-Warshall), and any other distance is that of the straight line, or
@@ -14,13 +14,13 @@ from jax import Array
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import Terrain
-from jaxlangnav.terrain.view import LARGE, Eye, StraightLines, Segment, View
+from jaxlangnav.terrain.view import LARGE, Eye, Segment, StraightLines, View
 from jaxlangnav.terrain.walls import Walls, walls
 
 CLEARANCE = 0.2
 """Metres past a wall's end at which a path turns around it."""
 _ARRIVAL = 0.1  # metres from such a turn within which it counts as reached
-_DETOUR = 0.01  # metres above which a path counts as longer than the straight line
+_MIN_DETOUR = 0.01  # metres by which a path has to exceed the straight line to count as a detour
 
 
 @pytree
@@ -39,47 +39,44 @@ class Geodesic:
         """
         line = StraightLines().metres(from_x, from_y, to_x, to_y)
         first, last = self._to_turns(from_x, from_y), self._to_turns(to_x, to_y)
-        # Without walls there are no turns, and the minimum is over nothing.
-        none = 4.0 * LARGE
+        # Without walls there are no turns: initial value of the empty minimum.
+        no_path = 4.0 * LARGE
         via_turns = first[..., :, None] + prepend_axes(self.between, first.ndim + 1)
-        reached = prepend_axes(jnp.min(via_turns, axis=-2, initial=none), line.ndim + 1)
-        around = jnp.min(reached + prepend_axes(last, line.ndim + 1), axis=-1, initial=none)
+        reached = prepend_axes(jnp.min(via_turns, axis=-2, initial=no_path), line.ndim + 1)
+        around = jnp.min(reached + prepend_axes(last, line.ndim + 1), axis=-1, initial=no_path)
         return jnp.where(self.walls.is_between(from_x, from_y, to_x, to_y), around, line)
 
     def next_place(
         self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
     ) -> tuple[Array, Array]:
-        """Find the next turn of the shortest path, or its end if no wall is in between.
-
-        It is the end itself, too, if there is no path.
-        """
+        """Find the next turn of the shortest path; its end if no wall is in between, or no path."""
         if not self.turn_x.size:
             return to_x, to_y
         first = self._to_turns(from_x, from_y)
         total = first + self.metres(self.turn_x, self.turn_y, to_x, to_y)
         best = jnp.argmin(total + jnp.where(first < _ARRIVAL, _ARRIVAL, 0.0))
         is_blocked = self.walls.is_between(from_x, from_y, to_x, to_y)
-        turns = is_blocked & (total[best] < LARGE)
-        return jnp.where(turns, self.turn_x[best], to_x), jnp.where(turns, self.turn_y[best], to_y)
+        is_turn, x, y = is_blocked & (total[best] < LARGE), self.turn_x, self.turn_y
+        return jnp.where(is_turn, x[best], to_x), jnp.where(is_turn, y[best], to_y)
 
     def first_sight(
         self,
         view: View,
-        stretch: Segment,
+        segment: Segment,
         x: Array,
         y: Array,
         radius: Array,
         opening: Array | None = None,
     ) -> Array:
         """See ``View.first_sight``; for a path around walls only the view from its end counts."""
-        line = StraightLines().metres(*stretch)[..., None]
-        path = self.metres(*stretch)[..., None]
-        eye = Eye(stretch.to_x[..., None], stretch.to_y[..., None], radius)
+        line = StraightLines().metres(*segment)[..., None]
+        path = self.metres(*segment)[..., None]
+        eye = Eye(segment.to_x[..., None], segment.to_y[..., None], radius)
         axes = (1,) * (path.ndim - 1)
         at_end = view.sees(eye, x.reshape(*axes, -1), y.reshape(*axes, -1))
         at_end_only = jnp.where(at_end, path, LARGE)
         return jnp.where(
-            path > line + _DETOUR, at_end_only, view.first_sight(stretch, x, y, radius, opening)
+            path > line + _MIN_DETOUR, at_end_only, view.first_sight(segment, x, y, radius, opening)
         )
 
     def _to_turns(self, x: Array, y: Array) -> Array:
@@ -93,25 +90,25 @@ class Geodesic:
 @jax.jit
 def geodesic(walls: Walls) -> Geodesic:
     """Build the geodesic travel model of walls: distances between all their ends."""
-    one_x, one_y, other_x, other_y = walls.ends.T
-    length = StraightLines().metres(one_x, one_y, other_x, other_y)
-    past_x = CLEARANCE * (other_x - one_x) / length
-    past_y = CLEARANCE * (other_y - one_y) / length
-    x = jnp.concatenate([one_x - past_x, other_x + past_x])
-    y = jnp.concatenate([one_y - past_y, other_y + past_y])
+    from_x, from_y, to_x, to_y = walls.ends.T
+    length = StraightLines().metres(from_x, from_y, to_x, to_y)
+    margin_x = CLEARANCE * (to_x - from_x) / length
+    margin_y = CLEARANCE * (to_y - from_y) / length
+    x = jnp.concatenate([from_x - margin_x, to_x + margin_x])
+    y = jnp.concatenate([from_y - margin_y, to_y + margin_y])
     line = StraightLines().metres(x[:, None], y[:, None], x[None], y[None])
     is_blocked = walls.is_between(x[:, None], y[:, None], x[None], y[None])
     start = jnp.where(is_blocked, LARGE, line)
 
-    def through(turn: int, lengths: Array) -> Array:
+    def relax(turn: int, lengths: Array) -> Array:
         return jnp.minimum(lengths, lengths[:, turn][:, None] + lengths[turn][None])
 
-    lengths = jax.lax.fori_loop(0, x.size, through, start) if x.size else start
+    lengths = jax.lax.fori_loop(0, x.size, relax, start) if x.size else start
     between = jnp.minimum(lengths, LARGE)
     return Geodesic(walls=walls, turn_x=x, turn_y=y, between=between)
 
 
-_COUNTS = (4, 8, 16, 32)
+_SIZES = (4, 8, 16, 32)
 """Numbers of walls to pad to, so that environments of similar size share compiled programs."""
 
 
@@ -121,10 +118,10 @@ def among_walls(*ends: tuple[float, float, float, float]) -> Terrain:
     Host only. The last wall is repeated until there are 4, 8, 16 or 32.
 
     Raises:
-        ValueError: none, more than 32, or one that is not four finite numbers.
+        ValueError: no wall, more than 32, or one that is not four finite numbers.
     """
-    if not 0 < len(ends) <= _COUNTS[-1]:
-        raise ValueError(f"there are {len(ends)} walls, but must be 1 to {_COUNTS[-1]}")
-    number = next(size for size in _COUNTS if size >= len(ends))
-    there = walls(*ends, *[ends[-1]] * (number - len(ends)))
-    return jax.tree.map(np.asarray, Terrain(view=there, travel=geodesic(there)))
+    if not 0 < len(ends) <= _SIZES[-1]:
+        raise ValueError(f"there are {len(ends)} walls, but must be 1 to {_SIZES[-1]}")
+    size = next(size for size in _SIZES if size >= len(ends))
+    padded = walls(*ends, *[ends[-1]] * (size - len(ends)))
+    return jax.tree.map(np.asarray, Terrain(view=padded, travel=geodesic(padded)))

@@ -1,8 +1,8 @@
 """Sensor models: simulation and likelihood of detections (eq. 7b, 8).
 
-World and belief use the same record: the one simulates by it, the other conditions on it. A report
-is a range and a bearing. A detector that does not measure ranges reports ``range_max``, the end of
-its ray; each particle then draws how far a new thing is, and later reports are weighed by parallax.
+World and belief use the same record: the world simulates by it, the belief conditions on it. A
+report is a range and a bearing. A bearing-only detector reports ``range_max``; each particle then
+samples the range of a new object, and later reports are weighted by parallax.
 """
 
 import jax.numpy as jnp
@@ -17,20 +17,20 @@ from jaxlangnav.terrain.view import Eye, View
 
 @pytree
 class SensorModel:
-    """The paper's detector, of relative positions with isotropic noise; others derive from it.
+    """Range-bearing detector of the paper, with isotropic position noise; the base of others.
 
     Positions x, y are relative to the robot, metres; arguments broadcast against each other.
     """
 
     @property
     def is_located(self) -> bool:
-        """Whether a report has a range; if not, bystanders stay in the particles' maps."""
+        """Whether a report has a range; if not, unreferenced objects stay in the particles."""
         return True
 
     def simulate(
         self, normal: Array, x: Array, y: Array, sensor: SensorParams
     ) -> tuple[Array, Array]:
-        """Simulate reports of objects at f32[n] ahead and left; noise from normals f32[2, n]."""
+        """Simulate reports of objects at f32[n] x ahead, y left; noise from normals f32[2, n]."""
         noise = sensor.noise * normal
         return x + noise[0], y + noise[1]
 
@@ -39,24 +39,22 @@ class SensorModel:
         return jnp.maximum(sensor.noise, MIN_NOISE) ** 2
 
     def draw_range(self, uniform: Array, metres: Array, sensor: SensorParams) -> Array:
-        """Draw the range of a new object, f32[D] or f32[D, 1, P] metres, by uniform f32[D, P]."""
+        """Sample the range of a new object, f32[D] or f32[D, 1, P] metres, by uniform f32[D, P]."""
         return metres
 
     def log_volume(self, sensor: SensorParams) -> Array:
-        """Compute the log of the square metres per unit of a report's density, f32[].
-
-        A density of objects, 1/m², times this is that of reports of them.
-        """
+        """Compute the log volume element, from densities of objects in 1/m² to those of reports."""
         return jnp.float32(0.0)
 
     def match(
-        self, seen: tuple[Array, Array], place: tuple[Array, Array], variance: Array
+        self, report: tuple[Array, Array], predicted: tuple[Array, Array], variance: Array
     ) -> tuple[Array, Array, Array]:
         """Compute the log-likelihood of a report of an object with predicted position and variance.
 
         Returns it, and the position x and y that the object is then conditioned on.
         """
-        return log_normal_isotropic(seen[0] - place[0], seen[1] - place[1], variance), *seen
+        offset_x, offset_y = report[0] - predicted[0], report[1] - predicted[1]
+        return log_normal_isotropic(offset_x, offset_y, variance), *report
 
     def log_fit(self, sensor: SensorParams) -> Array:
         """Compute the mean log-likelihood of a report of an object at a known position, f32[]."""

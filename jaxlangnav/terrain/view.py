@@ -15,7 +15,7 @@ from jaxlangnav.pytree import pytree
 LARGE = 1e9
 """Metres that stand for infinity: a point that never comes into view, a missing path."""
 MIN_SIGHT = 0.5
-"""Metres of path on which a point must stay in a narrow view to count as observed."""
+"""Minimum length of path, metres, on which a point stays in a narrow view to count as observed."""
 
 
 class Eye(NamedTuple):
@@ -29,7 +29,7 @@ class Eye(NamedTuple):
 
 
 def eye_of(x: Array, y: Array, heading: Array, sensor: SensorParams) -> Eye:
-    """Build the eye of a detector at f32[...] metres, map frame, with a heading f32[], radians."""
+    """Build the view of a detector at f32[...] metres, map frame, with a heading f32[], radians."""
     return Eye(x, y, sensor.range_max, heading, sensor.field_of_view)
 
 
@@ -57,7 +57,7 @@ class View(Protocol):
         ...
 
     def first_sight(
-        self, stretch: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, segment: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
         """Compute the distance along straight segments [...] after which points [C] are in view.
 
@@ -66,7 +66,7 @@ class View(Protocol):
         """
         ...
 
-    def clear_share(self, stretch: Segment, clearance: float) -> Array | None:
+    def clear_share(self, segment: Segment, clearance: float) -> Array | None:
         """Compute the collision-free fraction of straight segments, f32[...]; None: all free."""
         ...
 
@@ -105,47 +105,48 @@ class OpenField:
         return beyond(distance, bearing, eye.range_max, eye.field_of_view) <= 1e-6 * distance
 
     def first_sight(
-        self, stretch: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, segment: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
         """Compute the distance along segments after which points are within a radius and in view.
 
-        A point ``aside`` of the way leaves a view of half-angle h at ``aside / tan h`` before it
-        is passed. It counts where it stays in view for ``MIN_SIGHT`` metres: looks are a step apart.
-
-        Limits: 0 where one already is; ``LARGE`` where it never does; an all-round view is that
+        A point at lateral distance a leaves a view of half-angle h at ``a / tan h`` before it is
+        passed. It counts if it stays in view for ``MIN_SIGHT`` metres: observations are a step
+        apart. Limits: 0 if already in view; ``LARGE`` if never; an all-round view is that
         of the radius alone.
 
         Args:
-            stretch: straight stretches, f32[...].
+            segment: straight segments, f32[...].
             x: f32[C], points, metres, map frame.
             y: f32[C], metres.
             radius: f32[], metres.
-            opening: f32[], radians, full opening angle about the way ahead; None: all round.
+            opening: f32[], radians, full opening angle about the motion; None: all round.
         """
-        span_x, span_y = stretch.to_x - stretch.from_x, stretch.to_y - stretch.from_y
+        span_x, span_y = segment.to_x - segment.from_x, segment.to_y - segment.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
         axes = (1,) * span_x.ndim
-        offset_x = x.reshape(*axes, -1) - stretch.from_x[..., None]
-        offset_y = y.reshape(*axes, -1) - stretch.from_y[..., None]
+        offset_x = x.reshape(*axes, -1) - segment.from_x[..., None]
+        offset_y = y.reshape(*axes, -1) - segment.from_y[..., None]
         unit_x, unit_y = span_x / length, span_y / length
         along = offset_x * unit_x[..., None] + offset_y * unit_y[..., None]
-        aside = offset_x * offset_x + offset_y * offset_y - along * along
-        half = jnp.sqrt(jnp.maximum(radius * radius - aside, 0.0))
+        squared_lateral = offset_x * offset_x + offset_y * offset_y - along * along
+        half = jnp.sqrt(jnp.maximum(radius * radius - squared_lateral, 0.0))
         enter = jnp.maximum(along - half, 0.0)
-        is_seen = (aside < radius * radius) & (along + half > 0.0) & (enter < length[..., None])
+        is_seen = (
+            (squared_lateral < radius * radius) & (along + half > 0.0) & (enter < length[..., None])
+        )
         if opening is not None:
             angle = 0.5 * opening
             cotangent = jnp.cos(angle) / jnp.maximum(jnp.sin(angle), 1e-6)
-            leave = along - jnp.sqrt(jnp.maximum(aside, 0.0)) * cotangent
+            leave = along - jnp.sqrt(jnp.maximum(squared_lateral, 0.0)) * cotangent
             is_seen &= (enter + MIN_SIGHT <= leave) | (angle >= jnp.pi - 1e-3)
         return jnp.where(is_seen, enter, LARGE)
 
-    def clear_share(self, stretch: Segment, clearance: float) -> None:
+    def clear_share(self, segment: Segment, clearance: float) -> None:
         """Return None: every segment is free."""
 
 
 def rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
-    """Rotate offsets counter-clockwise, radians; exact where the angle is zero."""
+    """Rotate offsets counter-clockwise, radians; exact for the angle zero."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return cosine * x - sine * y, sine * x + cosine * y
 
@@ -158,8 +159,7 @@ def wrapped(angle: Array) -> Array:
 def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Array) -> Array:
     """Compute the distance, f32[...] metres, of a point to the range and field of view.
 
-    Limits: 0 inside; more than a right angle past the edge, the way to the view is back
-    to the eye; NaN of NaN.
+    Limits: 0 inside; more than a right angle past the edge, the distance to the eye; NaN of NaN.
 
     Args:
         distance: f32[...], metres from the eye.
@@ -167,9 +167,9 @@ def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Arr
         range_max: f32[], metres.
         field_of_view: f32[], radians, full opening angle.
     """
-    turned = jnp.abs(wrapped(bearing))
-    past = jnp.clip(turned - 0.5 * field_of_view, 0.0, 0.5 * jnp.pi)
-    return jnp.maximum(distance - range_max, distance * jnp.sin(past))
+    excess = jnp.abs(wrapped(bearing)) - 0.5 * field_of_view
+    excess = jnp.clip(excess, 0.0, 0.5 * jnp.pi)
+    return jnp.maximum(distance - range_max, distance * jnp.sin(excess))
 
 
 class Travel(Protocol):
@@ -191,7 +191,7 @@ class Travel(Protocol):
     def first_sight(
         self,
         view: View,
-        stretch: Segment,
+        segment: Segment,
         x: Array,
         y: Array,
         radius: Array,
@@ -219,11 +219,11 @@ class StraightLines:
     def first_sight(
         self,
         view: View,
-        stretch: Segment,
+        segment: Segment,
         x: Array,
         y: Array,
         radius: Array,
         opening: Array | None = None,
     ) -> Array:
         """See ``View.first_sight``."""
-        return view.first_sight(stretch, x, y, radius, opening)
+        return view.first_sight(segment, x, y, radius, opening)

@@ -15,7 +15,7 @@ from jaxlangnav.terrain.view import LARGE, Eye, OpenField, Segment
 
 NUM_SAMPLES = 9
 """Points along a segment, both ends included, at which visibility past walls is tested."""
-_CLEAR = 1e6  # metres: distance to a shadow if there are no walls
+_NO_WALLS = 1e6  # metres: distance to a shadow if there are no walls
 
 
 @pytree
@@ -37,40 +37,40 @@ class Walls:
         return OpenField().sees(eye, x, y) & (self._past_shadows(eye, x, y) >= 0.0)
 
     def first_sight(
-        self, stretch: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, segment: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
     ) -> Array:
         """Compute the distance along segments after which points are in view past the walls.
 
-        It is looked for from ``NUM_SAMPLES`` places along the stretch, so what shows only in
-        between is missed, and the metres are up to one step between glances too many. Arguments
-        are those of ``OpenField.first_sight``.
+        Visibility is tested at ``NUM_SAMPLES`` points of the segment, so that views in between are
+        missed, and the distance may be too large by the spacing of the points. Arguments are those
+        of ``OpenField.first_sight``.
         """
-        first = OpenField().first_sight(stretch, x, y, radius, opening)
-        stretch = Segment(*(end[..., None] for end in stretch))
+        first = OpenField().first_sight(segment, x, y, radius, opening)
+        segment = Segment(*(end[..., None] for end in segment))
         axes = (1,) * (first.ndim - 1)
         x, y = x.reshape(*axes, -1), y.reshape(*axes, -1)
-        span_x, span_y = stretch.to_x - stretch.from_x, stretch.to_y - stretch.from_y
+        span_x, span_y = segment.to_x - segment.from_x, segment.to_y - segment.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
         sight = jnp.full_like(first, LARGE)
         angles = (None, None) if opening is None else (jnp.arctan2(span_y, span_x), opening)
         for t in np.linspace(1.0, 0.0, NUM_SAMPLES):
-            eye = Eye(stretch.from_x + t * span_x, stretch.from_y + t * span_y, radius, *angles)
+            eye = Eye(segment.from_x + t * span_x, segment.from_y + t * span_y, radius, *angles)
             sight = jnp.where(self.sees(eye, x, y), t * length, sight)
         # If a point is not occluded where it comes into range, that position counts.
         t0 = first / length
-        entry = Eye(stretch.from_x + t0 * span_x, stretch.from_y + t0 * span_y, radius)
+        entry = Eye(segment.from_x + t0 * span_x, segment.from_y + t0 * span_y, radius)
         is_clear = (first < LARGE) & (self._past_shadows(entry, x, y) >= 0.0)
         return jnp.where(is_clear, first, sight)
 
-    def clear_share(self, stretch: Segment, clearance: float) -> Array:
+    def clear_share(self, segment: Segment, clearance: float) -> Array:
         """Compute the fraction of straight segments that is free before a wall, f32[...].
 
             p + t (q − p) = a + u (b − a),   share = min_t (t − c / |q − p|) over 0 ≤ t, u ≤ 1
 
-        Limits: 1 where no wall is crossed; 0 for who stands within ``clearance`` c, metres, of the
-        wall that it makes for.
+        Limits: 1 where no wall is crossed; 0 for a start within ``clearance`` c, metres, of the
+        wall ahead.
         """
-        from_x, from_y, to_x, to_y = (end[None] for end in stretch)
+        from_x, from_y, to_x, to_y = (end[None] for end in segment)
         length = jnp.sqrt((to_x - from_x) ** 2 + (to_y - from_y) ** 2 + 1e-12)
         # It also stops before a wall within the clearance behind the end.
         reach = (length + clearance) / length
@@ -107,7 +107,7 @@ class Walls:
         past_other = -turn * _left_of(b_x, b_y, off_x, off_y)
         behind = -turn * _left_of(b_x - a_x, b_y - a_y, off_x - a_x, off_y - a_y)
         inside = jnp.minimum(jnp.minimum(past_one, past_other), behind)
-        return jnp.min(-inside, axis=0, initial=_CLEAR)
+        return jnp.min(-inside, axis=0, initial=_NO_WALLS)
 
 
 def _left_of(line_x: Array, line_y: Array, x: Array, y: Array) -> Array:
@@ -121,6 +121,6 @@ def walls(*ends: tuple[float, float, float, float]) -> Walls:
 
     Raises a ValueError if a wall is not four finite numbers.
     """
-    if not all(len(one) == 4 and np.isfinite(one).all() for one in ends):
+    if not all(len(wall) == 4 and np.isfinite(wall).all() for wall in ends):
         raise ValueError(f"walls are {ends}, but each must be x, y, x, y, finite, in metres")
     return Walls(ends=jnp.asarray(np.array(ends, np.float32).reshape(-1, 4)))
