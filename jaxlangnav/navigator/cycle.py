@@ -286,8 +286,7 @@ def _decide(
     )
     key = jax.random.fold_in(key, _PLANNER_KEY)
     memory, choice = policy.choose(params.policy_of(config), key, state.memory, situation)
-    waypoint = choice.next_x, choice.next_y
+    waypoint, patience = (choice.next_x, choice.next_y), config.patience
     is_moving = ~task.is_still & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
-    monitor, patience = state.progress, config.patience
-    progress = update_progress(monitor, waypoint, task.robot, is_moving, patience=patience)
+    progress = update_progress(state.progress, waypoint, task.robot, is_moving, patience=patience)
     return replace(state, visited=visited, memory=memory, progress=progress), choice

@@ -183,18 +183,16 @@ class Listener:
         check_measures(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
         label, goals = label_of(topic), spoken.goals
         is_answer = is_asked and len(goals) == 1 and label in spoken.may_be(goals[0])
-        is_revision = utterance.kind == Kind.CORRECTION or is_answer
-        is_new = effect is Effect.REPLACE
+        is_new, is_loose = effect is Effect.REPLACE, is_answer or utterance.kind == Kind.CORRECTION
         excluded = self._excluded_slot(state, utterance, grounded, text) if is_new else NONE
-        merged = self._join(state, grounded, effect=effect, is_loose=is_revision or not is_new)
+        merged = self._join(state, grounded, effect=effect, is_loose=is_loose or not is_new)
         after = _merge(state, merged, pose, effect=effect)
         if excluded != NONE:
             after = _rule_out(after, jnp.int32(1 << excluded))
         if is_answer:  # ask no second question: the best candidate is accepted
             after = _choose_freely(after)
         kind = utterance.kind or (Kind.ANSWER if is_answer else Kind.COMMAND)
-        ruled_out = () if excluded == NONE else (excluded,)
-        notes += _drop_notes(state, after)
+        ruled_out, notes = (excluded,) * (excluded != NONE), notes + _drop_notes(state, after)
         return after, UtteranceOutcome(text=text, kind=kind, ruled_out=ruled_out, notes=notes)
 
     def _join(

@@ -226,14 +226,13 @@ def update_task_state(
     distance = travel.metres(*task.robot, goals.object_x, goals.object_y)[:-1]
     value = goals.object_accepted[:-1] * params.planner.discount**distance
     goal_slot = jnp.argmax(value).astype(jnp.int32)
-    is_advanced, talk = choice.is_stop & ~is_last, state.talk
+    is_advanced, talk, progress = choice.is_stop & ~is_last, state.talk, state.progress
     # The object being approached is stored, as later utterances may refer to it.
     distance = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
     is_goal = goals.is_object & (goals.object_accepted >= policy.MIN_GOAL_PROB)
     nearest = jnp.argmin(jnp.where(is_goal, distance, jnp.inf)[:-1]).astype(jnp.int32)
     approached = jnp.where(choice.is_approach, nearest, talk.approached)
     reached = jnp.where(jnp.any(is_goal[:-1]), goal_slot, talk.approached)
-    num_closed = jnp.where(is_advanced, 0, state.progress.num_closed)
     talk = replace(
         talk,
         approached=jnp.where(choice.is_stop, reached, approached),
@@ -248,5 +247,5 @@ def update_task_state(
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
         status=_status(state, task, choice, config),
         talk=talk,
-        progress=replace(state.progress, num_closed=num_closed),
+        progress=replace(progress, num_closed=jnp.where(is_advanced, 0, progress.num_closed)),
     )

@@ -21,9 +21,9 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import cell_centres
 from jaxlangnav.terrain import Eye
 
-CLEARANCE = 2.0
+KEEP_AWAY = 2.0
 """Metres to keep from a forbidden object."""
-ZONE_RADIUS = CLEARANCE + 0.25
+ZONE_RADIUS = KEEP_AWAY + 0.25
 """The same plus a margin for the error of the object's position: B."""
 MAX_ZONES = 6
 """Maximum number of forbidden objects that are considered, the nearest ones."""
@@ -144,7 +144,7 @@ def safe_fraction(
 ) -> Array:
     """Choose the fraction of a step that is safe with respect to unseen forbidden objects, f32[].
 
-    It is the largest of ``_FRACTIONS`` that brings the robot within ``CLEARANCE`` of a forbidden
+    It is the largest of ``_FRACTIONS`` that brings the robot within ``KEEP_AWAY`` of a forbidden
     object that one more observation would have revealed with probability at most ``risk``, else the
     smallest. Such an object is in cell c with probability s m(c) / Σ m, with s the probability of
     maps in which it is forbidden and unseen, and m the miss probability of the coverage map.
@@ -169,7 +169,7 @@ def safe_fraction(
         """Compute the probability that one more observation reveals a newly close object, f32[]."""
         x, y, miss = x[None], y[:, None], jnp.exp(log_miss)
         away = jnp.hypot(x - robot_x - fraction * step[0], y - robot_y - fraction * step[1])
-        is_close = (away < CLEARANCE) & (away < jnp.hypot(x - robot_x, y - robot_y))
+        is_close = (away < KEEP_AWAY) & (away < jnp.hypot(x - robot_x, y - robot_y))
         visible = jnp.where(is_close & belief.terrain.view.sees(eye, x, y), miss, 0.0)
         return p_unseen * sensor.detection_probability * jnp.sum(visible) / jnp.sum(miss)
 

@@ -117,11 +117,10 @@ def associate(
     x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
     y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
     predicted = (x, y), jnp.maximum(variance, 0.0) + model.variance(x, y, sensor)
-    options = {"growth": growth, "clutter": clutter, "is_pooled": is_pooled}
-    log_weights = functools.partial(_log_weights, **options)
+    weigh = functools.partial(_log_weights, growth=growth, clutter=clutter, is_pooled=is_pooled)
 
     def scan(carry: Association, detection: tuple[Detections, Array]) -> tuple[Association, None]:
-        return _associate_one(carry, *detection, model, predicted, log_weights), None
+        return _associate_one(carry, *detection, model, predicted, weigh), None
 
     false, zeros = jnp.zeros(x.shape, bool), jnp.zeros_like(x)
     init = Association(
@@ -143,12 +142,12 @@ def _associate_one(
     uniform: Array,
     model: SensorModel,
     predicted: tuple[tuple[Array, Array], Array],
-    log_weights: Callable[..., Any],
+    weigh: Callable[..., Any],
 ) -> Association:
     """Associate one detection z, leaves [], given the associations of earlier ones."""
     num_objects, code, is_valid = carry.object_type.shape[0], z.object_type, z.is_detection
     log_existing, x, y = model.match((z.offset_x, z.offset_y), *predicted)
-    log_weight, posterior = log_weights(z, log_existing, carry)
+    log_weight, posterior = weigh(z, log_existing, carry)
     choice, log_total = categorical.draw(log_weight, uniform)
     slots = append_axes(jnp.arange(num_objects), carry.object_type.ndim)
     free = jnp.min(jnp.where(carry.object_type == NONE, slots, num_objects), axis=0)

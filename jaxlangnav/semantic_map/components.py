@@ -40,11 +40,10 @@ def _reset_weights(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBe
 
 def _split(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
     """Split unreferenced objects (bystanders) from the particles' own, in map and detections."""
-    bystanders, types = belief.bystanders, gated.mentioned
-    if types is None or bystanders.x.shape[0] == 0 or not belief.sensor_model.is_located:
+    listed, types, log_weight = belief.bystanders, gated.mentioned, belief.log_weight
+    if types is None or listed.x.shape[0] == 0 or not belief.sensor_model.is_located:
         return belief, gated
-    weight = belief.log_weight
-    particles, listed = exchange(belief.particles, bystanders, types, weight, belief.must_ground)
+    particles, listed = exchange(belief.particles, listed, types, log_weight, belief.must_ground)
     observation, others = split_by_type(gated.observation, types)
     belief = replace(belief, particles=particles, bystanders=listed)
     return belief, gated._replace(observation=observation, others=others)

@@ -92,17 +92,15 @@ def empty(
     )
 
 
-def clear(particle: SemanticMap, is_cleared: Array) -> SemanticMap:
+def clear(particle: SemanticMap, mask: Array) -> SemanticMap:
     """Clear observed slots, bool[O, ...]; mentions of them have to be re-grounded."""
-    in_row = jnp.concatenate([is_cleared, jnp.zeros_like(is_cleared[:1])])
+    row = jnp.concatenate([mask, jnp.zeros_like(mask[:1])])
     has_doubts = particle.existence.shape[0] > 0
     return replace(
         particle,
-        object_type=jnp.where(is_cleared, NONE, particle.object_type),
-        covariance=jnp.where(in_row[:, None] | in_row[None], 0.0, particle.covariance),
-        mean_x=jnp.where(in_row, 0.0, particle.mean_x),
-        mean_y=jnp.where(in_row, 0.0, particle.mean_y),
-        existence=jnp.where(is_cleared, 0.0, particle.existence)
-        if has_doubts
-        else particle.existence,
+        object_type=jnp.where(mask, NONE, particle.object_type),
+        covariance=jnp.where(row[:, None] | row[None], 0.0, particle.covariance),
+        mean_x=jnp.where(row, 0.0, particle.mean_x),
+        mean_y=jnp.where(row, 0.0, particle.mean_y),
+        existence=jnp.where(mask, 0.0, particle.existence) if has_doubts else particle.existence,
     )

@@ -167,8 +167,7 @@ def _lacking(
 
 def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int]]:
     """Count the objects of a world by type; types without objects are left out."""
-    object_type = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)]
-    types = [int(index) for index in object_type]
+    types = [int(code) for code in np.asarray(scenario.object_type)[np.asarray(scenario.is_object)]]
     return [(names[index], types.count(index)) for index in dict.fromkeys(types)]
 
 

@@ -47,14 +47,13 @@ class SensorModel:
         return jnp.float32(0.0)
 
     def match(
-        self, report: tuple[Array, Array], predicted: tuple[Array, Array], variance: Array
+        self, report: tuple[Array, Array], mean: tuple[Array, Array], variance: Array
     ) -> tuple[Array, Array, Array]:
         """Compute the log-likelihood of a report of an object with predicted position and variance.
 
         Returns it, and the position x and y that the object is then conditioned on.
         """
-        offset_x, offset_y = report[0] - predicted[0], report[1] - predicted[1]
-        return log_normal_isotropic(offset_x, offset_y, variance), *report
+        return log_normal_isotropic(report[0] - mean[0], report[1] - mean[1], variance), *report
 
     def log_fit(self, sensor: SensorParams) -> Array:
         """Compute the mean log-likelihood of a report of an object at a known position, f32[]."""

@@ -128,16 +128,14 @@ class OpenField:
         offset_y = y.reshape(*axes, -1) - segment.from_y[..., None]
         unit_x, unit_y = span_x / length, span_y / length
         along = offset_x * unit_x[..., None] + offset_y * unit_y[..., None]
-        squared_lateral = offset_x * offset_x + offset_y * offset_y - along * along
-        half = jnp.sqrt(jnp.maximum(radius * radius - squared_lateral, 0.0))
+        lateral2 = offset_x * offset_x + offset_y * offset_y - along * along
+        half = jnp.sqrt(jnp.maximum(radius * radius - lateral2, 0.0))
         enter = jnp.maximum(along - half, 0.0)
-        is_seen = (
-            (squared_lateral < radius * radius) & (along + half > 0.0) & (enter < length[..., None])
-        )
+        is_seen = (lateral2 < radius * radius) & (along + half > 0.0) & (enter < length[..., None])
         if opening is not None:
             angle = 0.5 * opening
             cotangent = jnp.cos(angle) / jnp.maximum(jnp.sin(angle), 1e-6)
-            leave = along - jnp.sqrt(jnp.maximum(squared_lateral, 0.0)) * cotangent
+            leave = along - jnp.sqrt(jnp.maximum(lateral2, 0.0)) * cotangent
             is_seen &= (enter + MIN_SIGHT <= leave) | (angle >= jnp.pi - 1e-3)
         return jnp.where(is_seen, enter, LARGE)
 
@@ -167,8 +165,7 @@ def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Arr
         range_max: f32[], metres.
         field_of_view: f32[], radians, full opening angle.
     """
-    excess = jnp.abs(wrapped(bearing)) - 0.5 * field_of_view
-    excess = jnp.clip(excess, 0.0, 0.5 * jnp.pi)
+    excess = jnp.clip(jnp.abs(wrapped(bearing)) - 0.5 * field_of_view, 0.0, 0.5 * jnp.pi)
     return jnp.maximum(distance - range_max, distance * jnp.sin(excess))
 
 
