@@ -197,7 +197,7 @@ def run_many(
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run STEPS filter steps in S lanes: leaves [S, ...], observations [S, STEPS, ...]."""
 
-    told = {"params": numbers, "spoken": spoken, "pools_counts": pools_counts}
+    told = {"params": numbers, "mentioned": spoken, "pools_counts": pools_counts}
 
     def one(key, belief, sentence, seen):
         def body(now, step):

@@ -74,7 +74,7 @@ def test_free_hypotheses_are_where_words_place_them_against_the_robot() -> None:
         context=current_context(words, belief.viewer),
         params=replace(default_map_params(), misleading=jnp.float32(0.2)),
     )
-    found = jax.jit(search_map)(belief, jnp.float32(0.0), jnp.float32(0.0), spoken=spoken)
+    found = jax.jit(search_map)(belief, jnp.float32(0.0), jnp.float32(0.0), spoken)
     blocks = np.exp(log_miss).reshape(CELLS, 2, CELLS, 2).sum((1, 3)).reshape(-1)
     steps = (np.arange(CELLS) + 0.5) / CELLS * 10.0
     x, y = np.tile(steps, CELLS), np.repeat(steps - 5.0, CELLS)

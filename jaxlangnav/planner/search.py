@@ -123,31 +123,31 @@ def _least_observed(coverage: Coverage, x: Array, y: Array) -> tuple[Array, Arra
 
 
 def _viewer_factor(
-    belief: ParticleBelief, is_free: Array, x: Array, y: Array, density: Array, spoken: Utterances
+    belief: ParticleBelief, is_free: Array, x: Array, y: Array, mass: Array, utterances: Utterances
 ) -> Array:
     """Compute the factor of relations to the robot on the cells' unanchored mass, f32[C] > 0."""
-    readings, mentions = spoken.readings, np.arange(spoken.readings.mention_type.shape[1])
+    readings, mentions = utterances.readings, np.arange(utterances.readings.mention_type.shape[1])
     log_area = jnp.log(area_size(belief.coverage))
 
     def factor_minus_one(positions: tuple[Array, Array]) -> Array:
-        log_density = log_viewer_density(spoken, log_area, *positions)
+        log_density = log_viewer_density(utterances, log_area, *positions)
         is_grouped = (groups(readings)[:, None] >> mentions[None, :, None]) & 1  # [M, M, K]
         log_density = jnp.sum(jnp.where(is_grouped[None] > 0, log_density[:, None], 0.0), axis=2)
         factor = jnp.exp(log_density - jnp.max(log_density, axis=0, keepdims=True))  # [C, M, K]
-        factor = factor / jnp.maximum(jnp.tensordot(density, factor, axes=1), 1e-9)[None]
+        factor = factor / jnp.maximum(jnp.tensordot(mass, factor, axes=1), 1e-9)[None]
         # A figure and landmark that are both unseen come into view together: they count once.
         prob = jnp.exp(belief.log_weight) / jnp.maximum(jnp.sum(is_free, axis=0), 1)
         is_read = belief.particles.reading[:, None] == np.arange(factor.shape[2])[None]
         prob = jnp.where(is_free, prob[None], 0.0) @ is_read.astype(jnp.float32)  # [M, K]
         prob = prob / jnp.maximum(jnp.sum(prob), 1e-9)
-        return jnp.sum(density) * jnp.sum(factor * prob[None], axis=(1, 2)) - 1.0
+        return jnp.sum(mass) * jnp.sum(factor * prob[None], axis=(1, 2)) - 1.0
 
     is_by_robot = jnp.any(readings.mention_type == ROBOT) & jnp.any(is_free)
     return 1.0 + skip_unless_any(is_by_robot, factor_minus_one, (x, y))
 
 
 def search_map(
-    belief: ParticleBelief, prior_share: Array, ahead: Array, spoken: Utterances | None = None
+    belief: ParticleBelief, prior_share: Array, ahead: Array, utterances: Utterances | None = None
 ) -> SearchMap:
     """Compute the search map of a belief.
 
@@ -160,7 +160,7 @@ def search_map(
         belief: weighted particles and coverage map.
         prior_share: f32[] in [0, 1], weight of the learned prior; 0 leaves it out.
         ahead: f32[], κ of the prior that objects lie ahead of the viewer; 0: uniform direction.
-        spoken: utterances; None: none that relates an object to the robot.
+        utterances: utterances; None: none that relates an object to the robot.
     """
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
     area = belief.coverage.area
@@ -174,8 +174,8 @@ def search_map(
     unseen = miss.reshape(CELLS, block, CELLS, block).sum(axis=(1, 3)).reshape(-1)
     factor = prior.relative_density(belief.coverage, belief.viewer, x, y, prior_share, ahead)
     unseen = uniform_unseen = unseen * factor
-    if spoken is not None:
-        viewer_factor = _viewer_factor(belief, is_free, x, y, unseen, spoken)
+    if utterances is not None:
+        viewer_factor = _viewer_factor(belief, is_free, x, y, unseen, utterances)
         factor, unseen = factor * viewer_factor, unseen * viewer_factor
     unseen = unseen * (1.0 + _TILT * jnp.linspace(-0.5, 0.5, CELLS**2))
     column = jnp.floor((particles.hypothesis_x - area[0]) / (area[1] - area[0]) * CELLS)

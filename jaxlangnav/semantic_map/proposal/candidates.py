@@ -21,7 +21,7 @@ from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
 
 NUM_UNSEEN = 2
-"""Positions drawn from the unexplored area for each particle and relation."""
+"""Number of positions sampled from the unexplored area for each particle and relation."""
 
 
 class Draws(NamedTuple):
@@ -58,7 +58,7 @@ class Unexplored(NamedTuple):
 
 
 class Grounding(NamedTuple):
-    """Referents of the mentions so far: the carry of the loop over a reading's relations."""
+    """Referents of the mentions so far: the carry of the loop over relations."""
 
     slot: Array  # i32[M, ...] observed slot; NONE while hypothesised
     x: Array  # f32[M, ...] metres

@@ -39,7 +39,7 @@ class Proposals(NamedTuple):
     pairs: Pairs
     new_x: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...] metres, positions drawn for new objects
     new_y: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...]
-    log_drawn: Array  # f32[O + 1, ...] log-density with which a new landmark was drawn, 1/m²
+    log_proposal: Array  # f32[O + 1, ...] log-density with which a new landmark was drawn, 1/m²
 
     @property
     def related(self) -> Pairs:
@@ -93,7 +93,7 @@ def proposal_layout(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
 def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) -> Proposals:
     """Pair candidates; draw new objects from the relation's density and from the unseen area."""
     size = ends.x.shape[1]
-    along, lateral, log_drawn = query.draw(draws.distance, draws.angle, model)
+    along, lateral, log_proposal = query.draw(draws.distance, draws.angle, model)
     at_x = _new_rows(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
     at_y = _new_rows(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
 
@@ -119,5 +119,5 @@ def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) 
         ),
         new_x=new_x,
         new_y=new_y,
-        log_drawn=log_drawn - log_unit[size : 2 * size],
+        log_proposal=log_proposal - log_unit[size : 2 * size],
     )

@@ -28,7 +28,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
 
 _TIE = 1e-3  # metres within which an observed object is the figure itself
 _MIN_BEFORE, _MIN_AFTER = 0.01, 0.1
-"""Least fraction of the unseen that comes before, and after: draws may have none of either."""
+"""Minimum fractions of unseen objects before and after: few samples may have none of either."""
 _OFF_SIDE = 1e-3  # weight of a figure that is not on the stated side
 
 
@@ -124,7 +124,7 @@ def _log_ordinal(
 
 
 def _is_rival(seen: Observed, query: Query) -> Array:
-    """Mark the objects that a figure is compared with: of its type and probably existing."""
+    """Test which objects a figure is compared with: those of its type that probably exist."""
     type_matches = is_type(seen.object_type, query.types[FIGURE][None])
     return type_matches if seen.existence is None else type_matches & (seen.existence > 0.5)
 

@@ -1,4 +1,4 @@
-"""Relation queries: one relation of the reading that a particle has drawn (section 3.2, eq. 7a).
+"""Relation queries: one relation of a particle's sampled interpretation (section 3.2, eq. 7a).
 
 A relation locates a figure with respect to a landmark. Both are its *ends*: of any leaf [2, ...]
 the first entry is the figure's, the second the landmark's. "Between" has two relations, one per
@@ -40,7 +40,7 @@ FIGURE, LANDMARK = 0, 1
 
 
 class Query(NamedTuple):
-    """One relation of the reading that a particle has drawn."""
+    """One relation of a particle's sampled interpretation."""
 
     mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
     types: Array  # i32[2, ...] their object types; ROBOT; NONE
@@ -90,8 +90,8 @@ class Query(NamedTuple):
         frame = self.frame(landmark_x, landmark_y)
         log_single = log_density_of(self.pdf, x - landmark_x, y - landmark_y, frame)
 
-        def log_between(places: tuple[Array, ...]) -> Array:
-            x, y, landmark_x, landmark_y = places
+        def log_between(positions: tuple[Array, ...]) -> Array:
+            x, y, landmark_x, landmark_y = positions
             other = self.viewer[0][None], self.viewer[1][None]
             return between.log_density((x, y), (landmark_x, landmark_y), other)
 
@@ -115,7 +115,7 @@ class Query(NamedTuple):
     def draw(
         self, distance: Array, angle: Array, model: RelationModel
     ) -> tuple[Array, Array, Array]:
-        """Draw a new figure relative to its landmark, and a new landmark relative to its figure.
+        """Sample a new figure relative to its landmark, and a new landmark relative to its figure.
 
         From standard normals f32[2, ...]: along and lateral offset from landmark to figure in the
         frame, f32[2, ...], and log-density of the landmark, f32[1, ...]; in units of ``offset``.
@@ -162,12 +162,12 @@ def build_queries(
 class Utterances:
     """Utterances with the context and parameters of their interpretation."""
 
-    readings: Readings  # K readings of M mentions
+    readings: Readings  # K interpretations with M mentions
     context: UtteranceContext  # poses at which they were heard
     params: MapParams  # relations, ε
 
 
-def log_viewer_density(spoken: Utterances, log_area: Array, x: Array, y: Array) -> Array:
+def log_viewer_density(utterances: Utterances, log_area: Array, x: Array, y: Array) -> Array:
     """Evaluate the log-density of mentions given their relations to the robot (eq. 7a).
 
     "The hydrant on your left" has no observed anchor, and yet is not uniformly distributed. For
@@ -177,7 +177,7 @@ def log_viewer_density(spoken: Utterances, log_area: Array, x: Array, y: Array) 
 
     f32[C, M, K], for positions f32[C], metres, map frame. Limits: 0 (uniform) without any such r.
     """
-    readings, error_rate = spoken.readings, spoken.params.misleading
+    readings, error_rate = utterances.readings, utterances.params.misleading
     num_readings, mentions = readings.figure.shape[0], np.arange(readings.mention_type.shape[1])
     positions = tuple(jnp.broadcast_to(v[:, None], (x.shape[0], num_readings)) for v in (x, y))
 
@@ -189,7 +189,7 @@ def log_viewer_density(spoken: Utterances, log_area: Array, x: Array, y: Array) 
         is_figure = (query.mention[FIGURE][None] == mentions[:, None]) & applies[None]
         return jnp.where(is_figure[None], log_ratio[:, None], 0.0)
 
-    queries = build_queries(readings, spoken.context, spoken.params.relations, log_area)
+    queries = build_queries(readings, utterances.context, utterances.params.relations, log_area)
     return jnp.sum(jax.lax.map(of_relation, queries), axis=0)
 
 
@@ -224,7 +224,7 @@ def _split_between(reading: Readings) -> tuple[Readings, Array]:
 def _build_query(
     reading: Readings, context: UtteranceContext, model: RelationModel, log_area: Array
 ) -> Query:
-    """Build the queries of one reading's relations, leaves [J, ...]."""
+    """Build the queries of one interpretation's relations, leaves [J, ...]."""
     reading, other = _split_between(reading)
     mention = jnp.stack([reading.figure, reading.landmark], axis=1)
     types = jnp.where(mention == NONE, NONE, reading.mention_type[mention])

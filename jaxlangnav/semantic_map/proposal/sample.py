@@ -60,9 +60,9 @@ def ground_relation(
     *,
     params: MapParams,
 ) -> Grounding:
-    """Ground one annotated relation of one particle's reading, given earlier ones (eq. 7a).
+    """Sample the grounding of one relation in one particle, given earlier ones (eq. 7a).
 
-    The grounding is unchanged where the reading has no such relation.
+    The grounding is unchanged if the particle's interpretation has no such relation.
     """
     # The referent of another mention cannot also be the referent of an untyped one.
     bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
@@ -154,7 +154,7 @@ def _log_new(query: Query, proposals: Proposals, log_density: Array, scene: Unex
     log_miss = log_miss_at(scene.coverage, proposals.new_x, proposals.new_y, scene.first_row)
     # A new figure was drawn from f; a landmark from its figure's frame, not from its own.
     size = (log_miss.shape[0] - NUM_UNSEEN) // 2
-    log_ratio = log_density[size : 2 * size] - proposals.log_drawn
+    log_ratio = log_density[size : 2 * size] - proposals.log_proposal
     log_landmark = log_miss[size : 2 * size] + log_ratio
     log_drawn = jnp.concatenate([log_miss[:size], log_landmark, log_miss[2 * size :]])
     # For draws from the unseen area, q is m / u A.

@@ -23,7 +23,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.observe import MeasurementUpdate
 from jaxlangnav.semantic_map.particle import SemanticMap
 
-_PROBE_STEP = 16  # particles grounded anew at every step, to estimate the mean evidence
+_NUM_PROBES = 16  # particles re-grounded at every step, to estimate the mean evidence
 
 
 class Regrounded(NamedTuple):
@@ -45,10 +45,10 @@ def reground(
     update: MeasurementUpdate,
     ground: Callable[..., tuple[SemanticMap, Array]],
 ) -> Regrounded:
-    """Re-ground the words where the hypothesis was refuted or an object of their types is new.
+    """Re-ground the words in particles with a refuted hypothesis or a new object of their types.
 
-    Belief and weights are those of ``observe``; ``uniform`` f32[2, P] decides who survives, and the
-    ancestors of the others; ``ground`` is ``ground_words`` with all but key, belief and readings.
+    Belief and weights are those of ``observe``; ``uniform``, f32[2, P], selects the survivors and
+    the ancestors of the others; ``ground`` is ``ground_words`` with all but key, belief, readings.
     """
     num_particles, particles = belief.log_weight.shape[0], belief.particles
     # A forced draw has the weight of the particle's map alone, without its hypotheses.
@@ -69,13 +69,13 @@ def reground(
     # so that a wrong map is lost, and then grounds the words in it.
     ancestors = independent(kept_weight, ancestor_uniform)
     ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(num_particles))
-    is_needed = is_fresh | (jnp.arange(num_particles) % max(1, num_particles // _PROBE_STEP) == 0)
+    is_needed = is_fresh | (jnp.arange(num_particles) % max(1, num_particles // _NUM_PROBES) == 0)
     belief = replace(belief, particles=take(particles, ancestors))
     fresh, log_language = ground(key, belief, readings, is_asked=is_needed)
     # Fresh groundings have the evidence of the words relative to its mean as weight.
     num_needed = jnp.sum(is_needed).astype(jnp.float32)
-    frac, log_evidence, _ = categorical.log_normalize(log_language)
-    language = jnp.clip(frac * num_needed, 1e-6, 50.0)
+    prob, log_evidence, _ = categorical.log_normalize(log_language)
+    language = jnp.clip(prob * num_needed, 1e-6, 50.0)
     fresh_weight = jnp.where(must_ground, map_weight, 1.0 / num_particles) * language
     weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / num_particles))
 

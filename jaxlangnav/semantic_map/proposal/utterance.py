@@ -1,4 +1,4 @@
-"""Ground an utterance in particles: sample a reading and its referents (eq. 7a).
+"""Ground an utterance in particles: sample an interpretation and its referents (eq. 7a).
 
 Plain ``vmap`` would ground the words in every particle of every lane. Instead the particles whose
 hypothesis was refuted, usually few, are gathered across the batch into chunks of fixed size.
@@ -42,7 +42,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import (
 from jaxlangnav.semantic_map.proposal.sample import ground_relation
 
 _NUM_CHUNKS, _MIN_CHUNK = 8, 256
-"""Number of chunks in which the particles of all lanes are grounded, and least size of one."""
+"""Number of chunks in which the particles of all lanes are grounded, and minimum chunk size."""
 
 _RECURRENCES = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
 """Steps of additive recurrences, fractional parts of √5, √2, √3, √7: jointly low-discrepancy."""
@@ -171,8 +171,8 @@ def _ground_gathered(
     size = num_lanes * count
     chunk = min(max(_MIN_CHUNK, -(-size // _NUM_CHUNKS)), size)
     padded = -(-size // chunk) * chunk
-    asked = is_asked.reshape(size)
-    order = jnp.nonzero(asked, size=padded, fill_value=0)[0]
+    is_selected = is_asked.reshape(size)
+    order = jnp.nonzero(is_selected, size=padded, fill_value=0)[0]
     flat, all_queries = jax.tree.map(
         lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1), (inputs, queries)
     )
@@ -186,22 +186,22 @@ def _ground_gathered(
 
     template = jax.eval_shape(lambda: empty_grounding(num_mentions, size))
     num_rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(template))
-    num_asked = jnp.sum(asked)
+    num_asked = jnp.sum(is_selected)
 
-    def is_left(carry: tuple[Array, Array]) -> Array:
+    def is_unfinished(carry: tuple[Array, Array]) -> Array:
         return carry[0] < num_asked
 
-    def fill(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def process_chunk(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         start, result = carry
         result = jax.lax.dynamic_update_slice_in_dim(result, ground_chunk(start), start, axis=1)
         return start + chunk, result
 
     start = jnp.int32(0), jnp.zeros((num_rows, padded), jnp.float32)
-    result = jax.lax.while_loop(is_left, fill, start)[1]
-    rank = jnp.maximum(jnp.cumsum(asked) - 1, 0)
+    result = jax.lax.while_loop(is_unfinished, process_chunk, start)[1]
+    row = jnp.maximum(jnp.cumsum(is_selected) - 1, 0)
     return jax.tree.map(
         lambda leaf: jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], num_lanes, count), -2, 0),
-        unpack(result[:, rank], template),
+        unpack(result[:, row], template),
     )
 
 
@@ -232,7 +232,7 @@ def ground_words(
     is_sparse: bool = False,
     num_pooled: Array | None = None,
 ) -> tuple[SemanticMap, Array]:
-    """Sample a reading and its grounding for each particle (eq. 7a).
+    """Sample an interpretation and its grounding for each particle (eq. 7a).
 
     Args:
         key: random key.
