@@ -22,7 +22,7 @@ from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.inputs import program_cache
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.follow import follow as follow_text, score, params_and_config
+from jaxlangnav.task.follow import follow as follow_text, params_and_config, score
 from jaxlangnav.task.labelled import meant_goals
 from jaxlangnav.task.opening import PreparedTask, detector_of, empty_world, open_task, step_limit
 from jaxlangnav.viz.narrative import closing

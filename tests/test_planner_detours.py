@@ -10,13 +10,13 @@ from oracles.detours import shortest_way
 from situations import nodes_at, seen_goal, situation
 
 from jaxlangnav.planner.constraints import (
+    CORNER_RADIUS,
     KEEP_AWAY,
     MAX_ZONES,
-    CORNER_RADIUS,
     ZONE_RADIUS,
     Zones,
-    keep_out,
     cost_along,
+    keep_out,
     safe_fraction,
 )
 from jaxlangnav.planner.detours import detours
@@ -159,7 +159,9 @@ def test_stops_are_put_out_of_the_berth_where_one_sees_in() -> None:
     area, things = jnp.asarray(AREA), things_at([(0.0, 0.0)])
     x, y = jnp.array([1.0, 5.0, 0.0]), jnp.array([0.0, 0.0, -1.0])
     out = keep_out(x, y, things, jnp.float32(4.0), area)
-    np.testing.assert_allclose(out, [[CORNER_RADIUS, 5.0, 0.0], [0.0, 0.0, -CORNER_RADIUS]], atol=1e-5)
+    np.testing.assert_allclose(
+        out, [[CORNER_RADIUS, 5.0, 0.0], [0.0, 0.0, -CORNER_RADIUS]], atol=1e-5
+    )
     for same in (
         keep_out(x, y, things, jnp.float32(1.5), area),
         keep_out(x, y, things_at([]), jnp.float32(4.0), area),
@@ -190,7 +192,9 @@ def test_steps_leave_time_to_see_what_is_forbidden(opening: float) -> None:
         ahead = centres @ step >= np.cos(0.5 * opening) * away * np.hypot(*step)
         for share in (1.0, 0.5, 0.25):
             after = np.hypot(*(centres - share * step).T).T
-            is_close = (after < KEEP_AWAY) & (after < away) & (away <= 4.0) & (ahead | (opening > 6.0))
+            is_close = (
+                (after < KEEP_AWAY) & (after < away) & (away <= 4.0) & (ahead | (opening > 6.0))
+            )
             if 0.5 * 0.95 * miss[is_close].sum() / miss.sum() <= risk:
                 break
         assert found[-1] == share

@@ -10,7 +10,7 @@ from oracles import qmdp as oracle
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT, Behavior, Readings
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import gather, reassign_distractor_mass
-from jaxlangnav.planner.graph import frontiers, empty_visited, unexplored_cells, add_visited
+from jaxlangnav.planner.graph import add_visited, empty_visited, frontiers, unexplored_cells
 from jaxlangnav.planner.relevance import believed_groups, groups, has_unseen_tie, is_tied_to_goal
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare

@@ -25,7 +25,7 @@ from jaxlangnav.relations import (
     viewer_frame,
 )
 from jaxlangnav.relations.between import lies_between
-from jaxlangnav.relations.strength import degree, count_before, kth_smallest
+from jaxlangnav.relations.strength import count_before, degree, kth_smallest
 from jaxlangnav.relations.table import NUM_RANKS, ORDERS
 
 ALL = range(len(RELATIONS))

@@ -21,7 +21,7 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState, speech_acts
-from jaxlangnav.navigator.speech_acts import Effect
+from jaxlangnav.navigator.speech_acts import Effect, tell
 from jaxlangnav.pytree import pytree, replace, strong_types
 from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, say, unspoken
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
@@ -99,8 +99,8 @@ def _apply(state: NavigatorState, spoken: Array, slot: Array, sentence: Sentence
         Says.OTHER: speech_acts.correct(state),
         Says.THIS: speech_acts.choose(state, slot),
         Says.NONE_OF_THEM: speech_acts.rule_out(state, jnp.sum(jnp.where(candidates, bitmask, 0))),
-        Says.TRUTH: speech_acts.tell(state, sentence.true_statement, pose, effect=Effect.INFORM),
-        Says.FALSEHOOD: speech_acts.tell(state, sentence.false_statement, pose, effect=Effect.INFORM),
+        Says.TRUTH: tell(state, sentence.true_statement, pose, effect=Effect.INFORM),
+        Says.FALSEHOOD: tell(state, sentence.false_statement, pose, effect=Effect.INFORM),
     }
     for act, updated in next_states.items():
         state = jax.tree.map(functools.partial(jnp.where, spoken == act), updated, state)

@@ -129,9 +129,9 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
 def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -> dict[str, Any]:
     """Collect the plain JSON data of each step: narrative, objects, detections, claims."""
     frames = recording.frames
-    story = [narrative.narrate_step(moment) for moment in recording.moments]
+    story = [narrative.narrate_step(moment) for moment in recording.steps]
     objects, detections, claim_probs = [], [], []
-    for moment in recording.moments:
+    for moment in recording.steps:
         frame = moment.frame
         rows = [
             [obj.object_type, *_rounded(obj.x, obj.y, obj.spread, obj.probability, obj.goal_mass)]
@@ -154,7 +154,7 @@ def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -
         closing = []
     return {
         "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
-        "headlines": [narrative.headline(moment) for moment in recording.moments],
+        "headlines": [narrative.headline(moment) for moment in recording.steps],
         "closing": closing,
         "objects": objects,
         "detections": detections,
@@ -188,7 +188,7 @@ def _array_data(recording: Recording) -> dict[str, Any]:
         "ess": frames.effective_sample_size,
         "seen": frames.goal_mass.sum(axis=1),
         "unseen": frames.hypothesis_goal_mass.sum(axis=1),
-        "explored": np.array([summary.explored_fraction(step.frame) for step in recording.moments]),
+        "explored": np.array([summary.explored_fraction(step.frame) for step in recording.steps]),
     }
     for name in (
         "position", "robot", "heading", "distance", "waypoint", "node_x", "node_y", "value",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.episode.recording import Snapshot, StepView, Recording
+from jaxlangnav.episode.recording import Recording, Snapshot, StepView
 from jaxlangnav.messages import Status
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import describe_ending, headline, select_steps
@@ -75,7 +75,7 @@ def verdict(recording: Recording) -> str:
     """Summarize in half a line how the episode ended and how far the robot walked."""
     result, ending = recording.result, outcome(recording)
     if not recording.scene.is_scored:
-        return f"{recording.scene.policy} policy: {ending}, for {recording.scene.unjudged}"
+        return f"{recording.scene.policy} policy: {ending}, for {recording.scene.unscored}"
     error, distance = float(result.goal_distance), float(result.distance)
     return (
         f"{recording.scene.policy} policy: {ending}, {error:.1f} m from the meant goal after "
@@ -135,7 +135,7 @@ def belief_figure(
         figure, maps, _ = _layout(recording, len(chosen), text=text)
         for index, (axes, step) in enumerate(zip(maps, chosen, strict=True)):
             draw_belief(axes, recording, step)
-            _title_panel(axes, recording.moments[step], index)
+            _title_panel(axes, recording.steps[step], index)
         _add_legend(figure, mapping.legend_handles(recording))
     return figure
 
@@ -161,7 +161,7 @@ def values_figure(
         for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
             _draw_values(axes, recording, step)
             _draw_value_terms(chart, recording.at(step), with_label=axes.get_ylabel() != "")
-            _title_panel(axes, recording.moments[step], index)
+            _title_panel(axes, recording.steps[step], index)
         marks = [
             handle
             for handle in mapping.legend_handles(recording, filled=False)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from jaxlangnav.episode.recording import Snapshot, StepView, Remark, StaticScene, missing_names
+from jaxlangnav.episode.recording import Remark, Snapshot, StaticScene, StepView, missing_names
 from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, ROBOT, Fault, Status

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxlangnav.episode.recording import Snapshot, Recording, StaticScene
+from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
 
