@@ -95,7 +95,7 @@ class Follow:
         from jaxlangnav.experiments.policies import without_compass
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import batched, precompile_cycle
-        from jaxlangnav.task.opening import empty_world, check_template
+        from jaxlangnav.task.opening import check_template, empty_world
         from jaxlangnav.task.talk import enlarge
 
         check_template(self.world, understood)

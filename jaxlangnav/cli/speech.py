@@ -75,7 +75,7 @@ def check_script(
 
 def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw: Any) -> "Speech":
     """Build the utterance source of ``recorder.play``; ``kw``: its other fields."""
-    from jaxlangnav.task.talk import YOU, Speech, SimulatedPerson
+    from jaxlangnav.task.talk import YOU, SimulatedPerson, Speech
 
     if person is not None:
         watcher = SimulatedPerson.named(person)

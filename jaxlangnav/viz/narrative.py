@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.episode.recording import Snapshot, StepView, Recording, Remark, StaticScene, replay
+from jaxlangnav.episode.recording import Recording, Remark, Snapshot, StaticScene, StepView, replay
 from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
@@ -42,7 +42,7 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
     x, y, heading = (float(value) for value in recording.scene.scenario.start)
     rows = []
     for step in steps:
-        frame = recording.moments[step].frame
+        frame = recording.steps[step].frame
         mass = np.asarray(frame.hypothesis_goal_mass, float)
         dx, dy = frame.hypothesis_goal_x - x, frame.hypothesis_goal_y - y
         is_left = np.cos(heading) * dy - np.sin(heading) * dx > 0.0
@@ -51,7 +51,7 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
         row = {
             "step": step,
             "distance": float(frame.distance),
-            "event": headline(recording.moments[step]),
+            "event": headline(recording.steps[step]),
             "goal_seen": float(frame.goal_mass.sum()),
             "unseen_left": float(mass[is_left].sum()),
             "unseen_right": float(mass[~is_left].sum()),
@@ -203,7 +203,7 @@ def closing(scene: StaticScene, frame: Snapshot, result: EpisodeResult) -> list[
 def narrate(recording: Recording) -> list[str]:
     """Narrate a whole episode line by line; consecutive uneventful steps are merged."""
     lines, quiet = opening(recording.scene), list[StepView]()
-    for moment in recording.moments:
+    for moment in recording.steps:
         if not moment.utterances and _is_uneventful(moment):
             quiet.append(moment)
         else:
