@@ -167,7 +167,7 @@ def describe_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -
          f"Not found: it says that there is {lack or 'nothing that fits the command'}."),
         (ending == Status.WHICH_ONE, outcome,
          "Asked: it stands still until it is told which one is meant."),
-        (not scene.is_scored, outcome, f"Cannot be judged: {scene.unjudged}."),
+        (not scene.is_scored, outcome, f"Cannot be judged: {scene.unscored}."),
         (ending == Status.BLOCKED, outcome,
          "Blocked: it made no way, and tried other waypoints before it said so."),
         (bool(result.is_success), outcome,
