@@ -197,7 +197,7 @@ class Follow:
             speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
             source = speech.listener(output, **speakers, **dialogue, scene=scene)
         max_steps = self.max_steps or step_limit(task.scenario, task.sensor)
-        steps = recorder.play(task, instructions, max_steps=max_steps, ear=source, **sizes)
+        steps = recorder.play(task, instructions, max_steps=max_steps, speech=source, **sizes)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
         with spinner(message, output):
             first = next(steps)
