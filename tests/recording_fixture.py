@@ -11,6 +11,7 @@ from jaxlangnav.messages import AT, BEHIND, NONE, Readings, Status, default_sens
 from jaxlangnav.planner.config import as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.semantic_map.unreferenced_objects import no_bystanders
 from jaxlangnav.world.state import CONE, HYDRANT
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
@@ -91,6 +92,7 @@ def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Gen
         object_x=np.tile(np.array([6, 9, 0, 0], np.float32)[:, None], num_particles),
         object_y=np.tile(np.array([1, 1, 0, 0], np.float32)[:, None], num_particles),
         object_sd=np.full((SLOTS, num_particles), 0.1, np.float32),
+        bystanders=jax.device_get(no_bystanders(2)),
         mention_type=mention_type,
         referent=np.full(shape, NONE, np.int32),
         is_hypothesised=is_open,

@@ -8,7 +8,7 @@ import pytest
 import readings as by_hand
 from recording_fixture import make_recording, make_scene
 
-from jaxlangnav.episode.recording import Recording, Snapshot, StepView
+from jaxlangnav.episode.recording import Recording, Snapshot, StepView, stack_frames
 from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
@@ -159,13 +159,8 @@ def test_the_closing_tells_failures_apart():
     assert "ran out of time" in narrative.closing(scene, frame, timeout)[0]
     wrong = replace(one.result, is_success=np.array(False), goal_distance=np.float32(6.2))
     assert "6.2 m away" in narrative.closing(scene, frame, wrong)[0]
-    crowded = replace(
-        one.result,
-        overflow=np.int32(3),
-        degenerate=np.int32(2),
-        contradictions=np.int32(4),
-        faults=np.int32(5),
-    )
+    counts = {"overflow": 3, "degenerate": 2, "contradictions": 4, "faults": 5}
+    crowded = replace(one.result, **{name: np.int32(n) for name, n in counts.items()})
     said = " ".join(narrative.closing(scene, frame, crowded))
     assert "3 detections" in said
     assert "In 2 steps" in said
@@ -175,6 +170,20 @@ def test_the_closing_tells_failures_apart():
 
 def moment(one: Recording, frame: Snapshot, before: Snapshot | None) -> StepView:
     return StepView(3, one.scene, frame, before, (), one.result)
+
+
+def test_what_is_passed_and_not_spoken_of_is_told_once():
+    one = make_recording(6, 10)
+    tree = {"object_type": np.array([4, NONE]), "x": np.array([2.0, 0]), "y": np.array([1.0, 0])}
+    passed = replace(one.at(1).bystanders, **tree)
+    frames = [one.at(0), *(replace(one.at(step), bystanders=passed) for step in range(1, 6))]
+    told = narrative.narrate(stack_frames(one.scene, frames, one.result))
+    assert sum("a tree" in line for line in told) == 1
+    # What words come to mention moves to another slot, and is not discovered again.
+    other = {name: values[::-1] for name, values in tree.items()}
+    moved = replace(one.at(1), bystanders=replace(passed, **other))
+    assert [obj.object_type for obj in summary.observed_objects(moved)][-1] == 4
+    assert not sentences.new_objects(moment(one, moved, frames[1]))
 
 
 def test_an_ending_without_a_goal_is_told_and_named():

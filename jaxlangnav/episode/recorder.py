@@ -174,6 +174,6 @@ def make_frame(
         "is_done": after.is_done,
     }
     # The other fields are copied from the first of these records with a field of that name.
-    records = (info, decision, info.filter, info.behavior, observation, particles, after, world)
-    fields = ChainMap(derived, *map(vars, records))
+    records = (info, decision, info.filter, info.behavior, observation, particles, belief, after)
+    fields = ChainMap(derived, *map(vars, records), vars(world))
     return Snapshot(**{f.name: fields[f.name] for f in dataclasses.fields(Snapshot)})

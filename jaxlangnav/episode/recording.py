@@ -52,6 +52,7 @@ class Snapshot:
     object_x: Leaf  # f32[O, P]
     object_y: Leaf  # f32[O, P]
     object_sd: Leaf  # f32[O, P] metres, standard deviation on each axis within the particle
+    bystanders: Any  # a Bystanders, objects of types that the task does not mention; leaves [B]
     mention_type: Leaf  # i32[M, P] object type of each mention
     referent: Leaf  # i32[M, P] observed slot a mention refers to; NONE
     is_hypothesised: Leaf  # bool[M, P] the referent is not yet observed

@@ -40,8 +40,7 @@ class Informed(Policy):
         """Its waypoints are the first stops of search tours."""
         return PolicyDescription(
             place="a viewpoint",
-            reason="no tour that starts elsewhere finds the goal sooner; on the way {tested} of "
-            "its maps are put to the test",
+            reason="on the way {tested} of its maps are put to the test",
             reason_object="nothing is left to find out that would matter more",
         )
 

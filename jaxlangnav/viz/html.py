@@ -20,7 +20,6 @@ from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.phrase import Parse
-from jaxlangnav.messages import NONE
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.viz import narrative, panels, sentences, style, summary
 from jaxlangnav.viz.graph import graph_figure
@@ -157,6 +156,7 @@ def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -
         "headlines": [narrative.headline(moment) for moment in recording.steps],
         "closing": closing,
         "objects": objects,
+        "seen_types": sorted({obj[0] for seen in objects for obj in seen}),
         "detections": detections,
         "claim_shares": claim_probs,
         "news": frames.is_news.astype(bool).tolist(),
@@ -174,7 +174,6 @@ def _array_data(recording: Recording) -> dict[str, Any]:
     heaviest = frames.weight.max(axis=1)
     grid_x, x_low, x_high = _quantize(x, is_in)
     grid_y, y_low, y_high = _quantize(y, is_in)
-    observed_types = frames.object_type[frames.object_type != NONE]
     relative = frames.weight / np.maximum(heaviest, 1e-12)[:, None]
     arrays = {
         "x": grid_x,
@@ -199,7 +198,6 @@ def _array_data(recording: Recording) -> dict[str, Any]:
         "num_mentions": len(mentions),
         "frame": [x_low, x_high, y_low, y_high],
         "thought_types": np.unique(types[is_in]).astype(int).tolist(),
-        "seen_types": np.unique(observed_types).astype(int).tolist(),
         "node_kinds": [_NODE_NAMES[code] for code in sorted(_NODE_NAMES)],
         "arrays": {name: _encode_array(array) for name, array in arrays.items()},
     }

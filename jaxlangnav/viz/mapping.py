@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene
-from jaxlangnav.messages import NONE, SensorParams
+from jaxlangnav.messages import SensorParams
 from jaxlangnav.viz import style
 from jaxlangnav.viz.summary import observed_objects
 from jaxlangnav.world.state import Scenario, WorldState, walls_of
@@ -180,8 +180,8 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
         return handle(f"{scene.type_name(type_id)}, {label}", marker=marker, **props)
 
     frames, scene = recording.frames, recording.scene
+    seen = {obj.object_type for step in recording.moments for obj in observed_objects(step.frame)}
     hypothesised = np.unique(frames.mention_type[np.asarray(frames.is_hypothesised)])
-    observed = np.unique(frames.object_type[frames.object_type != NONE])
     present = np.unique(scene.scenario.object_type[np.asarray(scene.scenario.is_object)])
     handles = []
     for type_id in map(int, hypothesised):
@@ -189,7 +189,7 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
         handles.append(
             mark("hypothesised", type_id, 4 if filled else 5, color if filled else "none", color)
         )
-    handles += [mark("observed", t, 7, style.type_color(t), style.INK) for t in observed]
+    handles += [mark("observed", t, 7, style.type_color(t), style.INK) for t in sorted(seen)]
     for type_id in present:
         handles.append(mark("true place", type_id, 8, "none", style.type_color(type_id)))
         handles[-1].set_alpha(0.5)

@@ -246,9 +246,7 @@ def _is_uneventful(moment: StepView) -> bool:
         return False
     if int(frame.status) in (Status.HALTED, Status.IDLE):
         return int(frame.status) == int(before.status)
-    if bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
-        return False
-    if describe_collision(moment):
+    if frame.is_stop or frame.is_news or int(frame.fault) or describe_collision(moment):
         return False
     if bool(frame.is_done):
         return bool(before.is_done) and int(frame.status) == int(before.status)
@@ -271,11 +269,13 @@ def _merge_steps(quiet: list[StepView], recording: Recording) -> list[str]:
     head = _prefix(moment, f"{first}-{moment.step}" if len(quiet) > 1 else "")
     if bool(last.is_done) or int(last.status) in (Status.HALTED, Status.IDLE):
         return [f"{head} {sentences.describe_waiting(last)}"]
+    new = [obj.object_type for step in quiet for obj in sentences.new_objects(step)]
+    passed = f", past {sentences.noun_list([scene.type_name(code) for code in new])}" if new else ""
     if int(last.waypoint_kind) == OBJECT_NODE:
         progress = float(last.distance) - float(recording.frames.distance[max(first - 1, 0)])
         if len(quiet) > 2 and progress < 0.5:
             return [f"{head} Stands still. {sentences.describe_goal(scene, last)}"]
-        return [f"{head} Goes on to {sentences.describe_waypoint(scene, last)}."]
+        return [f"{head} Goes on to {sentences.describe_waypoint(scene, last)}{passed}."]
     if len(quiet) > 10:
         return [*_merge_steps(quiet[:10], recording), *_merge_steps(quiet[10:], recording)]
     count = sum(int(step.frame.num_regrounded) for step in quiet)
@@ -285,6 +285,6 @@ def _merge_steps(quiet: list[StepView], recording: Recording) -> list[str]:
     explored = percent(summary.explored_fraction(last))
     verb = "Looks on" if last.is_detection.any() else "Searches, finds nothing"
     return [
-        f"{head} {verb}: {lost} by what was not there, {explored} of the area looked at. "
+        f"{head} {verb}{passed}: {lost} by what was not there, {explored} of the area looked at. "
         f"{sentences.describe_goal(scene, last)}"
     ]

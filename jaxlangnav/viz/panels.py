@@ -203,19 +203,13 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
     mapping.draw_objects(axes, frame)
     mapping.draw_waypoint(axes, frame)
     mapping.draw_robot(axes, frame)
-    if not bool(frame.is_done):
-        _label_nodes(axes, frame)
-    return nodes
-
-
-def _label_nodes(axes: "Axes", frame: Snapshot) -> None:
-    """Annotate the best waypoints with their ranks."""
-    for rank, node in enumerate(best_nodes(frame), start=1):
+    for rank, node in enumerate([] if frame.is_done else best_nodes(frame), start=1):
         axes.annotate(
             str(rank), (frame.node_x[node], frame.node_y[node]), xytext=(5, 5),
             textcoords="offset points", fontsize=7.5, fontweight="bold", zorder=9,
             bbox={"boxstyle": "circle,pad=0.1", "fc": style.PAPER, "ec": "none", "alpha": 0.75},
         )  # fmt: skip
+    return nodes
 
 
 def _draw_value_terms(axes: "Axes", frame: Snapshot, *, with_label: bool = True) -> None:

@@ -158,10 +158,16 @@ def _sum_by_claim(scene: StaticScene, probs: np.ndarray) -> dict[str, float]:
 
 
 def new_objects(moment: StepView) -> list[summary.ObservedObject]:
-    """List the objects first observed in this step: their slots were empty before."""
-    before = () if moment.before is None else summary.observed_objects(moment.before)
-    old_slots = {obj.slot for obj in before}
-    return [obj for obj in summary.observed_objects(moment.frame) if obj.slot not in old_slots]
+    """List the objects first observed in this step: neither their slot nor their place was held."""
+    old = [] if moment.before is None else summary.observed_objects(moment.before)
+
+    def is_old(obj: summary.ObservedObject, other: summary.ObservedObject) -> bool:
+        # What words come to mention moves to another slot.
+        is_near = math.hypot(obj.x - other.x, obj.y - other.y) < 0.5
+        return obj.slot == other.slot or (is_near and obj.object_type == other.object_type)
+
+    seen = summary.observed_objects(moment.frame)
+    return [obj for obj in seen if not any(is_old(obj, other) for other in old)]
 
 
 def _offset(frame: Snapshot, x: float, y: float) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene
 from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.messages import NONE
 
 _MIN_PROBABILITY = 0.02  # existence probability below which figures leave out an object
@@ -17,7 +18,7 @@ _PEAK_RADIUS = 1.5  # metres
 SAME_NODE_RADIUS = 0.25  # metres within which two nodes count as one
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class ObservedObject:
     """An observed object, averaged over particles."""
 
@@ -26,12 +27,12 @@ class ObservedObject:
     x: float  # metres, map frame, weighted mean
     y: float
     spread: float  # metres, standard deviation on each axis, within particles and among them
-    probability: float  # weight of the particles that contain it
-    goal_mass: float  # probability that it is the goal
+    probability: float = 1.0  # weight of the particles that contain it
+    goal_mass: float = 0.0  # probability that it is the goal
 
 
 def observed_objects(frame: Snapshot) -> list[ObservedObject]:
-    """Compute existence, type and mean position of each observed object over the particles."""
+    """Average observed objects over the particles; append those that the task does not mention."""
     weight = np.asarray(frame.weight, float)
     objects = []
     for slot in range(frame.object_type.shape[0]):
@@ -45,18 +46,15 @@ def observed_objects(frame: Snapshot) -> list[ObservedObject]:
         positions = np.stack([frame.object_x[slot], frame.object_y[slot]]).astype(float)
         mean = np.average(positions, axis=1, weights=weights)
         squared = ((positions - mean[:, None]) ** 2).sum(axis=0)
-        variance = np.square(frame.object_sd[slot], dtype=float)
-        objects.append(
-            ObservedObject(
-                slot=slot,
-                object_type=best,
-                x=float(mean[0]),
-                y=float(mean[1]),
-                spread=float(np.sqrt(np.average(variance + 0.5 * squared, weights=weights))),
-                probability=min(total, 1.0),
-                goal_mass=float(frame.goal_mass[slot]),
-            )
-        )
+        variance = np.average(np.square(frame.object_sd[slot]) + 0.5 * squared, weights=weights)
+        probability, goal_mass = min(total, 1.0), float(frame.goal_mass[slot])
+        spread = float(np.sqrt(variance))
+        objects.append(ObservedObject(slot, best, *mean.tolist(), spread, probability, goal_mass))
+    others = frame.bystanders
+    for index in np.flatnonzero(others.is_held):
+        x, y, variance = (float(leaf[index]) for leaf in (others.x, others.y, others.variance))
+        slot, code = frame.object_type.shape[0] + int(index), int(others.object_type[index])
+        objects.append(ObservedObject(slot, label_of(code), x, y, variance**0.5))
     return objects
 
 
