@@ -99,7 +99,10 @@ def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
     after = ear.hear(0, Episode(state))
     assert [one.kind for one in ear.utterances] == ["answer"]
     assert int(after.navigator.talk.ruled_out) != 0
-    assert "Which one?" in capsys.readouterr().err
+    assert (
+        "Which one? The nearest first:\n  1. the hydrant right here, 50 %"
+        in capsys.readouterr().err
+    )
 
 
 def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
@@ -172,8 +175,11 @@ def test_a_simulated_person_corrects_and_answers(capsys) -> None:
 TYPIST = """
 import sys
 from types import SimpleNamespace as Made
+import numpy as np
 from jaxlangnav.cli.output import Output
 from jaxlangnav.cli.speech import TerminalUser
+from jaxlangnav.navigator import candidates
+candidates.believed_pose = lambda state: np.zeros(3)
 is_talking = sys.argv[1] == "talk"
 things = [Made(type_name="hydrant", x=x, y=1.0, probability=0.5) for x in (3.0, 5.0)]
 typist = TerminalUser(Output(is_json=False), is_talking=is_talking)

@@ -202,6 +202,7 @@ class Follow:
         with spinner(message, output):
             first = next(steps)
         steps, said = itertools.chain([first], steps), [] if source is None else source.utterances
+        is_typed = self.talk or (self.ask and self.person is None)
         if self.live:
             from rich.console import Console
 
@@ -210,14 +211,14 @@ class Follow:
             # Standard output is kept for the document where a script reads it.
             recording = watch(scene, steps, said=said, console=Console(stderr=self.json))
         else:
-            if self.talk:
+            if is_typed:
                 output.narrate(opening(scene))
                 steps = narrate_live(scene, steps, said, output.narrate)
             frames, results = zip(*steps, strict=True)
             recording = stack_frames(scene, list(frames), results[-1])
         recording = score(recording, prepared, has_person=self.person is not None)
         recording = recording if source is None else add_talk(recording, source)
-        if self.live or self.talk:
+        if self.live or is_typed:
             output.say("")
             output.narrate(closing(recording.last_scene, recording.at(-1), recording.result))
         else:

@@ -119,11 +119,14 @@ class TerminalUser:
             return None
         if doubt:
             self._output.note("Which one? The nearest first:")
+            from jaxlangnav.navigator.candidates import believed_pose
+            from jaxlangnav.viz.sentences import describe_offset
+
+            pose = believed_pose(progress.navigator).tolist()
             for rank, it in enumerate(doubt, start=1):
-                self._output.note(
-                    f"  {rank}. the {it.type_name} at ({it.x:.1f}, {it.y:.1f}) m, "
-                    f"{100 * it.probability:.0f} %"
-                )
+                where = describe_offset(it.x, it.y, *pose)
+                share = f"{100 * it.probability:.0f} %"
+                self._output.note(f"  {rank}. the {it.type_name} {where}, {share}")
             self._output.note(
                 'Answer "the first", "the left one", "either", …; an empty line: none.'
             )

@@ -262,6 +262,8 @@ def _goal_name(scene: StaticScene, frame: Snapshot, slot: int) -> str:
 def describe_goal(scene: StaticScene, frame: Snapshot) -> str:
     """Describe the posterior over the goal position."""
     order = np.argsort(-frame.goal_mass)
+    if int(frame.status) == Status.WHICH_ONE:  # as the question lists them: the nearest first
+        order = np.argsort(np.hypot(frame.goal_x - frame.robot[0], frame.goal_y - frame.robot[1]))
     slots = [int(slot) for slot in order if frame.goal_mass[slot] >= 0.05]
     seen = [
         f"{_goal_name(scene, frame, slot)} "
