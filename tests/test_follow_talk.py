@@ -239,7 +239,7 @@ def test_one_answers_and_leaves_at_a_terminal(way: str, keys: bytes, code: int, 
     lines = shown.splitlines()
     assert "|".join(line for line in lines if line.startswith("heard")) == heard
     if way == "ask":
-        assert "  2. the hydrant at (5.0, 1.0) m, 50 %" in lines
+        assert "  2. the hydrant 5.1 m ahead, 50 %" in lines
 
 
 @pytest.mark.slow

@@ -127,9 +127,7 @@ class TerminalUser:
                 where = describe_offset(it.x, it.y, *pose)
                 share = f"{100 * it.probability:.0f} %"
                 self._output.note(f"  {rank}. the {it.type_name} {where}, {share}")
-            self._output.note(
-                'Answer "the first", "the left one", "either", …; an empty line: none.'
-            )
+            self._output.note('Answer "the first", "the left one", "either" …; empty line: none.')
         elif is_waiting:
             self._output.note("It stands still. Say something, or end the input (Ctrl-D).")
         is_new, self._step = step != self._step, step
