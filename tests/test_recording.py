@@ -1,8 +1,8 @@
 """A recording is the episode: the same steps, the same end, and nothing the belief did not hold."""
 
-import dataclasses
 from collections.abc import Callable
 
+import chex
 import jax
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from recording_fixture import make_recording
 from test_episode_batch import MAX_STEPS, SENTENCES, config, in_lanes, instructions, tasks
 
 from jaxlangnav.episode import Task, recorder
-from jaxlangnav.episode.recording import Recording, Snapshot
+from jaxlangnav.episode.recording import Recording
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
@@ -62,10 +62,7 @@ def test_the_same_key_gives_the_same_episode_as_in_a_batch(tasks, instructions, 
 
 
 def test_a_recording_repeats_bit_by_bit(recordings, record):
-    again = record(0)
-    for field in dataclasses.fields(Snapshot):
-        mine = getattr(recordings[0].frames, field.name)
-        assert np.array_equal(mine, getattr(again.frames, field.name)), field.name
+    chex.assert_trees_all_equal(recordings[0].frames, record(0).frames)
 
 
 def test_the_cycle_compiles_once(recordings, record):
@@ -89,10 +86,8 @@ def test_it_ends_with_the_stop_the_way_adds_up_and_weights_are_a_distribution(re
 
 def test_leaves_are_numpy_with_a_leading_axis(recordings):
     one = recordings[0]
-    for field in dataclasses.fields(Snapshot):
-        leaf = getattr(one.frames, field.name)
-        assert isinstance(leaf, np.ndarray), field.name
-        assert leaf.shape[0] == one.num_steps, field.name
+    assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(one.frames))
+    chex.assert_tree_shape_prefix(one.frames, (one.num_steps,))
     assert one.num_particles == 64
 
 
