@@ -274,8 +274,11 @@ def ride(
         is_new &= ~is_idle
 
 
-def main(scenarios: Mapping[str, Scenario] = SCENARIOS) -> None:
-    """Print one line a scenario."""
+def main(
+    scenarios: Mapping[str, Scenario] = SCENARIOS,
+    note: Callable[[Any, Outcome, int], str] = lambda *_: "",
+) -> None:
+    """Print one line a scenario, and a note on it."""
     parser = argparse.ArgumentParser()
     parser.add_argument("names", nargs="*", default=list(scenarios))
     parser.add_argument("--episodes", type=int, default=100)
@@ -289,7 +292,8 @@ def main(scenarios: Mapping[str, Scenario] = SCENARIOS) -> None:
         told = (0.0, 0.0) if given.as_by_compass else (scenario.steady_drift, scenario.drift)
         robot = robot_of(*told, **{name: float(value) for name, value in numbers})
         outcome = drive(robot, scenario, given.episodes, seed=given.seed)
-        print(outcome.line(name), f" {time.perf_counter() - begun:.0f} s", flush=True)
+        told = note(scenario, outcome, given.seed)
+        print(outcome.line(name) + told, f" {time.perf_counter() - begun:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

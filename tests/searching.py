@@ -57,6 +57,9 @@ _PAIR = functools.partial(pair, near=3.0, far=11.0)
 _TURNED = functools.partial(_PAIR, turned=np.pi)
 
 
+_SHORT = 1.08  # metres before a goal at which a robot halts
+
+
 @dataclasses.dataclass(frozen=True)
 class Row(outside.Scenario):
     """One sentence, and places of one kind."""
@@ -64,6 +67,11 @@ class Row(outside.Scenario):
     draw: Callable[[np.random.Generator], Things] = _PAIR
     area: tuple[float, float, float, float] = (0.0, 14.0, -9.0, 9.0)
     steps: int = 200
+    side: float | None = (
+        None  # radians, of the robot: where the goal, or its landmark, is said to be
+    )
+    relation: str | None = None  # of goal and cone
+    is_cone: bool = False  # it is the cone that is on that side
 
     def furnish(self, random: np.random.Generator, types: tuple[str, ...]) -> outside.Place:
         """Draw a place: all within the area, nothing crowded, and one hydrant behind a cone."""
@@ -108,7 +116,19 @@ def _by_robot(side: str, relation: str | None, *, is_cone: bool) -> Row:
     return _AROUND(
         sentence=f"{PLAIN} {of} the cone {where}" if is_cone else f"{PLAIN} {words}",
         draw=functools.partial(by_robot, side=turn, turned=turned and np.pi * turned),
+        side=turn, relation=relation, is_cone=is_cone,
     )  # fmt: skip
+
+
+def _of_side(side: float, sentence: str) -> Row:
+    """A place of so many metres a side."""
+    return Row(
+        sentence=sentence,
+        draw=functools.partial(pair, near=0.25 * side, far=0.6 * side),
+        area=(0.0, side, -0.5 * side, 0.5 * side),
+        reach=3.0 if side < 20.0 else 5.0,
+        steps=int(80 + 12 * side),
+    )
 
 
 ROWS = {
@@ -131,8 +151,71 @@ ROWS = {
     for side in _SIDES
     for relation in (None, *_BESIDE)
     for is_cone in (False, True)[: 1 + (relation is not None)]
+} | {
+    f"{name}_{side}": _of_side(float(side), sentence)
+    for side in (8, 14, 25, 40, 60)
+    for name, sentence in (("behind", outside.SENTENCE), ("none", PLAIN))
 }  # fmt: skip
 
 
+def handed(row: Row, place: outside.Place, seed: int) -> float:
+    """Measure the way, metres, of a search that is handed the relations' density as its map.
+
+    It always makes for the place that shows most of what is left of it a metre, on cells of a
+    metre, and goes up to the goal once it has seen that and the cone that tells it.
+    """
+    random, (cells, joint) = np.random.default_rng([seed, 41]), _joint(row)
+    is_near = np.hypot(*(cells[:, None] - cells[None]).T) <= row.reach
+    at, metres, unseen, where = np.zeros(2), 0.0, np.ones(len(cells)), joint.sum(0)
+    lacking = {"goal", "cone"} if len(joint) > 1 else {"goal"}
+    while metres < row.steps:
+        unseen[np.hypot(*(cells - at).T) <= row.reach] *= row.misses
+        for name, thing in zip(("goal", "cone"), place.at, strict=False):
+            is_seen = np.hypot(*(thing - at)) <= row.reach and random.uniform() >= row.misses
+            if is_seen and name in lacking:
+                cell = np.argmin(np.hypot(*(cells - thing).T))
+                lacking, where = lacking - {name}, joint[:, cell] if name == "goal" else joint[cell]
+        if not lacking:
+            return metres + max(float(np.hypot(*(place.at[0] - at))) - _SHORT, 0.0)
+        spans = np.hypot(*(cells - at).T)
+        aim = cells[np.argmax(is_near @ (where * unseen) / (0.5 + spans))] - at
+        step = min(1.0, np.hypot(*aim)) * aim / max(np.hypot(*aim), 1e-9)
+        at, metres = at + step, metres + float(np.hypot(*step))
+    return metres
+
+
+def _weigh(relation: str | None, span: np.ndarray, turn: np.ndarray | float) -> np.ndarray:
+    """Weigh spans [..., 2] from a landmark as a relation to it does, or a side of the robot."""
+    away, bearing = np.hypot(*np.moveaxis(span, -1, 0)), np.arctan2(span[..., 1], span[..., 0])
+    if relation is None:
+        return np.exp(4.0 * np.cos(bearing - turn))
+    aside = bearing - turn - np.pi * _BESIDE[relation][0]
+    directed = 0.0 if relation == "near" else 12.0 * np.cos(aside)
+    far = np.log(np.maximum(away, 0.1) / (2.2 if relation == "near" else 2.4)) / 0.35
+    return np.exp(directed - 0.5 * far**2) / np.maximum(away, 0.1) ** 2
+
+
+@functools.lru_cache
+def _joint(row: Row) -> tuple[np.ndarray, np.ndarray]:
+    """Weigh where cone and goal are by what is said: [C, 2] cells of a metre, [C or 1, C]."""
+    x, y = np.meshgrid(*(np.arange(*row.area[k : k + 2]) + 0.5 for k in (0, 2)))
+    cells = np.stack([x.ravel(), y.ravel()], -1)
+    here = np.ones(len(cells)) if row.side is None else _weigh(None, cells, row.side)
+    if row.relation is None:
+        return cells, here[None]
+    turn = np.arctan2(cells[:, 1], cells[:, 0])[:, None]
+    beside = _weigh(row.relation, cells[None] - cells[:, None], turn)
+    beside /= beside.sum(1, keepdims=True)
+    return cells, beside * (here[:, None] if row.is_cone else here[None])
+
+
+def compare(row: Row, outcome: outside.Outcome, seed: int) -> str:
+    """Hold the way against that of a search that is handed where goals are."""
+    seeds = range(seed, seed + len(outcome.metres))
+    rides = [outside.Ride(row, one, ("hydrant", "cone")) for one in seeds]
+    best = np.mean([handed(row, one.place, one.seed) for one in rides if len(one.place.at)])
+    return f"  handed the density {best:.1f} m, {outcome.metres.mean() / best:.2f} of it"
+
+
 if __name__ == "__main__":
-    outside.main(ROWS)
+    outside.main(ROWS, compare)
