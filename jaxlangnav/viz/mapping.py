@@ -180,7 +180,7 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
         return handle(f"{scene.type_name(type_id)}, {label}", marker=marker, **props)
 
     frames, scene = recording.frames, recording.scene
-    seen = {obj.object_type for step in recording.moments for obj in observed_objects(step.frame)}
+    seen = {obj.object_type for step in recording.steps for obj in observed_objects(step.frame)}
     hypothesised = np.unique(frames.mention_type[np.asarray(frames.is_hypothesised)])
     present = np.unique(scene.scenario.object_type[np.asarray(scene.scenario.is_object)])
     handles = []

@@ -44,14 +44,14 @@ def observed_objects(frame: Snapshot) -> list[ObservedObject]:
         best = int(np.argmax(np.bincount(types[types != NONE], weights=weights[types != NONE])))
         weights = np.where(types == best, weights, 0.0)
         positions = np.stack([frame.object_x[slot], frame.object_y[slot]]).astype(float)
-        mean = np.average(positions, axis=1, weights=weights)
-        squared = ((positions - mean[:, None]) ** 2).sum(axis=0)
+        x, y = np.average(positions, axis=1, weights=weights).tolist()
+        squared = ((positions - np.array([[x], [y]])) ** 2).sum(axis=0)
         variance = np.average(np.square(frame.object_sd[slot]) + 0.5 * squared, weights=weights)
         probability, goal_mass = min(total, 1.0), float(frame.goal_mass[slot])
         spread = float(np.sqrt(variance))
-        objects.append(ObservedObject(slot, best, *mean.tolist(), spread, probability, goal_mass))
+        objects.append(ObservedObject(slot, best, x, y, spread, probability, goal_mass))
     others = frame.bystanders
-    for index in np.flatnonzero(others.is_held):
+    for index in np.flatnonzero(others.is_filled):
         x, y, variance = (float(leaf[index]) for leaf in (others.x, others.y, others.variance))
         slot, code = frame.object_type.shape[0] + int(index), int(others.object_type[index])
         objects.append(ObservedObject(slot, label_of(code), x, y, variance**0.5))
