@@ -16,7 +16,7 @@ from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import api
-from jaxlangnav.navigator.candidates import Candidate, chosen_by
+from jaxlangnav.navigator.candidates import Candidate, select_candidate
 from jaxlangnav.pytree import replace
 
 CAR = 2
@@ -95,9 +95,9 @@ def test_any_candidate_can_be_chosen_by_its_place() -> None:
     found = [Candidate(slot=n, type_name="cone", x=n, y=0.0, probability=0.2) for n in range(7)]
     pose = np.zeros(3)
     for text, slot in (("the first", 0), ("the fourth", 3), ("number 6", 5), ("the last", 6)):
-        chosen = chosen_by(classify(text, is_asked=True).wording, found, pose)
+        chosen = select_candidate(classify(text, is_asked=True).wording, found, pose)
         assert chosen is found[slot]
-    assert chosen_by(classify("the fourth", is_asked=True).wording, found[:3], pose) is None
+    assert select_candidate(classify("the fourth", is_asked=True).wording, found[:3], pose) is None
 
 
 def test_a_statement_changes_no_task(robot) -> None:

@@ -31,7 +31,7 @@ from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.coverage import unexplored
+from jaxlangnav.semantic_map.coverage import empty_coverage
 
 S = len(STAGES)
 
@@ -200,7 +200,7 @@ SQUARE = jnp.array([0.0, 16.0, 0.0, 16.0])
 
 def test_places_drawn_are_of_the_law_of_what_is_unseen() -> None:
     log_miss = -np.random.default_rng(4).exponential(1.0, (8, 8)).astype(np.float32)
-    coverage = replace(unexplored(SQUARE, 8), log_miss=jnp.asarray(log_miss))
+    coverage = replace(empty_coverage(SQUARE, 8), log_miss=jnp.asarray(log_miss))
     x, y = (np.asarray(one) for one in _sample_unseen(jax.random.key(0), coverage, 40_000))
     count = np.histogram2d(y, x, bins=8, range=[[0, 16], [0, 16]])[0]
     expected = np.exp(log_miss) / np.exp(log_miss).sum() * x.size

@@ -291,7 +291,7 @@ def test_a_prior_that_is_no_table_of_densities_is_refused(tmp_path, table, monke
     path = tmp_path / (table if isinstance(table, str) else "prior.npy")
     monkeypatch.setattr(prior, "TABLE_FILE", path)
     with pytest.raises(ValueError, match="not a table of densities"):
-        prior.table.__wrapped__()
+        prior.load_table.__wrapped__()
 
 
 # ------------------------------------------- TOML and JSON from outside: deep, huge and broken ones

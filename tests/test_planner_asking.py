@@ -13,7 +13,7 @@ from situations import goals_with
 
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.questions import AskDecision, value_of_asking
+from jaxlangnav.planner.questions import AskDecision, decide_question
 from jaxlangnav.pytree import replace
 
 SEEN = [(1.0,), (1.0, 1.0), (1.0, 1.0, 1.0), (0.03, 1.0), (0.1, 1.0), (0.3, 1.0), (1.0, 3.0)]
@@ -89,7 +89,7 @@ def decide(states: list[tuple[Goals, float, float, float]]) -> AskDecision:
         metres, look, question = numbers
         params = replace(PLANNER, look_cost=look, question_cost=question)
         free = jnp.asarray(True)
-        return value_of_asking(goals, metres, params=params, no_search=False, may_ask=free)
+        return decide_question(goals, metres, params=params, no_search=False, may_ask=free)
 
     return jax.device_get(weigh(goals, numbers))
 
@@ -134,7 +134,7 @@ def doubt(seen, unseen, *, metres=10.0, question=0.1, **changes) -> AskDecision:
     goals = replace(goals_of(seen, unseen), **changes.pop("goals", {}))
     params = replace(PLANNER, question_cost=jnp.float32(question), look_cost=jnp.float32(0.002))
     given = {"no_search": False, "may_ask": jnp.asarray(True)} | changes
-    return value_of_asking(goals, jnp.float32(metres), params=params, **given)
+    return decide_question(goals, jnp.float32(metres), params=params, **given)
 
 
 ONE, TWO, FORBIDDEN = (1.0,), (1.0, 1.0), jnp.asarray(False)

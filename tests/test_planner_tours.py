@@ -299,7 +299,7 @@ def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:
 
 def test_the_shipped_table_is_what_training_worlds_teach() -> None:
     learned = learn_prior.learn(learn_prior.training_worlds(60))
-    shipped = prior.table()
+    shipped = prior.load_table()
     assert learned.shape == shipped.shape
     assert np.corrcoef(learned.ravel(), shipped.ravel())[0, 1] > 0.97
 

@@ -11,9 +11,9 @@ from jaxlangnav.semantic_map.coverage import (
     add_view,
     area_size,
     cell_centres,
+    empty_coverage,
     log_miss_at,
     sample_unseen,
-    unexplored,
 )
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.view import eye_of
@@ -29,7 +29,7 @@ def look_at(coverage, x, y, heading, sensor) -> Coverage:
 
 
 def fresh() -> Coverage:
-    return unexplored(jnp.asarray(by_hand.AREA, jnp.float32), CELLS)
+    return empty_coverage(jnp.asarray(by_hand.AREA, jnp.float32), CELLS)
 
 
 def random_coverage(seed: int = 0) -> Coverage:

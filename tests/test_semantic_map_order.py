@@ -16,7 +16,7 @@ from jaxlangnav.relations import (
     robot_frame,
     without_range,
 )
-from jaxlangnav.semantic_map.coverage import unexplored
+from jaxlangnav.semantic_map.coverage import empty_coverage
 from jaxlangnav.semantic_map.params import default_map_params
 from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored
 from jaxlangnav.semantic_map.proposal.enumerate import Pairs
@@ -56,7 +56,7 @@ def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0,
         unseen_y=jnp.array([y for _, y in unseen], jnp.float32),
     )
     scene = Unexplored(
-        coverage=unexplored(jnp.array([-20.0, 20.0, -20.0, 20.0]), 4),
+        coverage=empty_coverage(jnp.array([-20.0, 20.0, -20.0, 20.0]), 4),
         first_row=jnp.int32(0),
         log_area=jnp.log(1600.0),
         log_unseen=jnp.float32(LOG_NEW) - jnp.log(PARAMS.concentration),

@@ -12,7 +12,7 @@ from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.latency import Tour, first_sight
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import update
-from jaxlangnav.semantic_map.coverage import add_view, cell_centres, unexplored
+from jaxlangnav.semantic_map.coverage import add_view, cell_centres, empty_coverage
 from jaxlangnav.terrain import OPEN, Eye, OpenField, StraightLines, Terrain
 from jaxlangnav.terrain.geodesic import CLEARANCE, Geodesic, geodesic
 from jaxlangnav.terrain.view import LARGE, Segment, eye_of
@@ -66,10 +66,10 @@ def test_a_body_goes_as_far_as_no_wall_is_in_its_way() -> None:
     first = np.where(hit.any(axis=0), hit.argmax(axis=0) / 800, np.inf)
     expected = np.clip(reach * first - body / length, 0.0, 1.0)
     way = Segment(*(jnp.asarray(one, jnp.float32) for one in (*p.T, *q.T)))
-    share = jax.jit(lambda view, way: view.clear_share(way, body))(walls(*ends), way)
+    share = jax.jit(lambda view, way: view.free_fraction(way, body))(walls(*ends), way)
     assert 0.1 < np.mean(expected < 1.0) < 0.9
     np.testing.assert_allclose(share, expected, atol=2e-3 * reach.max())
-    assert OpenField().clear_share(way, body) is None
+    assert OpenField().free_fraction(way, body) is None
 
 
 def test_what_is_behind_a_wall_is_not_seen() -> None:
@@ -128,7 +128,7 @@ def test_what_is_behind_a_wall_is_neither_seen_nor_counted_as_absent() -> None:
     """The look leaves the cells behind unexplored, and refutes no hypothesis there."""
     sensor = by_hand.sensor(range_max=8.0, probability=0.95)
     looking = eye_of(HERE, HERE, HERE, sensor)
-    coverage = unexplored(AREA, 20)
+    coverage = empty_coverage(AREA, 20)
     open_look = LOOK(coverage, looking, sensor, OPEN.view)
     walled = LOOK(coverage, looking, sensor, walls(WALL))
     x, y = np.meshgrid(*(np.asarray(axis) for axis in cell_centres(coverage)))

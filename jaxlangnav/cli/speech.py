@@ -78,7 +78,7 @@ def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw:
     from jaxlangnav.task.talk import YOU, SimulatedPerson, Speech
 
     if person is not None:
-        watcher = SimulatedPerson.named(person)
+        watcher = SimulatedPerson.from_name(person)
         return Speech(**kw, speakers={person: watcher.speak}, is_present=watcher.is_there)
     if not (ask or talk):
         return Speech(**kw)

@@ -52,7 +52,7 @@ from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.task.opening import detector_of, open_task
-from jaxlangnav.terrain.view import eye_of, rotated
+from jaxlangnav.terrain.view import eye_of, rotate
 from jaxlangnav.world import simulator
 from jaxlangnav.world.files import WorldFile, open_world
 from jaxlangnav.world.motion import carry_out, halted, plain_action
@@ -304,7 +304,7 @@ def _observe(
     )
     state = _remember(state, scan.pose, is_match, ahead, left, params)
     offset = state.known_place - scan.pose[None, :2]
-    known_ahead, known_left = rotated(offset[:, 0], offset[:, 1], -heading)
+    known_ahead, known_left = rotate(offset[:, 0], offset[:, 1], -heading)
     parts = [
         jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)]),
         state.scenario.area,
@@ -328,7 +328,7 @@ def _remember(
 ) -> EnvironmentState:
     """Update the last positions of goal and landmark type (f32[2, D]) and the coverage grid."""
     nearest = jnp.argmax(is_match, axis=1)  # detections come nearest first
-    dx, dy = rotated(ahead[nearest], left[nearest], pose[2])
+    dx, dy = rotate(ahead[nearest], left[nearest], pose[2])
     is_detected = is_match.any(axis=1)
     position = jnp.where(
         is_detected[:, None], jnp.stack([pose[0] + dx, pose[1] + dy], 1), state.known_place

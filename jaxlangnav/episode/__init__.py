@@ -26,7 +26,7 @@ MAX_STEPS = 120  # decision cycles after which an episode that has not stopped c
 
 @pytree
 class Task:
-    """One episode to run."""
+    """Inputs of one episode: key, scenario, instruction and models of sensor and motion."""
 
     key: Array  # typed key of this episode
     scenario: Scenario

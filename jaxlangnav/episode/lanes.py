@@ -25,7 +25,7 @@ class EpisodeProgram(NamedTuple):
     begin: Callable[..., Any]  # as ``begin``: initial state from a task and the instructions
     advance: Callable[..., Any]  # as ``advance``: next state, and an output that is ignored
     finish: Callable[[Any], Any]  # as ``finish``: result of the final state
-    progress: Callable[[Any], Any]
+    episode_state: Callable[[Any], Any]
     """Selects the ``EpisodeState`` in a state, or another record that counts its ``steps``."""
     is_done: Callable[[Any], Array] = operator.attrgetter("progress.navigator.is_done")
     """Selects from a state whether the episode has ended, time-outs aside."""
@@ -35,7 +35,7 @@ EPISODE = EpisodeProgram(
     begin=begin,
     advance=advance,
     finish=finish,
-    progress=lambda progress: progress,
+    episode_state=lambda state: state,
     is_done=operator.attrgetter("navigator.is_done"),
 )
 
@@ -119,7 +119,7 @@ def _run_batch(
     def body(lanes: _Lanes) -> _Lanes:
         advance = functools.partial(program.advance, params=params, config=config)
         state, _ = jax.vmap(advance)(lanes.state)
-        is_finished = program.is_done(state) | (program.progress(state).steps >= max_steps)
+        is_finished = program.is_done(state) | (program.episode_state(state).steps >= max_steps)
         is_finished = is_finished & (lanes.episode < num_tasks)
         row = jnp.where(is_finished, lanes.episode, capacity)  # an index of E is dropped
         results = jax.tree.map(

@@ -29,7 +29,7 @@ Leaf: TypeAlias = Any  # a JAX array inside the compiled cycle, a NumPy array in
 
 @pytree
 class Snapshot:
-    """One step: the robot as it has sensed and decided, before it moves.
+    """Record of one step: after sensing and deciding, before the motion.
 
     Positions are metres in the map frame. In a ``Recording`` every array has a leading axis T.
     """

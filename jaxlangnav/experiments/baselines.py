@@ -28,7 +28,7 @@ from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.graph import frontiers
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map.coverage import Coverage, add_view, log_miss_at, unexplored
+from jaxlangnav.semantic_map.coverage import Coverage, add_view, empty_coverage, log_miss_at
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world import simulator
@@ -166,7 +166,7 @@ def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) ->
     """Initialise an episode; only the type of the sentence's figure is used."""
     origin, false = jnp.zeros(2), jnp.asarray(False)
     explorer = Explorer(
-        coverage=unexplored(task.scenario.area, _NUM_CELLS),
+        coverage=empty_coverage(task.scenario.area, _NUM_CELLS),
         target=origin,
         has_target=false,
         waypoint=origin,
@@ -236,7 +236,7 @@ def _program(explore_on: Callable[..., Explorer]) -> EpisodeProgram:
         begin=_begin,
         advance=functools.partial(_advance, explore_on=explore_on),
         finish=_finish,
-        progress=lambda run: run,
+        episode_state=lambda run: run,
         is_done=lambda run: run.is_stopped,
     )
 

@@ -164,7 +164,7 @@ _PROGRAM = EpisodeProgram(
     begin=_begin,
     advance=_advance,
     finish=_finish,
-    progress=operator.attrgetter("progress"),
+    episode_state=operator.attrgetter("progress"),
     is_done=operator.attrgetter("is_done"),
 )
 

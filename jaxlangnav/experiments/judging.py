@@ -35,7 +35,7 @@ TALLY_PROGRAM = EpisodeProgram(
     begin=lambda *args, config: _State(progress=begin(*args, config=config), tally=empty_tally()),
     advance=_advance_and_tally,
     finish=lambda state: (finish(state.progress), state.tally),
-    progress=operator.attrgetter("progress"),
+    episode_state=operator.attrgetter("progress"),
 )
 """Program for ``run_tasks``: runs episodes as usual; returns the result and ``Tally`` of each."""
 

@@ -33,7 +33,7 @@ from jaxlangnav.experiments.table import Document, Row, Table
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
-from jaxlangnav.terrain.view import rotated
+from jaxlangnav.terrain.view import rotate
 from jaxlangnav.world.scenario import OBJECT_BEARING_MAX
 from jaxlangnav.world.templates import TABLE_2
 
@@ -108,8 +108,8 @@ def _rotated(tasks: Task, seed: int) -> Task:
     scenario, shape = tasks.scenario, tasks.instruction_index.shape
     key = jax.random.fold_in(jax.random.key(seed), 1)
     angle = jax.random.uniform(key, shape, maxval=2.0 * jnp.pi)
-    x, y = rotated(scenario.object_x, scenario.object_y, angle[:, None])
-    goal_x, goal_y = rotated(scenario.goal[:, :1], scenario.goal[:, 1:], angle[:, None])
+    x, y = rotate(scenario.object_x, scenario.object_y, angle[:, None])
+    goal_x, goal_y = rotate(scenario.goal[:, :1], scenario.goal[:, 1:], angle[:, None])
     depth = scenario.area[:, 1:2]
     is_inside = (jnp.maximum(jnp.abs(x), jnp.abs(y)) <= depth) | ~scenario.is_object
     rotated_scenario = replace(

@@ -35,7 +35,7 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.navigator.candidates import Candidate, candidates, mentioned_types, unseen_types
 from jaxlangnav.navigator.canonicalize import MAX_BITS, canonicalize, check_state
 from jaxlangnav.navigator.deployment import deployment_config, deployment_params, set_params
-from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_measures
+from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_metric_goals
 from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.gating import check_start
@@ -173,7 +173,7 @@ class Navigator:
         default = np.add(np.repeat(start[:2], 2), DEFAULT_EXTENT * np.array([-1, 1, -1, 1]))
         bounds = default.tolist() if area is None else area_numbers(area).tolist()
         check_start(start, bounds)
-        check_measures(grounded.spoken, start, bounds)
+        check_metric_goals(grounded.spoken, start, bounds)
         readings = widen(grounded.instruction.readings, self.capacity)
         instruction = replace(grounded.instruction, readings=readings)
         state = navigator.start(

@@ -56,7 +56,7 @@ def object_at(state: NavigatorState, slot: int, names: Sequence[str]) -> Candida
     )
 
 
-def chosen_by(
+def select_candidate(
     wording: Wording | None, found: Sequence[Candidate], pose: np.ndarray
 ) -> Candidate | None:
     """Resolve an answer to a candidate; None if it names none."""

@@ -54,14 +54,13 @@ def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -
 
 
 def canonicalize(observation: Observation) -> Observation:
-    """Give an observation of the host the shapes and dtypes that have been compiled already.
+    """Cast and pad an observation of the host to shapes and dtypes that are compiled already.
 
-    Detections are padded as ``Observation.of`` pads them; a detector that reports no attributes is
-    one to which none are known, so that one program serves both. One that is being traced is left
-    as it is.
+    Detections are padded as by ``Observation.of``; missing attributes become unknown ones, so that
+    one program serves both. A traced observation is returned unchanged.
 
     Raises:
-        ValueError: it is none, or its parts are of shapes that cannot be; one line.
+        ValueError: no observation, or fields of invalid shapes; one line.
     """
     is_observation = isinstance(observation, Observation)
     if not is_observation or not isinstance(observation.sensor, SensorParams):

@@ -38,7 +38,7 @@ from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import init_progress, update_progress
 from jaxlangnav.planner.goals import Goals, gather
-from jaxlangnav.planner.relevance import believed_groups, has_unseen_tie, is_tied_to_goal
+from jaxlangnav.planner.relevance import believed_groups, links_to_goal, links_to_unseen
 from jaxlangnav.pytree import pytree, replace, strong_types
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause_behaviors
@@ -231,7 +231,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot = robot_position(belief)
-    has_unseen = has_unseen_tie(group, belief.particles)
+    has_unseen = links_to_unseen(group, belief.particles)
     return InferredTask(
         fault=fault,
         belief=belief,
@@ -241,7 +241,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
         expected=jax.tree.map(
             lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
         ),
-        is_relevant=is_tied_to_goal(group, belief.particles, behavior),
+        is_relevant=links_to_goal(group, belief.particles, behavior),
         goals=gather(belief, behavior, relations, has_unseen, _metres(state)),
     )
 

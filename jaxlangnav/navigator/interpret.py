@@ -25,7 +25,7 @@ from jaxlangnav.language.lexicon import find_type
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState, speech_acts
-from jaxlangnav.navigator.candidates import believed_pose, candidates, chosen_by, type_at
+from jaxlangnav.navigator.candidates import believed_pose, candidates, select_candidate, type_at
 from jaxlangnav.navigator.speech_acts import Effect
 
 _ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
@@ -137,7 +137,7 @@ class Listener:
         if utterance.wording == Wording.NO:
             bits = jnp.int32(sum(1 << slot for slot in slots))
             return _rule_out(state, bits), dataclasses.replace(outcome, ruled_out=slots)
-        chosen = chosen_by(utterance.wording, options, believed_pose(state))
+        chosen = select_candidate(utterance.wording, options, believed_pose(state))
         if chosen is None:
             raise ValueError(
                 f"{shorten(text)!r}: it may be one of {len(options)}: say which, as in 'the left "
@@ -180,7 +180,7 @@ class Listener:
                     "known yet: say it when it is there"
                 )
         area = state.belief.coverage.area
-        check_measures(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
+        check_metric_goals(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
         label, goals = label_of(topic), spoken.goals
         is_answer = is_asked and len(goals) == 1 and label in spoken.may_be(goals[0])
         is_new, is_loose = effect is Effect.REPLACE, is_answer or utterance.kind == Kind.CORRECTION
@@ -263,7 +263,7 @@ def _apply_act(state: NavigatorState, outcome: UtteranceOutcome, act: Act) -> _U
     return speech_acts.apply_act(state, act), dataclasses.replace(outcome, kind=_KIND_OF[act])
 
 
-def check_measures(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:
+def check_metric_goals(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:
     """Raise a ValueError for a metric goal outside the operating area (host only)."""
     for end in () if spoken is None else spoken.steps:
         x, y, _ = seen_from(np.array(pose), np.array([[*end, 0.0]]))[0]

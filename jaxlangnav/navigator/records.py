@@ -20,7 +20,7 @@ from jaxlangnav.planner.policy import Policy
 from jaxlangnav.pytree import field, pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
-from jaxlangnav.terrain.view import rotated
+from jaxlangnav.terrain.view import rotate
 
 _MAX_OBSERVED = 0.75  # fraction of the area to be observed first, above which it hardly ever stops
 
@@ -46,11 +46,9 @@ class NavigatorConfig:
 
     map: MapConfig = dataclasses.field(default_factory=MapConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
-    patience: int = field(
-        "cycles without any way made after which a waypoint is given up", default=10
-    )
+    patience: int = field("cycles without progress after which a waypoint is abandoned", default=10)
     num_detours: int = field(
-        "waypoints that may be given up before the way counts as blocked", default=3
+        "abandoned waypoints after which the robot counts as blocked", default=3
     )
 
     def __post_init__(self) -> None:
@@ -199,7 +197,7 @@ def make_action(
     frac = safe_fraction(task.belief, forbidden, start, step, sensor, params.planner.unseen_risk)
     drift = mean_drift(state.belief)
     if drift is not None:
-        step_x, step_y = rotated(step_x, step_y, -drift)
+        step_x, step_y = rotate(step_x, step_y, -drift)
     status = jnp.where(is_idle, int(Status.IDLE), state.status)
     return Action(
         waypoint=waypoint,

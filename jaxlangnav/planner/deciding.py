@@ -15,7 +15,7 @@ from jaxlangnav.planner.detours import detours
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE
 from jaxlangnav.planner.params import PlannerParams
-from jaxlangnav.planner.questions import AskDecision, value_of_asking
+from jaxlangnav.planner.questions import AskDecision, decide_question
 from jaxlangnav.planner.situation import Decision, Situation, Valuation, Waypoint
 from jaxlangnav.pytree import replace
 from jaxlangnav.terrain import OPEN, Eye, View
@@ -125,7 +125,7 @@ def decide(
     route = detours(situation, x, y, jnp.where(kind == OBJECT_NODE, APPROACH * params.reach, 0.0))
     if question is None:  # a policy without tours does not search on for unseen candidates
         options = {"no_search": True, "may_ask": situation.may_ask}
-        question = value_of_asking(situation.goals, jnp.float32(0.0), params=params, **options)
+        question = decide_question(situation.goals, jnp.float32(0.0), params=params, **options)
     value, cost = _value(situation, valuation, route[0][:-1], question)
     uses_fallback = kept.is_active | jnp.all(value == -jnp.inf)
     index = jnp.where(uses_fallback, value.shape[0], jnp.argmax(value))

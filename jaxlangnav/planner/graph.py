@@ -16,12 +16,12 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import Coverage, cell_centres
 
 FRONTIER, VISITED, OBJECT_NODE = range(3)
-"""Types of nodes; the first is also the type of a policy's own waypoints."""
+"""Types of nodes; the first is also the type of a policy's custom waypoints."""
 
 
 @pytree
 class Nodes:
-    """Candidate waypoints; A = blocks² (or a policy's own) + visited + objects, in this order."""
+    """Candidate waypoints; A = blocks² (or custom ones) + visited + objects, in this order."""
 
     x: Array  # f32[A] metres, map frame
     y: Array  # f32[A]
@@ -111,7 +111,7 @@ def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes
 
 
 def prepend_nodes(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
-    """Prepend frontiers [K], or a policy's own waypoints, to other nodes [A] (eq. 9)."""
+    """Prepend frontiers [K], or a policy's custom waypoints, to other nodes [A] (eq. 9)."""
     kind = jnp.full(x.shape, FRONTIER, jnp.int32)
     leading = Nodes(x=x, y=y, is_node=is_node, kind=kind)
     return jax.tree.map(lambda *both: jnp.concatenate(both), leading, nodes)

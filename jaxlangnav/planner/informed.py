@@ -22,7 +22,7 @@ from jaxlangnav.planner.policy import (
     Valuation,
     decide,
 )
-from jaxlangnav.planner.questions import value_of_asking
+from jaxlangnav.planner.questions import decide_question
 from jaxlangnav.planner.termination import MAX_UNSEEN, MAX_UNSEEN_DETOUR, Presence, presence
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -86,7 +86,7 @@ def decide_tour(situation: Situation, plan: tours.Plan, probs: Presence) -> Deci
     nodes = graph.prepend_nodes(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
     situation = replace(situation, nodes=nodes)
     params = situation.params
-    question = value_of_asking(
+    question = decide_question(
         situation.goals,
         jnp.min(plan.latency) / jnp.maximum(plan.mass, 1e-6),
         params=params,

@@ -28,7 +28,7 @@ _MAX_BYTES = 1 << 20
 
 
 @functools.cache
-def table() -> np.ndarray:
+def load_table() -> np.ndarray:
     """Read the learned table, f32[RANGE_BINS, BEARING_BINS], density relative to uniform.
 
     Raises a ValueError if the file has no finite, non-negative table.
@@ -60,7 +60,7 @@ def relative_density(
         weight: f32[] in [0, 1], w, weight of the table; the rest is uniform.
         ahead: f32[], κ ≥ 0, concentration of bearings b about the viewer's heading.
     """
-    learned = jnp.asarray(table())
+    learned = jnp.asarray(load_table())
     offset_x, offset_y = x - viewer[0], y - viewer[1]
     cos, sin = jnp.cos(viewer[2]), jnp.sin(viewer[2])
     left, forward = (offset_y * cos - offset_x * sin, offset_x * cos + offset_y * sin)

@@ -61,7 +61,7 @@ def _values(mass: Array, walk: Array, cost: Array) -> tuple[Array, Array, Array]
     return best, ask, search
 
 
-def value_of_asking(
+def decide_question(
     goals: Goals, metres: Array, *, params: PlannerParams, no_search: Array | bool, may_ask: Array
 ) -> AskDecision:
     """Decide between asking, guessing and searching on by their values.

@@ -51,12 +51,12 @@ def believed_groups(readings: Readings, particles: SemanticMap) -> Array:
     return lookup(table[:, :, None], index)
 
 
-def has_unseen_tie(group: Array, particles: SemanticMap) -> Array:
+def links_to_unseen(group: Array, particles: SemanticMap) -> Array:
     """Mark the mentions whose group has an unseen object, bool[M, P], themselves included."""
     return (group & _bitset(particles.is_hypothesised)[None]) != 0
 
 
-def is_tied_to_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> Array:
+def links_to_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> Array:
     """Mark the mentions in the group of the current command's goal.
 
     bool[M, P], for the groups from ``believed_groups``. Limits: in a particle whose goal is none

@@ -23,7 +23,7 @@ CELLS = 12
 """Cells of the search map per side; must divide those of the coverage map."""
 LATTICE = 6
 """Number of viewpoints per side of the lattice for greedy tours."""
-_TILT = 2e-3
+_TIE_BREAK = 2e-3
 """Relative gradient of the cell weights across the area, to break ties: else rounding would choose
 between a tour and its mirror image, differently in each compiled program."""
 _OFF_CENTRE = 1e-3  # nats, penalty of subcells per squared offset from the centre of their cell
@@ -37,7 +37,7 @@ class SearchMap:
     y: Array  # f32[C]
     unanchored: Array  # f32[C] probability that an unanchored target lies there
     anchored: Array  # f32[C] probability that a target anchored to an observed object lies there
-    partner_x: Array  # f32[C] metres: position of the other one of an unanchored pair; else x
+    partner_x: Array  # f32[C] metres: position of the partner in an unanchored pair; else x
     partner_y: Array  # f32[C]
     unseen: Array  # f32[] u, miss probability of a target placed as described
     terrain: Terrain = OPEN  # lines of sight and travel distances
@@ -65,9 +65,9 @@ class SearchMap:
 
 
 def grid(area: Array, side: int) -> tuple[Array, Array]:
-    """Compute the centres of number × number equal cells of an area f32[4].
+    """Compute the centres of side × side equal cells of an area f32[4].
 
-    f32[number²] x and y, metres, map frame.
+    f32[side²] x and y, metres, map frame.
     """
     fracs = (jnp.arange(side) + 0.5) / side
     x = area[0] + fracs * (area[1] - area[0])
@@ -76,7 +76,7 @@ def grid(area: Array, side: int) -> tuple[Array, Array]:
 
 
 def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -> Array:
-    """Estimate where the other one of an unseen pair is: f32[C], factor along the line of sight.
+    """Estimate the position of the partner in an unseen pair: f32[C], factor on the line of sight.
 
     From the mean difference of their ranges from the viewer, over the particles in which neither
     is anchored to an observed object.
@@ -177,7 +177,7 @@ def search_map(
     if utterances is not None:
         viewer_factor = _viewer_factor(belief, is_free, x, y, unseen, utterances)
         factor, unseen = factor * viewer_factor, unseen * viewer_factor
-    unseen = unseen * (1.0 + _TILT * jnp.linspace(-0.5, 0.5, CELLS**2))
+    unseen = unseen * (1.0 + _TIE_BREAK * jnp.linspace(-0.5, 0.5, CELLS**2))
     column = jnp.floor((particles.hypothesis_x - area[0]) / (area[1] - area[0]) * CELLS)
     row = jnp.floor((particles.hypothesis_y - area[2]) / (area[3] - area[2]) * CELLS)
     is_inside = (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)

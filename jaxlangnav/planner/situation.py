@@ -20,16 +20,16 @@ class Situation:
     """Input of a policy's decision; metres, map frame."""
 
     belief: ParticleBelief  # weighted maps with their hypotheses, and the coverage map
-    nodes: Nodes  # leaves [A], waypoints to value: visited positions, observed objects, its own
+    nodes: Nodes  # leaves [A], waypoints to value: visited positions, observed objects, custom ones
     goals: Goals  # goal distribution
     forbidden_prob: Array  # f32[R, N + 1, P] probability that a region of a slot is forbidden
     is_relevant: Array  # bool[M, P] mentions that bear on the current goal (``relevance``)
     robot_x: Array  # f32[] believed position
     robot_y: Array  # f32[]
     sensor: SensorParams  # sensing range and field of view
-    progress: ProgressMonitor  # waypoints that have been given up as unreachable
+    progress: ProgressMonitor  # waypoints abandoned as unreachable
     may_ask: Array  # bool[] the user has not asked it to choose by itself
-    has_chosen: Array  # bool[] it has approached an object for this task, or is on its way
+    has_chosen: Array  # bool[] it has approached an object for this task, or is approaching one
     is_find: Array  # f32[] probability of the action "find": stop once the goal is in view
     is_news: Array  # bool[] a new object or utterance in this step
     is_still: Array  # bool[] it does not move: halted, idle, finished, or at a fault

@@ -63,7 +63,7 @@ def prob_exists(unseen: Array, concentration: Array, misleading: Array, clumping
 
 
 class Presence(NamedTuple):
-    """Probabilities that an unobserved goal exists."""
+    """Existence probabilities of an unobserved goal."""
 
     prob_fitting: Array  # f32[] that a fitting object exists, if an observed one does not fit
     prob_any: Array  # f32[] that one exists at all, if none has been observed

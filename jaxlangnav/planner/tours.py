@@ -30,7 +30,7 @@ _MOVE, _MOVE_FAR, _INSERT, _REVERSE, _REMOVE = range(5)
 def greedy(
     search: SearchMap, robot_x: Array, robot_y: Array, range_max: Array, area: Array
 ) -> Tour:
-    """Build greedy tours over the lattice of viewpoints: next always the most mass per metre.
+    """Build greedy tours over the lattice of viewpoints, by maximum mass per metre.
 
     Leaves [NUM_GREEDY, K], with different first viewpoints; arguments as for ``plan``.
     """
@@ -104,13 +104,13 @@ class Plan:
 
 
 def best_tour(plan: Plan, value: Array) -> Tour:
-    """Select the tour whose first stop has the highest value, of the first T values f32[A]."""
+    """Select the tour whose first stop has the highest value, among the first T of f32[A]."""
     index = jnp.argmax(value[: plan.latency.shape[0]])
     return Tour(x=plan.tours.x[index], y=plan.tours.y[index])
 
 
 def start_tour(x: Array, y: Array) -> Tour:
-    """Build the tour of a robot that has not planned yet: all stops where it stands."""
+    """Build the tour before the first plan: all stops at the robot's position."""
     return Tour(x=jnp.full(NUM_STOPS, x), y=jnp.full(NUM_STOPS, y))
 
 

@@ -1,13 +1,13 @@
 """Spatial relations as differentiable, normalised log-densities (section 3.2, eq. 7a).
 
-A relation says where a figure lies, given a landmark and a frame. In polar coordinates about
-the landmark the distance is log-normal and the direction von Mises about the relation's axis:
+A relation is a density of the figure's position, given a landmark and a frame. In polar coordinates
+about the landmark the distance is log-normal and the direction von Mises about the relation's axis:
 
     f(o) = LogNormal(r; μ, σ) · VonMises(Δ; κ) / r,      r = |o|,  Δ = ∠(o, axis)
 
 so "behind" is directed (κ > 0) and "near" a ring (κ = 0); ∫ f(o) do = 1 for every relation.
 
-x and y stand apart everywhere: XLA on CPU vectorises badly over a trailing axis of two.
+x and y are separate arrays throughout: XLA on CPU vectorises badly over a trailing axis of two.
 """
 
 import dataclasses

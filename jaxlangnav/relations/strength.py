@@ -24,19 +24,19 @@ Values = TypeVar("Values", Array, np.ndarray)
 HOLDS_MIN_COSINE = 0.7071
 """Directed relations hold within 45 degrees of their axis."""
 _HOLDS_MAX_DISTANCE = 5.0  # metres; "far" begins where the others end
-_BY_DISTANCE, _BY_SIDE = np.array([one.order or (-1.0, 0.0) for one in REGISTRY], np.float32).T
+_BY_DISTANCE, _BY_SIDE = np.array([row.order or (-1.0, 0.0) for row in REGISTRY], np.float32).T
 _COSINE, _SINE = (
-    np.array([of(one.axis or 0.0) for one in REGISTRY], np.float32) for of in (math.cos, math.sin)
+    np.array([of(row.axis or 0.0) for row in REGISTRY], np.float32) for of in (math.cos, math.sin)
 )
-_IS_RING = np.array([one.axis is None for one in REGISTRY])  # "near", "far"
+_IS_RING = np.array([row.axis is None for row in REGISTRY])  # "near", "far"
 
 
 def degree(relation: ArrayLike, distance: Values, sideways: Values) -> Values:
     """Compute the degree to which a relation holds, for superlatives and ranks: larger is more.
 
-    Of f[...] metres from the landmark, and to the robot's left of it; NumPy or JAX. f[...], metres:
-    "leftmost" is furthest to the left, "far" furthest, all others nearest. ``relation`` is an index
-    or i32[...].
+    Arguments are f[...] metres from the landmark, and to the robot's left of it; NumPy or JAX.
+    f[...], metres: "leftmost" is furthest to the left, "far" furthest, all others nearest.
+    ``relation`` is an index or i32[...].
     """
     xp: Any = jnp if isinstance(relation, Array) else np
     by_distance, by_side = (xp.asarray(table)[relation] for table in (_BY_DISTANCE, _BY_SIDE))
@@ -46,25 +46,25 @@ def degree(relation: ArrayLike, distance: Values, sideways: Values) -> Values:
 def count_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
     """Count the rivals that rank before each figure, i[..., n] (host only): 0 for the first.
 
-    By f[..., n] of ``degree``, and bool[..., n, n], figure and who is compared with it.
+    Arguments are f[..., n] of ``degree``, and bool[..., n, n], the rivals of each figure.
     """
     is_ahead = strength[..., None, :] > strength[..., :, None]
     return (is_ahead & is_rival).sum(-1)
 
 
 def kth_smallest(rank: Array, values: Array, *, tie: float) -> Array:
-    """Find the rank-th smallest over the first axis; ∞ if fewer, or the rank is too large.
+    """Find the k-th smallest value over the first axis; ∞ if there are fewer, or k is too large.
 
     Args:
-        rank: i32[...], 1 is the first, of at most ``NUM_RANKS``.
-        values: f32[n, ...], smaller comes before; ∞ for who does not count.
-        tie: values no farther apart are one.
+        rank: i32[...], k from 1 to ``NUM_RANKS``.
+        values: f32[n, ...]; ∞ to leave one out.
+        tie: values no farther apart count once.
     """
-    last = jnp.full(values.shape[1:], -jnp.inf)
-    result = last
-    for n in range(1, NUM_RANKS + 1):
-        last = jnp.min(jnp.where(values > last[None] + tie, values, jnp.inf), axis=0)
-        result = jnp.where(rank == n, last, result)
+    smallest = jnp.full(values.shape[1:], -jnp.inf)
+    result = smallest
+    for k in range(1, NUM_RANKS + 1):
+        smallest = jnp.min(jnp.where(values > smallest[None] + tie, values, jnp.inf), axis=0)
+        result = jnp.where(rank == k, smallest, result)
     return jnp.where(rank > NUM_RANKS, jnp.inf, result)
 
 
@@ -83,17 +83,17 @@ def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Referen
 
 
 def holds_at(relation: ArrayLike, along: Array, lateral: Array, *, has_range: ArrayLike) -> Array:
-    """Test whether a relation holds at an offset, by the same rule everywhere in the package.
+    """Test whether a relation holds at an offset in its frame.
 
     Directed relations hold within 45 degrees of their axis and 5 m of the landmark, "near"
-    within 5 m, "far" beyond. A side of the robot ("on your left") says in which direction and not
-    how far: there the density has no range (``density.anywhere``), and neither has this.
+    within 5 m, "far" beyond. A side of the robot ("on your left") is a direction without a
+    distance, in the density (``density.without_range``) as here.
 
     Args:
         relation: i32[...], relation index in [0, 6).
         along: f[...], metres from the landmark, in the relation's frame.
         lateral: f[...], metres, likewise.
-        has_range: bool[...], whether the relation says how far.
+        has_range: bool[...], whether the relation limits the distance.
     """
     relation, distance = jnp.asarray(relation), jnp.sqrt(along * along + lateral * lateral)
     cosine, sine, is_ring = (jnp.asarray(table)[relation] for table in (_COSINE, _SINE, _IS_RING))

@@ -1,8 +1,8 @@
-"""The registry of relations, their free parameters and their frames (section 3.2, eq. 7a).
+"""Registry of relations, with their free parameters and frames of reference (section 3.2, eq. 7a).
 
-A relation is understood in the frame of the viewer at the moment of the utterance: "behind the
-cone" lies beyond the cone as seen from where the person spoke. Where the robot itself is the
-landmark ("on your left"), the frame is the robot's own at that moment.
+A relation is relative to the frame of the viewer at the utterance: "behind the cone" is beyond the
+cone as seen from there. If the robot itself is the landmark ("on your left"), the frame is the
+robot's intrinsic one at the utterance.
 """
 
 import dataclasses
@@ -26,14 +26,14 @@ class SpatialRelation:
     """
 
     name: str  # in documents
-    words: str  # what people say before its landmark
-    converse: int | None  # of the landmark to the figure: a cone with a tree behind it is before it
-    axis: float | None = None  # radians from ``along``, counter-clockwise; None: all round
+    words: str  # preposition before the landmark
+    converse: int | None  # relation of the landmark to the figure: "behind" for "in front of"
+    axis: float | None = None  # radians from ``along``, counter-clockwise; None: undirected
     distance: float = 2.4  # metres, median
     distance_sd: float = 0.35  # of the log of the distance
     order: tuple[float, float] | None = None  # "nearest": −1 by distance; "leftmost": 1 to the left
     num_landmarks: int = 1
-    symbol: int | None = None  # that expresses it in the graph; its name is then a second sense
+    symbol: int | None = None  # its annotation symbol, if it has none of its own
 
 
 REGISTRY = (
@@ -47,16 +47,16 @@ REGISTRY = (
     SpatialRelation("between", "between", None, num_landmarks=2, symbol=NEAR),
 )
 """In the order of ``messages.RELATIONS``, ``AT``, ``BETWEEN``; a neighbourhood is a few metres."""
-SIDES = tuple(index for index, one in enumerate(REGISTRY) if one.axis is not None)
-"""Relations with an axis: of the robot itself they are its sides."""
-ORDERS = tuple(index for index, one in enumerate(REGISTRY) if one.order)
-SYMBOL_OF = tuple(i if one.symbol is None else one.symbol for i, one in enumerate(REGISTRY))
+SIDES = tuple(index for index, row in enumerate(REGISTRY) if row.axis is not None)
+"""Directed relations: with the robot as the landmark, its sides."""
+ORDERS = tuple(index for index, row in enumerate(REGISTRY) if row.order)
+SYMBOL_OF = tuple(i if row.symbol is None else row.symbol for i, row in enumerate(REGISTRY))
 """Annotation symbol of each relation."""
-MODELLED = [i for i, one in enumerate(REGISTRY) if one.num_landmarks == 1 and i != AT]
-"""Relations with a row in ``RelationParams``: the six of section 3.1, and what is added."""
+MODELLED = [i for i, row in enumerate(REGISTRY) if row.num_landmarks == 1 and i != AT]
+"""Relations with a row in ``RelationParams``: the six of section 3.1, and extensions."""
 ROW_OF = [MODELLED.index(i if i in MODELLED else NEAR) for i in range(len(REGISTRY))]
 NUM_RANKS = 4
-"""Number of ranks: nearest (first), second, third, fourth."""
+"""Maximum rank: nearest (first), second, third, fourth."""
 
 
 def symbol_of(relation: Array) -> Array:
@@ -66,7 +66,7 @@ def symbol_of(relation: Array) -> Array:
 
 @pytree
 class RelationParams:
-    """Free parameters of the R relations of ``MODELLED``: six, and what is added to them."""
+    """Free parameters of the R relations of ``MODELLED``."""
 
     log_distance: Array = field("μ, log metres")  # f32[R]
     log_distance_sd: Array = field("σ, dimensionless")  # f32[R]
@@ -75,13 +75,13 @@ class RelationParams:
 
 
 def default_params() -> RelationParams:
-    """Build the relations as the registry has them; those with an axis have κ of 12."""
+    """Build the default parameters of the registry; directed relations have κ = 12."""
     rows = [REGISTRY[index] for index in MODELLED]
     return RelationParams(
-        log_distance=jnp.log(jnp.array([one.distance for one in rows], jnp.float32)),
-        log_distance_sd=jnp.array([one.distance_sd for one in rows], jnp.float32),
-        axis=jnp.array([one.axis or 0.0 for one in rows], jnp.float32),
-        concentration=jnp.array([0.0 if one.axis is None else 12.0 for one in rows], jnp.float32),
+        log_distance=jnp.log(jnp.array([row.distance for row in rows], jnp.float32)),
+        log_distance_sd=jnp.array([row.distance_sd for row in rows], jnp.float32),
+        axis=jnp.array([row.axis or 0.0 for row in rows], jnp.float32),
+        concentration=jnp.array([0.0 if row.axis is None else 12.0 for row in rows], jnp.float32),
     )
 
 

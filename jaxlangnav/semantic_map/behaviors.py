@@ -106,7 +106,7 @@ def filter_untyped_goals(
 
 
 def _misplaced_referents(particles: SemanticMap, queries: Query) -> Array:
-    """Mark referents of untyped mentions that violate their relation, f32[O, P] 1 or 0."""
+    """Find referents of untyped mentions that violate their relation, f32[O, P] 1 or 0."""
     num_objects = particles.object_type.shape[0]
     slots = jnp.arange(num_objects)[:, None]
     is_unobserved = particles.referent == NONE

@@ -8,7 +8,7 @@ from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.unreferenced_objects import Bystanders
 from jaxlangnav.terrain import SensorModel, Terrain
-from jaxlangnav.terrain.view import rotated
+from jaxlangnav.terrain.view import rotate
 
 
 @pytree
@@ -75,7 +75,7 @@ def to_map_frame(belief: ParticleBelief, pose: Array) -> Array:
     if drift is None:
         return pose
     offset = pose - belief.last_pose
-    x, y = rotated(offset[0], offset[1], drift)
+    x, y = rotate(offset[0], offset[1], drift)
     robot_x, robot_y = robot_position(belief)
     return jnp.stack([robot_x + x, robot_y + y, pose[2] + drift])
 
@@ -94,7 +94,7 @@ def align_on_robot(belief: ParticleBelief) -> ParticleBelief:
     rotation = drift - particles.drift[:1]
 
     def transform(x: Array, y: Array) -> tuple[Array, Array]:
-        x, y = rotated(x - origin[0], y - origin[1], rotation)
+        x, y = rotate(x - origin[0], y - origin[1], rotation)
         return robot[0] + x, robot[1] + y
 
     mean_x, mean_y = transform(particles.mean_x, particles.mean_y)

@@ -26,7 +26,7 @@ class Coverage:
     area: Array  # f32[4] x_min, x_max, y_min, y_max, metres, map frame
 
 
-def unexplored(area: Array, num_cells: int) -> Coverage:
+def empty_coverage(area: Array, num_cells: int) -> Coverage:
     """Build the coverage map of an unobserved area f32[4], in G × G cells."""
     return Coverage(log_miss=jnp.zeros((num_cells, num_cells), jnp.float32), area=area)
 

@@ -23,7 +23,7 @@ from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import particle
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.components import COMPONENTS, Component
-from jaxlangnav.semantic_map.coverage import unexplored
+from jaxlangnav.semantic_map.coverage import empty_coverage
 from jaxlangnav.semantic_map.gating import GatedStep, valid_start
 from jaxlangnav.semantic_map.motion import drift_noise, predict
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, observe
@@ -76,7 +76,7 @@ def start(
         sensor_model: observation model of the detector.
     """
     pose, area, is_placed = valid_start(pose, area)
-    coverage, count = unexplored(area, config.num_cells), config.num_particles
+    coverage, count = empty_coverage(area, config.num_cells), config.num_particles
     has_drift = config.has_drift
     options = {"has_doubts": config.has_doubts, "has_drift": has_drift}
     empty = particle.empty(config.num_objects, num_mentions, pose[0], pose[1], **options)

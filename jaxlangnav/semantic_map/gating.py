@@ -24,7 +24,7 @@ from jaxlangnav.inputs.observations import DEVIATIONS, MAX_ANGLE, MIN_NOISE
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.terrain.view import beyond
+from jaxlangnav.terrain.view import out_of_view
 
 AREA_SIDES = (0.1, 1e4)
 """Metres, minimum and maximum side of an operating area."""
@@ -119,7 +119,7 @@ def _is_detectable(observation: Observation, num_types: Array) -> Array:
         & (True if code is None else _is_between(code, 0, 2**ATTRIBUTE_BITS - 1))
         & _is_between(bearing, -MAX_ANGLE, MAX_ANGLE)
         & (distance >= 0.0)
-        & (beyond(distance, bearing, sensor.range_max, sensor.field_of_view) <= slack)
+        & (out_of_view(distance, bearing, sensor.range_max, sensor.field_of_view) <= slack)
     )
 
 

@@ -16,7 +16,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.terrain.view import rotated, wrapped
+from jaxlangnav.terrain.view import rotate, wrapped
 
 _DRIFT_KEY = 1  # folded into the key of the detections for the drift of the heading
 
@@ -43,7 +43,7 @@ def predict(
         drift = add_drift(particles.drift, distance, turn, noise, motion=params.motion)
         # The mean drift over the step.
         mid_drift = 0.5 * (particles.drift[:1] + drift[:1])
-        step_x, step_y = rotated(step_x, step_y, mid_drift)
+        step_x, step_y = rotate(step_x, step_y, mid_drift)
         particles = replace(particles, drift=drift)
     particles = move(particles, step_x, step_y, variance)
     return replace(belief, particles=particles, last_pose=pose)

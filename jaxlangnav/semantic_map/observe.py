@@ -27,7 +27,7 @@ from jaxlangnav.semantic_map.motion import correct_heading, particle_headings
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 from jaxlangnav.semantic_map.update import condition, log_absence
-from jaxlangnav.terrain.view import rotated
+from jaxlangnav.terrain.view import rotate
 
 MIN_ABSENT_PROB = 1e-2
 """Lower bound of the probability that a detected object does not exist: objects may be removed."""
@@ -124,7 +124,7 @@ def _detections(
     if drift is not None:
         offset_angle = (belief.particles.drift[:1] - drift)[None]
         offset_x, offset_y = (append_axes(offset, 3) for offset in (offset_x, offset_y))
-        offset_x, offset_y = rotated(offset_x, offset_y, offset_angle)
+        offset_x, offset_y = rotate(offset_x, offset_y, offset_angle)
     log_unseen = log_miss_at_offset(belief, offset_x, offset_y)
     types, attributes = observation.detection_type, observation.detection_attribute
     return association.Detections(

@@ -55,7 +55,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
 
 
 def _pack(fields: Array, base: int) -> Array:
-    """Pack small integers ≥ −2 into integer words, i32[words, P]."""
+    """Pack small integers ≥ −2 into 31-bit words, i32[words, P]."""
     per_word = max(1, int(31 / math.log2(base)))
     words = []
     for start in range(0, fields.shape[0], per_word):

@@ -1,1 +1,1 @@
-"""A task: a sentence followed in a world, and judged by what it means there."""
+"""Tasks: a sentence followed in a simulated world, and the evaluation of its success."""

@@ -50,8 +50,8 @@ class SimulatedPerson:
     _step: int = -1
 
     @classmethod
-    def named(cls, name: str) -> "SimulatedPerson":
-        """Build one of ``PERSONS``."""
+    def from_name(cls, name: str) -> "SimulatedPerson":
+        """Build the simulated person of this name in ``PERSONS``."""
         return cls(jax.device_put(params_of(**PERSONS[name])))
 
     def is_there(self, state: EpisodeState) -> bool:

@@ -1,8 +1,8 @@
 """Terrain: visibility and travel distances of an environment.
 
 World and belief share these models: the world simulates with them, the belief assumes them. Both
-are records that are traced with the data, so a batch of worlds with different walls is one
-program; the open field has no arrays at all, and costs nothing.
+are traced records, so a batch of worlds with different walls is one program; the open field has no
+arrays, and costs nothing.
 """
 
 from jaxlangnav.pytree import pytree

@@ -66,7 +66,7 @@ class View(Protocol):
         """
         ...
 
-    def clear_share(self, segment: Segment, clearance: float) -> Array | None:
+    def free_fraction(self, segment: Segment, clearance: float) -> Array | None:
         """Compute the collision-free fraction of straight segments, f32[...]; None: all free."""
         ...
 
@@ -102,7 +102,7 @@ class OpenField:
         left = cosine * offset_y - sine * offset_x
         distance, bearing = jnp.hypot(ahead, left), jnp.arctan2(left, ahead)
         # A microradian of slack: an all-round view must include what is exactly behind.
-        return beyond(distance, bearing, eye.range_max, eye.field_of_view) <= 1e-6 * distance
+        return out_of_view(distance, bearing, eye.range_max, eye.field_of_view) <= 1e-6 * distance
 
     def first_sight(
         self, segment: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
@@ -139,11 +139,11 @@ class OpenField:
             is_seen &= (enter + MIN_SIGHT <= leave) | (angle >= jnp.pi - 1e-3)
         return jnp.where(is_seen, enter, LARGE)
 
-    def clear_share(self, segment: Segment, clearance: float) -> None:
+    def free_fraction(self, segment: Segment, clearance: float) -> None:
         """Return None: every segment is free."""
 
 
-def rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
+def rotate(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
     """Rotate offsets counter-clockwise, radians; exact for the angle zero."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return cosine * x - sine * y, sine * x + cosine * y
@@ -154,7 +154,7 @@ def wrapped(angle: Array) -> Array:
     return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
 
 
-def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Array) -> Array:
+def out_of_view(distance: Array, bearing: Array, range_max: Array, field_of_view: Array) -> Array:
     """Compute the distance, f32[...] metres, of a point to the range and field of view.
 
     Limits: 0 inside; more than a right angle past the edge, the distance to the eye; NaN of NaN.

@@ -62,7 +62,7 @@ class Walls:
         is_clear = (first < LARGE) & (self._past_shadows(entry, x, y) >= 0.0)
         return jnp.where(is_clear, first, sight)
 
-    def clear_share(self, segment: Segment, clearance: float) -> Array:
+    def free_fraction(self, segment: Segment, clearance: float) -> Array:
         """Compute the fraction of straight segments that is free before a wall, f32[...].
 
             p + t (q − p) = a + u (b − a),   share = min_t (t − c / |q − p|) over 0 ≤ t, u ≤ 1

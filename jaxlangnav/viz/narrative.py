@@ -235,7 +235,7 @@ def describe_collision(moment: StepView) -> str:
     position = np.asarray(frame.position)
     ends = jnp.asarray([*position, *(position + before.waypoint - before.position)])
     segment = Segment(*ends)
-    clear = moment.scene.scenario.terrain.view.clear_share(segment, BODY_RADIUS + 0.01)
+    clear = moment.scene.scenario.terrain.view.free_fraction(segment, BODY_RADIUS + 0.01)
     return "A wall has halted it." if clear is not None and float(clear) == 0.0 else ""
 
 

@@ -115,7 +115,7 @@ def halted(before: WorldState, after: WorldState, terrain: Terrain) -> WorldStat
     Limits: without a wall on the path nothing changes.
     """
     segment = Segment(*before.position, *after.position)
-    fraction = terrain.view.clear_share(segment, BODY_RADIUS)
+    fraction = terrain.view.free_fraction(segment, BODY_RADIUS)
     if fraction is None:
         return after
     odometry = before.odometry + fraction * (after.odometry - before.odometry)

@@ -63,7 +63,7 @@ def log_rank(
 
 
 def _excess(query: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
-    """Compute by how many metres an observed rival is nearer, f32[n, ...], at least 0."""
+    """Compute the distance of a figure in excess of the nearest rival's, f32[n, ...] metres ≥ 0."""
     dx, dy = pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y
     dist2 = dx * dx + dy * dy + 1e-9
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))

@@ -47,7 +47,7 @@ from jaxlangnav.semantic_map.proposal.ranks import log_rank
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query
 
 _MIN_LOG_TOTAL = -60.0
-PLURAL = 10.0
+PLURAL_ODDS = 10.0
 """Odds factor of an unseen figure with a rank: "the second", "the rightmost" imply several."""
 
 
@@ -162,7 +162,7 @@ def _log_new(query: Query, proposals: Proposals, log_density: Array, scene: Unex
     # A rank implies several objects like its figure, not like the landmark.
     row = append_axes(jnp.arange(log_miss.shape[0]), log_miss.ndim)
     is_plural = query.is_ordinal[None] & ((row < size) | (row >= 2 * size))
-    log_anywhere = log_anywhere + jnp.where(is_plural, jnp.log(PLURAL), 0.0)
+    log_anywhere = log_anywhere + jnp.where(is_plural, jnp.log(PLURAL_ODDS), 0.0)
     return jnp.where(query.is_rangeless[None], log_anywhere, log_drawn)
 
 
