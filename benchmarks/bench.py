@@ -49,7 +49,7 @@ __all__ = ["Workbench", "render", "run_bench", "set_up", "stages"]
 
 MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(SENSING_RANGES) * 100
 """Episodes of the paper's simulations: templates, commands, ranges, runs."""
-_PATIENCE = 10.0
+_MAX_SECONDS = 10.0
 """Seconds after which no measurement is repeated."""
 OnProgress = Callable[[str, int], None]
 Stage = tuple[str, Callable[[], list[Measurement]]]
@@ -179,7 +179,7 @@ def _measure_batch(
             )
         )
 
-    cost = measure(call, repetitions, patience=_PATIENCE)
+    cost = measure(call, repetitions, max_seconds=_MAX_SECONDS)
     return _Batch(size=size, steps=int(np.sum(results[0].steps)), cpu=cost.cpu, wall=cost.wall)
 
 

@@ -106,9 +106,9 @@ def test_costs_are_measured() -> None:
 
 def test_patience_ends_repetitions() -> None:
     calls = []
-    timing.measure(lambda: calls.append(time.sleep(0.02)), 50, patience=0.05)
+    timing.measure(lambda: calls.append(time.sleep(0.02)), 50, max_seconds=0.05)
     assert 1 <= len(calls) < 10
-    timing.measure(lambda: calls.clear(), 1, patience=0.0)
+    timing.measure(lambda: calls.clear(), 1, max_seconds=0.0)
     assert calls == []
 
 

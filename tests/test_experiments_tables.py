@@ -171,7 +171,7 @@ TABLE_TABLE = Table(
         ["2H|1C", "ours", "4", "", ""],
     ],
     group=1,
-    faint=[False, True, False],
+    dim=[False, True, False],
 )
 
 

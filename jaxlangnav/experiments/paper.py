@@ -57,9 +57,9 @@ _COLUMNS: TableColumns = (
     *ROW_COLUMNS,
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS_FORMAT),
-    ("paper", _format_record("same", "{success_rate:.1f}")),
+    ("paper", _format_record("printed", "{success_rate:.1f}")),
     ("Distance m (σ)", _DISTANCE),
-    ("paper (σ)", _format_record("same", _DISTANCE)),
+    ("paper (σ)", _format_record("printed", _DISTANCE)),
     ("Known m (σ)", _KNOWN),
     ("paper (σ)", _format_record("paper", _KNOWN)),
     ("SPL", "{spl:.2f}"),
@@ -75,9 +75,9 @@ _NARROW: TableColumns = (
     ("\nPolicy", "{policy}"),
     ("Success\n%", "{success_rate:.1f}"),
     ("\n95 %", "{success_ci[0]:.0f}-{success_ci[1]:.0f}"),
-    ("paper\n%", _format_record("same", "{success_rate:.1f}")),
+    ("paper\n%", _format_record("printed", "{success_rate:.1f}")),
     ("Distance\nm (σ)", _DISTANCE),
-    ("paper\nm", _format_record("same", "{distance_mean:.2f}")),
+    ("paper\nm", _format_record("printed", "{distance_mean:.2f}")),
     ("Known\nm (σ)", _KNOWN),
     ("\nSPL", "{spl:.2f}"),
     ("Time-\nouts", timeouts_text),
@@ -87,7 +87,7 @@ _NARROW: TableColumns = (
 
 def _with_paper(document: Document) -> list[Row]:
     """Join each of our rows with ``paper``, the printed one; sorted by row, then by policy."""
-    # ``same``: the printed figures of the same policy. The paper's method is compared with both of
+    # ``printed``: the figures of the same policy. The paper's method is compared with both of
     # our policies, its known map with ours; it has no other.
     printed = {row_key(row): row for row in document.get("paper", [])}
     order = list(dict.fromkeys(row_key(row) for row in document["rows"]))
@@ -99,7 +99,7 @@ def _with_paper(document: Document) -> list[Row]:
         elif paper is not None and row["policy"] == "known":
             names = ("success_rate", "distance_mean", "distance_sd")
             counterpart = {name: paper[f"known_{name}"] for name in names}
-        rows.append(row | {"paper": paper, "same": counterpart})
+        rows.append(row | {"paper": paper, "printed": counterpart})
     return rows
 
 
@@ -123,9 +123,9 @@ def results_table(document: Document, *, fold: str = "") -> Table:
                 line += [""] * (len(columns) - len(line))
                 line[distance] = f"≥ {min_distance(limit_row):.2f}"
                 target.append(line)
-    is_faint = [line[3] == "limit" for line in lines[0]]
+    is_dim = [line[3] == "limit" for line in lines[0]]
     narrow = dataclasses.replace(Table.of([], _NARROW), rows=lines[1])
-    table = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), faint=is_faint, fold=fold, screen=narrow)
+    table = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), dim=is_dim, fold=fold, narrow=narrow)
     return dataclasses.replace(table, rows=lines[0])
 
 
@@ -169,11 +169,11 @@ def caption(document: Document) -> list[str]:
 _DEVIATIONS: TableColumns = (
     *ROW_COLUMNS,
     ("faithful − paper: success", "{success:+.1f}"),
-    ("in s. e.", "{far[success]:+.1f}"),
+    ("in s. e.", "{z[success]:+.1f}"),
     ("distance m", "{distance:+.2f}"),
-    ("in s. e.", "{far[distance]:+.1f}"),
+    ("in s. e.", "{z[distance]:+.1f}"),
     ("within 2 s. e. of both",
-     lambda row: "yes" if max(abs(z) for z in row["far"].values()) <= AGREEMENT else "no"),
+     lambda row: "yes" if max(abs(z) for z in row["z"].values()) <= AGREEMENT else "no"),
 )  # fmt: skip
 
 
@@ -203,7 +203,7 @@ def _tables(document: Document, *, fold: str = "") -> list[Table]:
     rows = [
         row
         | {
-            "far": deviations(row, row["paper"]),
+            "z": deviations(row, row["paper"]),
             "success": row["success_rate"] - row["paper"]["success_rate"],
             "distance": row["distance_mean"] - row["paper"]["distance_mean"],
         }

@@ -152,7 +152,7 @@ _RESULT_COLUMNS: TableColumns = (
      lambda row: "" if row["ece"] is None else f"{row['ece']:.3f} ({row['ece_floor']:.3f})"),
     ("Overflow", "{overflow_episodes}"),
 )  # fmt: skip
-_SCREEN_COLUMNS = [_RESULT_COLUMNS[i] for i in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
+_NARROW_COLUMNS = [_RESULT_COLUMNS[i] for i in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
 """Columns for the terminal."""
 _SCENARIO_COLUMNS: TableColumns = (
     ("Scenario", "{scenario}"),
@@ -169,7 +169,7 @@ def _tables(document: Document) -> list[Table]:
     order = [scenario["scenario"] for scenario in document["scenarios"]]
     rows = sorted(document["rows"], key=lambda row: order.index(row["scenario"]))
     return [
-        Table.of(rows, _RESULT_COLUMNS, group=1, screen=Table.of(rows, _SCREEN_COLUMNS)),
+        Table.of(rows, _RESULT_COLUMNS, group=1, narrow=Table.of(rows, _NARROW_COLUMNS)),
         Table.of(document["scenarios"], _SCENARIO_COLUMNS, fold="What each scenario is"),
     ]
 

@@ -36,10 +36,10 @@ class Table:
     group: int = 0
     """Number of leading columns that define a block of rows. Only a block's first row shows them,
     except in Markdown."""
-    faint: Sequence[bool] = ()
+    dim: Sequence[bool] = ()
     """Rows that the terminal draws dim, as it does the paper's columns; none by default."""
     fold: str = ""  # HTML: summary of the folded table; not folded if empty
-    screen: "Table | None" = None
+    narrow: "Table | None" = None
     """Narrower table that a terminal draws in its place."""
 
     @classmethod
@@ -63,9 +63,9 @@ class Table:
         """Render the table for the terminal."""
         from rich.table import Table as RichTable
 
-        if narrow := self.screen:
+        if narrow := self.narrow:
             cells = {"headings": narrow.headings, "rows": narrow.rows}
-            return dataclasses.replace(self, screen=None, **cells).text()
+            return dataclasses.replace(self, narrow=None, **cells).text()
         texts: dict[str, Any] = {"title": self.title or None, "caption": self.caption or None}
         table = RichTable(**texts, caption_justify="left")
         for i, heading in enumerate(self.headings):
@@ -75,7 +75,7 @@ class Table:
         for i, (is_first, row) in enumerate(self._blanked_rows()):
             if i and is_first:
                 table.add_section()
-            table.add_row(*row, style="dim" if self.faint and self.faint[i] else None)
+            table.add_row(*row, style="dim" if self.dim and self.dim[i] else None)
         return table
 
     def html(self) -> str:

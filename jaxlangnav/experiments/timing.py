@@ -53,12 +53,12 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def measure(run: Callable[[], Any], repetitions: int, *, patience: float = float("inf")) -> Cost:
-    """Time a warmed-up function: medians of the repetitions within ``patience`` seconds."""
+def measure(run: Callable[[], Any], repetitions: int, *, max_seconds: float = float("inf")) -> Cost:
+    """Time a warmed-up function: medians of the repetitions within ``max_seconds`` seconds."""
     is_local = jax.default_backend() == "cpu"
     costs = []
     begin = time.perf_counter()
-    while not costs or (len(costs) < repetitions and time.perf_counter() - begin < patience):
+    while not costs or (len(costs) < repetitions and time.perf_counter() - begin < max_seconds):
         cpu, wall = time.process_time(), time.perf_counter()
         jax.block_until_ready(run())
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall

@@ -198,7 +198,7 @@ def _variation_table(document: Document) -> Table:
             for line in lines
         ],
     )
-    return Table(headings=headings, rows=lines, faint=[True, *[False] * len(trials)], screen=narrow)
+    return Table(headings=headings, rows=lines, dim=[True, *[False] * len(trials)], narrow=narrow)
 
 
 def _explain(row: Mapping[str, Any]) -> str:
