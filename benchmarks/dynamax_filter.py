@@ -16,23 +16,23 @@ from dynamax.slds import DiscreteParamsSLDS, LGParamsSLDS, ParamsSLDS, inference
 from slam_scenario import LANDMARKS, ODOMETRY_NOISE, SENSOR_NOISE, STEP, Drive
 
 NUM_LANDMARKS = len(LANDMARKS)
-_PLACES = 2 * NUM_LANDMARKS
+_MAP_DIM = 2 * NUM_LANDMARKS
 FAR = 10.0
 """Prior standard deviation of a landmark, metres."""
 
 
 def model() -> ParamsSLDS:
     """Build the switching linear dynamical system."""
-    size = _PLACES + 2
-    emission = np.zeros((_PLACES, size), np.float32)
-    emission[:, :_PLACES] = np.eye(_PLACES)
-    emission[0::2, _PLACES] = emission[1::2, _PLACES + 1] = -1.0
+    size = _MAP_DIM + 2
+    emission = np.zeros((_MAP_DIM, size), np.float32)
+    emission[:, :_MAP_DIM] = np.eye(_MAP_DIM)
+    emission[0::2, _MAP_DIM] = emission[1::2, _MAP_DIM + 1] = -1.0
     input_weights = np.zeros((1, size, 2), np.float32)
-    input_weights[0, _PLACES:] = np.eye(2)
+    input_weights[0, _MAP_DIM:] = np.eye(2)
     initial_variance = np.full(size, FAR**2, np.float32)
-    initial_variance[_PLACES:] = 1e-4
+    initial_variance[_MAP_DIM:] = 1e-4
     process_variance = np.zeros(size, np.float32)
-    process_variance[_PLACES:] = (ODOMETRY_NOISE * STEP) ** 2
+    process_variance[_MAP_DIM:] = (ODOMETRY_NOISE * STEP) ** 2
     gaussian = LGParamsSLDS(
         initial_mean=jnp.zeros(size),
         initial_cov=jnp.diag(jnp.asarray(initial_variance)),
@@ -41,12 +41,12 @@ def model() -> ParamsSLDS:
         dynamics_bias=None,
         dynamics_input_weights=jnp.asarray(input_weights),
         emission_weights=jnp.asarray(emission),
-        emission_cov=SENSOR_NOISE**2 * jnp.eye(_PLACES),
+        emission_cov=SENSOR_NOISE**2 * jnp.eye(_MAP_DIM),
         emission_bias=None,
-        emission_input_weights=jnp.zeros((1, _PLACES, 2)),
+        emission_input_weights=jnp.zeros((1, _MAP_DIM, 2)),
     )
     discrete = DiscreteParamsSLDS(jnp.ones(1), jnp.ones((1, 1)), jnp.ones((1, 1)))
-    return ParamsSLDS(discrete, gaussian).initialize(1, size, _PLACES, 2)
+    return ParamsSLDS(discrete, gaussian).initialize(1, size, _MAP_DIM, 2)
 
 
 def prepare(drive: Drive, num_particles: int, seed: int) -> Callable[[], dict[str, jax.Array]]:
@@ -90,4 +90,4 @@ def estimate(filtered: dict[str, jax.Array]) -> tuple[np.ndarray, np.ndarray]:
     """
     weight = np.asarray(filtered["weights"][-1], np.float64)
     mean = weight @ np.asarray(filtered["means"][-1], np.float64)
-    return mean[_PLACES:], mean[:_PLACES].reshape(NUM_LANDMARKS, 2)
+    return mean[_MAP_DIM:], mean[:_MAP_DIM].reshape(NUM_LANDMARKS, 2)

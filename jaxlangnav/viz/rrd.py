@@ -100,14 +100,14 @@ def _log_belief(rerun: Any, stream: Any, recording: Recording, step: int) -> Non
         color = _rgba(style.type_color(code), alpha)
         points = _to_3d(frame.hypothesis_x[mask], frame.hypothesis_y[mask])
         stream.log(f"world/hypotheses/{name}", rerun.Points3D(points, radii=0.06, colors=color))
-    seen = summary.observed_objects(frame)
+    observed = summary.observed_objects(frame)
     stream.log(
         "world/observed",
         rerun.Points3D(
-            _to_3d([obj.x for obj in seen], [obj.y for obj in seen], 0.02),
+            _to_3d([obj.x for obj in observed], [obj.y for obj in observed], 0.02),
             radii=0.2,
-            colors=[_rgba(style.type_color(obj.object_type))[0] for obj in seen],
-            labels=[scene.type_name(obj.object_type) for obj in seen],
+            colors=[_rgba(style.type_color(obj.object_type))[0] for obj in observed],
+            labels=[scene.type_name(obj.object_type) for obj in observed],
         ),
     )
 
