@@ -86,7 +86,7 @@ class Cell:
     labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Label columns of a table, by name."""
     overrides: Overrides = dataclasses.field(default_factory=dict)
-    """Parameters of the navigator that replace its arm's (``with_numbers``)."""
+    """Parameters of the navigator that replace its arm's (``set_params``)."""
 
     def __post_init__(self) -> None:
         """Raise ``ValueError`` for a seed outside 32 bits."""
