@@ -143,8 +143,8 @@ class Navigator:
             )
         grounded = self.grounder.ground(text, Context(is_under_way=False))
         if int(grounded.instruction.num_clauses) == 0:
-            why = "informs but asks for nothing to be done: add a command"
-            raise ValueError(f"{shorten(text)!r} {why}")
+            reason = "informs but asks for nothing to be done: add a command"
+            raise ValueError(f"{shorten(text)!r} {reason}")
         for note in grounded.notes:
             _log.warning("%s: %s", shorten(text), note)
         return self._start(grounded, pose, area, terrain, sensor_model)

@@ -37,8 +37,8 @@ class Candidate:
 def candidates(state: NavigatorState, names: Sequence[str]) -> list[Candidate]:
     """List the observed objects that may be the goal, the nearest first."""
     prob, pose = np.asarray(state.talk.candidate), believed_pose(state)
-    found = [object_at(state, int(slot), names) for slot in np.flatnonzero(prob >= _MIN_GOAL_PROB)]
-    return sorted(found, key=lambda item: np.hypot(item.x - pose[0], item.y - pose[1]))
+    items = [object_at(state, int(slot), names) for slot in np.flatnonzero(prob >= _MIN_GOAL_PROB)]
+    return sorted(items, key=lambda item: np.hypot(item.x - pose[0], item.y - pose[1]))
 
 
 def object_at(state: NavigatorState, slot: int, names: Sequence[str]) -> Candidate:
@@ -57,22 +57,22 @@ def object_at(state: NavigatorState, slot: int, names: Sequence[str]) -> Candida
 
 
 def select_candidate(
-    wording: Wording | None, found: Sequence[Candidate], pose: np.ndarray
+    wording: Wording | None, options: Sequence[Candidate], pose: np.ndarray
 ) -> Candidate | None:
     """Resolve an answer to a candidate; None if it names none."""
-    if not found:
+    if not options:
         return None
     if wording == Wording.YES:
-        return found[0] if len(found) == 1 else None
+        return options[0] if len(options) == 1 else None
     if wording in _RANKS:
         rank = _RANKS[wording]
-        return found[rank] if rank < len(found) else None
+        return options[rank] if rank < len(options) else None
     heading = float(pose[2])
 
     def leftward(item: Candidate) -> float:
         return (item.y - pose[1]) * np.cos(heading) - (item.x - pose[0]) * np.sin(heading)
 
-    return (max if wording == Wording.LEFT else min)(found, key=leftward)
+    return (max if wording == Wording.LEFT else min)(options, key=leftward)
 
 
 def type_at(state: NavigatorState, slot: int) -> int:

@@ -127,13 +127,13 @@ def _maximise(
         total = jnp.sum(jax.nn.logsumexp(_log_joint(free, pairs), axis=1))
         return -(total + _log_prior(free, start, prior)) / num_pairs
 
-    found = descend(loss, init, slope_length=_GRADIENT_TOL, max_steps=max_steps)
+    optimum = descend(loss, init, slope_length=_GRADIENT_TOL, max_steps=max_steps)
     # Row by row: a third of the compilation time of ``jax.hessian``.
     curvature = jax.lax.map(
-        lambda unit: jax.jvp(jax.grad(loss), (found.point,), (unit,))[1], jnp.eye(len(init))
+        lambda unit: jax.jvp(jax.grad(loss), (optimum.point,), (unit,))[1], jnp.eye(len(init))
     )
-    is_converged = jnp.max(jnp.abs(found.slope)) < _CONVERGED_TOL
-    return unravel(found.point), curvature * num_pairs, is_converged
+    is_converged = jnp.max(jnp.abs(optimum.slope)) < _CONVERGED_TOL
+    return unravel(optimum.point), curvature * num_pairs, is_converged
 
 
 def _standard_errors(

@@ -121,7 +121,7 @@ def _behaviors(instruction: Instruction, world: World) -> list[_Behavior]:
     for clause, behavior in enumerate(infer_commands(instruction, world)):
         goal = behavior.goal
         limit = max(MIN_MEANT_PROB, TIE_RATIO * float(goal.max()))
-        found = _Behavior(
+        current = _Behavior(
             action=ACTIONS[int(behavior.action.argmax())],
             mode=MODES[int(behavior.mode.argmax())],
             goals=frozenset((region, slot) for region, slot in np.argwhere(goal >= limit).tolist()),
@@ -129,8 +129,8 @@ def _behaviors(instruction: Instruction, world: World) -> list[_Behavior]:
             metres=float(instruction.metres[clause]),
             frame=tuple(np.asarray(instruction.frame)[clause].tolist()),
         )
-        if not behaviors or found != behaviors[-1]:
-            behaviors.append(found)
+        if not behaviors or current != behaviors[-1]:
+            behaviors.append(current)
     return behaviors
 
 

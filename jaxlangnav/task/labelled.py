@@ -165,9 +165,9 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
             f"{path}: holds {len(lines)} sentences; at most {MAX_SENTENCES} are read: split it"
         )
     sentences = []
-    for number, line in lines:
-        with naming(f"{path}:{number}"):
-            sentences.append(_read_line(number, parse_json(line)))
+    for line_number, line in lines:
+        with naming(f"{path}:{line_number}"):
+            sentences.append(_read_line(line_number, parse_json(line)))
     return sentences
 
 
@@ -181,7 +181,7 @@ class _Line(Schema):
         """Accept any characters, unlike the base class."""
 
 
-def _read_line(number: int, document: Any) -> LabelledSentence:
+def _read_line(line_number: int, document: Any) -> LabelledSentence:
     if not isinstance(document, dict):
         raise ValueError(f"is {quote(document)}, but must be an object with text and label")
     line, meaning = convert(document, _Line), None
@@ -191,7 +191,7 @@ def _read_line(number: int, document: Any) -> LabelledSentence:
         reading, types = read_meaning(line.label, path="label")
         meaning = Meaning(reading, tuple(find_type(name.lower()) or name for name in types))
     texts = {"text": line.text, "construction": line.construction, "set": line.set}
-    return LabelledSentence(line=number, **texts, meaning=meaning)
+    return LabelledSentence(line=line_number, **texts, meaning=meaning)
 
 
 _MIN_LISTED_PROB = 1e-3

@@ -221,11 +221,11 @@ def fit_recorded(
         if item.meaning is None:
             continue
         graph = GraphGrounder(model, labels)
-        found, _ = verify_rewrites(graph, recorded(item.text), _context_of(item))
+        reads, _ = verify_rewrites(graph, recorded(item.text), _context_of(item))
         is_right = [
-            not difference(item.meaning, read.grounded.instruction, graph.names) for read in found
+            not difference(item.meaning, read.grounded.instruction, graph.names) for read in reads
         ]
-        examples.append(Judged(tuple(read.log_probability for read in found), tuple(is_right)))
+        examples.append(Judged(tuple(read.log_probability for read in reads), tuple(is_right)))
     return fit_source_temperature(examples)
 
 
