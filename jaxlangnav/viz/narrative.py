@@ -86,7 +86,8 @@ def opening(scene: StaticScene) -> list[str]:
     lines = [f"You said: “{scene.text}”."] if scene.text else []
     if claims:
         first, *alternatives = [f"{claim} ({percent(prob)})" for claim, prob in claims]
-        lines.append(f"It takes this to say that there is {first}.")
+        if claims[0][0] != "nothing":
+            lines.append(f"It takes this to say that there is {first}.")
         if commands := sentences.describe_commands(scene):
             lines.append(f"It is to {'; then to '.join(commands)}.")
         if alternatives:
@@ -234,8 +235,7 @@ def describe_collision(moment: StepView) -> str:
         return ""
     position = np.asarray(frame.position)
     ends = jnp.asarray([*position, *(position + before.waypoint - before.position)])
-    segment = Segment(*ends)
-    clear = moment.scene.scenario.terrain.view.free_fraction(segment, BODY_RADIUS + 0.01)
+    clear = moment.scene.scenario.terrain.view.free_fraction(Segment(*ends), BODY_RADIUS + 0.01)
     return "A wall has halted it." if clear is not None and float(clear) == 0.0 else ""
 
 

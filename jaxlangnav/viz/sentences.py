@@ -302,8 +302,7 @@ def describe_decision(scene: StaticScene, frame: Snapshot) -> str:
         if bool(frame.is_done) and missing:
             return f"{verb}: what fits best is {place}; {missing} was to be found."
         if float(frame.goal_mass.max()) < stop:
-            cause = "nothing left to look at would tell more"
-            return f"{verb}: what fits best is {place}, and {cause}."
+            return f"{verb}: what fits best is {place}; a better one is too unlikely to look for."
         return f"{verb}: the goal is {place}, and surer than the {percent(stop)} at which it stops."
     if int(frame.status) == Status.NOT_FOUND:
         missing = missing or "nothing that fits the command"
@@ -313,7 +312,7 @@ def describe_decision(scene: StaticScene, frame: Snapshot) -> str:
             f"has been missed is less likely than {percent(float(scene.planner.give_up))}."
         )
     if int(frame.status) == Status.WHICH_ONE:
-        return "Asks which one is meant: several fit, and nothing left to see would tell."
+        return "Asks which one is meant: several fit, and looking on would tell too little."
     if int(frame.status) == Status.BLOCKED:
         return "Says that it cannot get on: one waypoint after the other was given up."
     if bool(frame.is_kept):

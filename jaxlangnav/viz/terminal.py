@@ -105,6 +105,7 @@ def _draw_moment(moment: StepView, *, width: int = 48) -> "RenderableType":
     for code in sorted({obj.object_type for obj in summary.observed_objects(frame)}):
         side.append(f" {names.get(code, '?')} ", style=f"bold white on {style.type_color(code)}")
         side.append(f" {scene.type_name(code)}  ")
+    side.append(f"\n· not looked at, in colour {_DENSITY} hypotheses, × waypoint", style="dim")
     grid = Table.grid(padding=(0, 2))
     grid.add_column(width=max(width, 8))
     grid.add_column(ratio=1, min_width=30)
