@@ -8,7 +8,7 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.inputs.old_names import know_old_names as _know_old_names
+from jaxlangnav.inputs.old_names import install_old_names as _install_old_names
 
 if TYPE_CHECKING:
     from jaxlangnav.cli.runtime import keep_compiled_programs as keep_compiled_programs
@@ -57,7 +57,7 @@ __all__ = [
 ]
 
 
-_know_old_names()
+_install_old_names()
 if "gymnasium" in sys.modules:
     # Gymnasium looks for environments in modules that are named, as "jaxlangnav:jaxlangnav/…".
     importlib.import_module("jaxlangnav.environments")

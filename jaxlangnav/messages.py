@@ -241,8 +241,8 @@ class Observation:
                 "as of default_sensor(range_max)"
             )
         numbers = check_sensor(params)
-        arrays: dict[str, Any] = observations.detected(detections, numbers, types)
-        arrays["pose"] = observations.pose_numbers(pose)
+        arrays: dict[str, Any] = observations.detection_arrays(detections, numbers, types)
+        arrays["pose"] = observations.check_pose(pose)
         # NumPy's numbers pass for JAX's: nothing is sent to a device before it is used.
         return cls(sensor=_sensor(numbers), **arrays)
 
@@ -293,7 +293,7 @@ def check_sensor(sensor: SensorParams) -> tuple[np.float32, ...]:
     Raises:
         ValueError: names the value, the limits and the remedy.
     """
-    return observations.sensor_numbers(*vars(sensor).values())
+    return observations.check_sensor(*vars(sensor).values())
 
 
 def default_sensor(
@@ -325,7 +325,7 @@ def default_sensor(
     Raises:
         ValueError: degrees, percent, or what cannot be; one line.
     """
-    numbers = observations.sensor_numbers(
+    numbers = observations.check_sensor(
         range_max, field_of_view, detection_probability, noise, false_detections, mislabelled
     )
     if numbers[0] > MAX_PLAUSIBLE_RANGE:

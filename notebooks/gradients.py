@@ -45,8 +45,8 @@ from jaxlangnav.relations.pairs import FRAMES, make_pairs
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.training import TrainingConfig, scoring
-from jaxlangnav.training.examples import annotation_examples, read_examples
-from jaxlangnav.training.fit import build_design, by_kind, factorise, loss, strengths, train_weights
+from jaxlangnav.training.examples import annotation_examples, labelled_instructions
+from jaxlangnav.training.fit import build_design, by_kind, to_device, loss, l2_vector, train_weights
 from jaxlangnav.viz import style
 
 jaxlangnav.keep_compiled_programs()
@@ -303,11 +303,11 @@ figure
 SPLITS, FOLDS = 8, 3
 GROUPS = ("bias", *FEATURE_GROUPS)
 types = load_lexicon().type_names
-instructions = read_examples(load_corpus(CORPUS), types)
+instructions = labelled_instructions(load_corpus(CORPUS), types)
 vocabulary, design = build_design(
     annotation_examples(instructions, types), ANNOTATION_KINDS, len(instructions)
 )
-factored = factorise(design)
+factored = to_device(design)
 is_test = draw_splits(len(instructions), SPLITS, 4)
 random = np.random.default_rng(1)
 fold = np.argsort(random.random(is_test.shape), axis=1) % FOLDS
@@ -317,7 +317,7 @@ is_chosen_by = ~is_test & (fold == np.arange(FOLDS)[:, None, None])  # FOLDS, SP
 def held_out_loss(log_strength, split):
     """Train on some counts at exp(log_strength), evaluate on others: weights, nats a sentence."""
     kept, out, number = split
-    strength = strengths(vocabulary, dict(zip(GROUPS, jnp.exp(log_strength), strict=True)))
+    strength = l2_vector(vocabulary, dict(zip(GROUPS, jnp.exp(log_strength), strict=True)))
     weights, _ = train_weights(factored, kept, strength, config=TrainingConfig())
     nats = loss(by_kind(weights, design), design, out, 0.0)
     return nats / number, weights

@@ -16,7 +16,7 @@ import jax
 from jaxlangnav import keep_compiled_programs
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.robots.libraries import check_libraries
-from jaxlangnav.robots.physics.robot import MACHINES
+from jaxlangnav.robots.physics.robot import ROBOT_MODELS
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.table3 import TABLE3, make_robot, navigator_of
 from jaxlangnav.viz.film import check_format, write_film
@@ -29,7 +29,7 @@ def main() -> int:
     """Run the simulation, and write the video or the page."""
     parser = argparse.ArgumentParser(description="Film one run of a robot in physics.")
     parser.add_argument("out", type=Path, help="file ending in .gif, .mp4 or .html")
-    parser.add_argument("robot", nargs="?", choices=sorted(MACHINES), default="husky")
+    parser.add_argument("robot", nargs="?", choices=sorted(ROBOT_MODELS), default="husky")
     parser.add_argument("--trial", type=int, default=0, help="of which noise; 0 or more")
     args = parser.parse_args()
     if args.trial < 0:

@@ -73,7 +73,7 @@ def _lexicon(text: bytes, folder: Path) -> None:
     """Read a custom lexicon; for every fiftieth accepted one build the grammar."""
     (folder / "words.toml").write_bytes(text)
     shipped = (LANGUAGE / "lexicon.toml").read_text("utf-8")
-    lexicon = read_lexicon(shipped, read_text(folder / "words.toml", at_most=1 << 20))
+    lexicon = read_lexicon(shipped, read_text(folder / "words.toml", max_bytes=1 << 20))
     assert lexicon.entries["det"]["the",][0].senses == ()
     assert ("the",) not in lexicon.entries["type"]
     assert all(word.isprintable() for word in lexicon.vocabulary)

@@ -13,7 +13,7 @@ import jax
 
 from jaxlangnav import Navigator, keep_compiled_programs
 from jaxlangnav.robots.ros2.bags import write_bag
-from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_start, switched_on
+from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_start, open_robot
 
 TEXT = "go to the hydrant behind the cone"
 
@@ -23,7 +23,7 @@ def main() -> None:
     path = Path(sys.argv[1])
     options = RobotOptions(robot="husky", seed=2)  # a short drive: the bag ships
     keep_compiled_programs()
-    with switched_on(options, draw_start(options)) as robot:
+    with open_robot(options, draw_start(options)) as robot:
         key = jax.random.key(options.seed)
         ended = write_bag(path, robot, TEXT, navigator=Navigator.pretrained(), key=key)
         size = sum(file.stat().st_size for file in path.iterdir())

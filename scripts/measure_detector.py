@@ -16,16 +16,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxlangnav.inputs.sanitize import markdown_table
-from jaxlangnav.robots.physics.robot import PhysicsRobot, Wear
+from jaxlangnav.robots.physics.robot import PhysicsRobot, SensorErrors
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
 from jaxlangnav.robots.physics.tags import TAGS_PER_TYPE, Gates
-from jaxlangnav.world.state import HYDRANT, placed
+from jaxlangnav.world.state import HYDRANT, make_scenario
 
 MEASURED_RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
 """Metres."""
 MEASURED_TURNS = (0.0, 15.0, 30.0, 45.0)
 """Degrees between the line of sight and the nearest side's normal; 45 is a cube's corner."""
-PICTURES = {"clean": (0.0, 0.0), "as told": (Wear().grain, Wear().blur), "bad": (12.0, 1.6)}
+NOMINAL = SensorErrors()
+PICTURES = {"clean": (0.0, 0.0), "as told": (NOMINAL.grain, NOMINAL.blur), "bad": (12.0, 1.6)}
 """Grain, grey levels, and blur, pixels."""
 _FARTHEST = 20.0
 
@@ -50,21 +51,19 @@ def measure(
     ranges: Sequence[float] = MEASURED_RANGES,
     pictures: Sequence[str] = tuple(PICTURES),
 ) -> list[Figure]:
-    """Measure the detector of the Husky: a figure for each picture, range and turn.
-
-    The wheelchair's camera is the same one.
+    """Measure the Husky's detector, also the wheelchair's, for each picture, range and turn.
 
     Args:
         looks: of each kind, at bearings drawn within the gate.
         ranges: metres.
         pictures: names in ``PICTURES``.
     """
-    scenario = placed([(HYDRANT, OUT_OF_SIGHT[0], 0.0)])
+    scenario = make_scenario([(HYDRANT, OUT_OF_SIGHT[0], 0.0)])
     figures = []
     for picture in pictures:
         grain, blur = PICTURES[picture]
-        wear, gates = Wear(grain=grain, blur=blur), Gates(range=_FARTHEST)
-        robot = PhysicsRobot("husky", scenario, seed=0, gates=gates, wear=wear)
+        errors, gates = SensorErrors(grain=grain, blur=blur), Gates(range=_FARTHEST)
+        robot = PhysicsRobot("husky", scenario, seed=0, gates=gates, errors=errors)
         rng = np.random.default_rng(0)
         for distance, angle in itertools.product(ranges, MEASURED_TURNS):
             figures.append(_measure_condition(robot, rng, picture, distance, angle, looks))
@@ -92,7 +91,7 @@ def _measure_condition(
         robot.scene.turn("thing0", angle + rng.choice([-1, 1]) * np.deg2rad(turned))
         robot.settle()
         detections = robot.detections() or []
-        false += sum(tag.number != HYDRANT * TAGS_PER_TYPE for tag in robot.last_tags)
+        false += sum(tag.tag_id != HYDRANT * TAGS_PER_TYPE for tag in robot.last_tags)
         for detection in detections[:1]:
             errors.append(np.array([x, y]) + detection.offset(heading) - position)
             biases.append(detection.range - distance)

@@ -18,11 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxlangnav.inputs.sanitize import markdown_table
-from jaxlangnav.robots.driver import CYCLE
-from jaxlangnav.robots.physics.robot import MACHINES, ODOMETRY_NOISE, PhysicsRobot
+from jaxlangnav.robots.driver import DECISION_SECONDS
+from jaxlangnav.robots.physics.robot import ODOMETRY_NOISE, ROBOT_MODELS, PhysicsRobot
 from jaxlangnav.robots.physics.tags import Gates
 from jaxlangnav.robots.robot import WaypointStatus
-from jaxlangnav.world.state import placed
+from jaxlangnav.world.state import make_scenario
 
 SPANS = (1, 2, 4, 8, 16)
 """Numbers of cycles over which the noise model is fitted."""
@@ -66,7 +66,7 @@ def measure(machine: str, *, drives: int = 30, seed: int = 0) -> OdometryFigures
 
 def _drive(machine: str, seed: int) -> np.ndarray:
     """Drive once: f64[T, 6], pose by odometry and true pose after each cycle."""
-    goal = placed(area=(-_EDGE, _EDGE, -_EDGE, _EDGE))
+    goal = make_scenario(area=(-_EDGE, _EDGE, -_EDGE, _EDGE))
     robot = PhysicsRobot(machine, goal, seed=seed, gates=Gates(range=1.0))
     rng, goal = np.random.default_rng(seed), np.zeros(2)
     log = [np.append(robot.pose(), robot.true_pose)]
@@ -76,7 +76,7 @@ def _drive(machine: str, seed: int) -> np.ndarray:
         robot.go_to(goal[None], speed=1.0, clearance=0.0)
         progress = WaypointStatus.UNDER_WAY
         while progress is WaypointStatus.UNDER_WAY:
-            progress = robot.wait(CYCLE)
+            progress = robot.wait(DECISION_SECONDS)
             log.append(np.append(robot.pose(), robot.true_pose))
     robot.close()
     return np.array(log)
@@ -119,7 +119,7 @@ def main() -> int:
     if drives < 1:
         parser.error(f"drives is {drives}, but must be at least 1")
     try:
-        results = [measure(name, drives=drives) for name in MACHINES]
+        results = [measure(name, drives=drives) for name in ROBOT_MODELS]
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2

@@ -19,7 +19,7 @@ def placed(
     """Put things, each its type, x and y, into the first of so many slots; one may be the goal."""
     if goal != NONE:
         more |= {"goal": np.float32(things[goal][1:]), "goal_index": np.int32(goal)}
-    return state.placed(things, slots=slots, area=area, is_valid=np.bool_(True), **more)
+    return state.make_scenario(things, slots=slots, area=area, is_valid=np.bool_(True), **more)
 
 
 def world_file(area: Sequence[float], *things: tuple[str, float, float], **more) -> str:

@@ -7,7 +7,7 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav import Navigator
-from jaxlangnav.dialogue import AVOID_ALL, AVOID_IT, first_words, join
+from jaxlangnav.dialogue import AVOID_ALL, AVOID_IT, discourse_of, merge_utterance
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.readings import Capacity, widen
@@ -72,16 +72,16 @@ class Talk:
         grounded = self.ground(text)
         told = grounded.instruction
         wide = replace(told, readings=widen(told.readings, Capacity()))
-        self.readings, self.words = wide.readings, first_words(wide, grounded.spoken)
+        self.readings, self.words = wide.readings, discourse_of(wide, grounded.spoken)
         self.joined = None
 
     def ground(self, text: str) -> Grounded:
         return self.grounder.ground(text, Context(is_under_way=True))
 
     def say(self, text: str, **how: bool) -> "Talk":
-        grounded = self.ground(text)
+        new = self.ground(text)
         how = {"is_new_task": False, "is_loose": True} | how
-        self.joined = join(self.readings, self.words, grounded.instruction, grounded.spoken, **how)
+        self.joined = merge_utterance(self.readings, self.words, new.instruction, new.spoken, **how)
         self.readings, self.words = self.joined.instruction.readings, self.joined.words
         return self
 
@@ -203,8 +203,8 @@ def test_doubts_multiply() -> None:
     )
     grounded = Talk("go to the car")
     told = replace(grounded.ground("go to the car").instruction, readings=readings)
-    joined = join(
-        widen(readings, Capacity()), first_words(told, None),
+    joined = merge_utterance(
+        widen(readings, Capacity()), discourse_of(told, None),
         replace(told, readings=by_hand.readings(
             [[CAR], [HYDRANT]], [[(0, NONE, NONE, False)]] * 2, [0.6, 0.4], sizes=(4, 6, 4)
         )),

@@ -14,7 +14,7 @@ from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.world.scenario import draw_scenario, scenario_law
+from jaxlangnav.world.scenario import draw_scenario, scenario_params
 
 draw_worlds = jax.vmap(draw_scenario, in_axes=(0, None))
 SENTENCES = ("go to the hydrant behind the cone", "go to the hydrant", "find the cone")
@@ -37,7 +37,7 @@ def instructions():
 @pytest.fixture(scope="module")
 def tasks() -> Task:
     """Episodes that differ in world, sentence, range and noise, and so in length."""
-    law = scenario_law(template="1H1C", relation="behind")
+    law = scenario_params(template="1H1C", relation="behind")
     number = np.arange(EPISODES)
     return Task(
         key=jax.random.split(jax.random.key(1), EPISODES),
@@ -60,7 +60,7 @@ def tasks() -> Task:
 
 def in_worlds(tasks: Task, seed: int, template: str, relation: str, reach: float) -> Task:
     """Put the tasks into other worlds, with another range and without noise."""
-    law = scenario_law(template=template, relation=relation)
+    law = scenario_params(template=template, relation=relation)
     noise, reaches = (jnp.full(EPISODES, one, jnp.float32) for one in (0.0, reach))
     return replace(
         tasks,

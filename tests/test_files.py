@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from jaxlangnav.inputs import whole_files
-from jaxlangnav.inputs.arrays import faults_as_values, parse_floats
-from jaxlangnav.inputs.documents import NEST_MAX, DocumentError, parse_json, parse_toml, read_text
-from jaxlangnav.inputs.whole_files import own_folder, read_file, read_own_file, write_own_file
+from jaxlangnav.inputs.arrays import parse_floats, value_errors
+from jaxlangnav.inputs.documents import MAX_DEPTH, DocumentError, parse_json, parse_toml, read_text
+from jaxlangnav.inputs.whole_files import read_file, read_user_file, user_folder, write_user_file
 from jaxlangnav.planner import prior
 
 
@@ -90,26 +90,26 @@ def test_names_and_rights(tmp_path: Path) -> None:
 
 # More than one piece, and as much as is claimed by a file that is refused unread.
 @pytest.mark.parametrize("size", [0, 1, 1000, 3_000_000, 1 << 40])
-@pytest.mark.parametrize("at_most", [1000, 3_000_000])
-def test_a_file_within_the_limit_is_read_whole(tmp_path: Path, size: int, at_most: int) -> None:
+@pytest.mark.parametrize("max_bytes", [1000, 3_000_000])
+def test_a_file_within_the_limit_is_read_whole(tmp_path: Path, size: int, max_bytes: int) -> None:
     with (tmp_path / "file").open("wb") as file:
         file.write(os.urandom(min(size, 3_000_000)))
         file.truncate(size)
     (tmp_path / "link").symlink_to(tmp_path / "file")
-    if size <= at_most:
+    if size <= max_bytes:
         for path in (tmp_path / "file", str(tmp_path / "link")):
-            assert read_file(path, at_most=at_most) == (tmp_path / "file").read_bytes()
+            assert read_file(path, max_bytes=max_bytes) == (tmp_path / "file").read_bytes()
     else:
-        with pytest.raises(ValueError, match=rf"^.*file: has more than {at_most:,} bytes.*$"):
-            read_file(tmp_path / "file", at_most=at_most)
+        with pytest.raises(ValueError, match=rf"^.*file: has more than {max_bytes:,} bytes.*$"):
+            read_file(tmp_path / "file", max_bytes=max_bytes)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc")
 def test_the_size_that_a_file_claims_is_not_believed() -> None:
     assert Path("/proc/self/status").stat().st_size == 0
-    assert read_file("/proc/self/status", at_most=1_000_000).startswith(b"Name:")
+    assert read_file("/proc/self/status", max_bytes=1_000_000).startswith(b"Name:")
     with pytest.raises(ValueError, match="more than 10 bytes"):
-        read_file("/proc/self/status", at_most=10)
+        read_file("/proc/self/status", max_bytes=10)
 
 
 def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
@@ -123,16 +123,16 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
     }
     for path, kind in kinds.items():
         with pytest.raises(ValueError, match=f"{path}: is {kind}, not a regular file"):
-            read_file(path, at_most=10)
+            read_file(path, max_bytes=10)
 
 
 def test_what_cannot_be_opened_is_an_os_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
-        read_file(tmp_path / "none", at_most=10)
+        read_file(tmp_path / "none", max_bytes=10)
     with socket.socket(socket.AF_UNIX) as one:
         one.bind(str(tmp_path / "socket"))
         with pytest.raises(OSError, match="socket"):
-            read_file(tmp_path / "socket", at_most=10)
+            read_file(tmp_path / "socket", max_bytes=10)
 
 
 # What runs as the user comes from folders and files that nobody else can have changed.
@@ -145,88 +145,88 @@ def mode(path: Path) -> int:
 @pytest.mark.parametrize("umask", [0o000, 0o077, 0o777])
 def test_folders_and_files_are_made_for_the_user_alone(tmp_path: Path, umask: int) -> None:
     with masked(umask):
-        folder = own_folder(tmp_path / "a" / "b")
-        write_own_file(folder / "file", b"content")
+        folder = user_folder(tmp_path / "a" / "b")
+        write_user_file(folder / "file", b"content")
     assert [mode(one) for one in (tmp_path / "a", folder)] == [0o700, 0o700]
     assert mode(folder / "file") == 0o600
-    assert read_own_file(folder / "file", at_most=7) == b"content"
+    assert read_user_file(folder / "file", max_bytes=7) == b"content"
     assert [one.name for one in folder.iterdir()] == ["file"]
 
 
 @pytest.mark.parametrize("bits", [0o710, 0o701, 0o720, 0o702, 0o777, 0o1777, 0o2775])
 def test_others_can_not_enter_a_folder_nor_exchange_it(tmp_path: Path, bits: int) -> None:
     """Above it they may read, and have their own."""
-    own_folder(tmp_path / "a" / "b" / "c")
+    user_folder(tmp_path / "a" / "b" / "c")
     (tmp_path / "a").chmod(bits)
     with pytest.raises(PermissionError, match=r"a: others can enter it; remedy: chmod 700"):
-        own_folder(tmp_path / "a")
+        user_folder(tmp_path / "a")
     for below in (Path("b", "c"), Path("new", "c")):
         if bits & 0o022 and not bits & 0o1000:
             with pytest.raises(PermissionError, match=r"a: others can write in it; .*chmod go-w"):
-                own_folder(tmp_path / "a" / below)
+                user_folder(tmp_path / "a" / below)
             assert not (tmp_path / "a" / "new").exists()
         else:
-            assert own_folder(tmp_path / "a" / below) == tmp_path / "a" / below
+            assert user_folder(tmp_path / "a" / below) == tmp_path / "a" / below
 
 
 def test_links_are_followed_once_and_where_they_lead_is_judged(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir(mode=0o700)
     (tmp_path / "link").symlink_to(tmp_path / "real")
-    assert own_folder(tmp_path / "link" / "a") == tmp_path / "real" / "a"
+    assert user_folder(tmp_path / "link" / "a") == tmp_path / "real" / "a"
     (tmp_path / "real").chmod(0o777)
     with pytest.raises(PermissionError, match="real: others can write in it"):
-        own_folder(tmp_path / "link" / "a")
+        user_folder(tmp_path / "link" / "a")
     with pytest.raises(PermissionError, match="real: others can enter it"):
-        own_folder(tmp_path / "link")
+        user_folder(tmp_path / "link")
 
 
 def test_what_is_another_users_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = own_folder(tmp_path / "a")
-    write_own_file(folder / "file", b"content")
+    folder = user_folder(tmp_path / "a")
+    write_user_file(folder / "file", b"content")
     # Whom its owner lets write is no matter there: nobody else can enter.
     (folder / "file").chmod(0o664)
-    whole_files.check_own_files(folder)
+    whole_files.check_user_files(folder)
     stranger = os.geteuid() + 1
     monkeypatch.setattr(whole_files.os, "geteuid", lambda: stranger)
     with pytest.raises(PermissionError, match="belongs to another user"):
-        own_folder(folder)
-    for read in (whole_files.check_own_files, lambda of: read_own_file(of / "file", at_most=9)):
+        user_folder(folder)
+    for read in (whole_files.check_user_files, lambda of: read_user_file(of / "file", max_bytes=9)):
         with pytest.raises(PermissionError, match="file: belongs to another user"):
             read(folder)
 
 
 @pytest.mark.parametrize("bits", [0o620, 0o602, 0o666])
 def test_a_file_that_others_can_write_is_refused(tmp_path: Path, bits: int) -> None:
-    write_own_file(tmp_path / "file", b"content")
+    write_user_file(tmp_path / "file", b"content")
     (tmp_path / "file").chmod(bits)
     with pytest.raises(PermissionError, match="file: others can write it"):
-        read_own_file(tmp_path / "file", at_most=9)
+        read_user_file(tmp_path / "file", max_bytes=9)
 
 
 def test_what_is_no_file_of_its_own_is_refused(tmp_path: Path) -> None:
-    write_own_file(tmp_path / "file", b"content")
+    write_user_file(tmp_path / "file", b"content")
     (tmp_path / "link").symlink_to(tmp_path / "file")
     os.mkfifo(tmp_path / "pipe", 0o600)
     with pytest.raises(OSError, match="link"):
-        read_own_file(tmp_path / "link", at_most=9)
+        read_user_file(tmp_path / "link", max_bytes=9)
     with pytest.raises(ValueError, match="pipe: is a pipe"):
-        read_own_file(tmp_path / "pipe", at_most=9)
+        read_user_file(tmp_path / "pipe", max_bytes=9)
     with pytest.raises(ValueError, match="more than 6 bytes"):
-        read_own_file(tmp_path / "file", at_most=6)
+        read_user_file(tmp_path / "file", max_bytes=6)
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(NotADirectoryError, match="is no folder"):
-            own_folder(path)
+            user_folder(path)
 
 
 def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
-    write_own_file(tmp_path / "file", b"content")
+    write_user_file(tmp_path / "file", b"content")
 
     def full(*_: object) -> None:
         raise OSError("full")
 
     monkeypatch.setattr(whole_files.os, "replace", full)
     with pytest.raises(OSError, match="full"):
-        write_own_file(tmp_path / "file", b"new")
+        write_user_file(tmp_path / "file", b"new")
     assert [one.name for one in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_bytes() == b"content"
 
@@ -273,7 +273,7 @@ def test_anything_else_is_refused_in_one_line(content: bytes) -> None:
 
 def test_what_a_library_raises_is_said_in_what_can_be_printed() -> None:
     for error in (KeyError("\x1b[31m\n" * 99), RecursionError(), MemoryError()):
-        with pytest.raises(ValueError, match=r"^.{1,200}$") as caught, faults_as_values():
+        with pytest.raises(ValueError, match=r"^.{1,200}$") as caught, value_errors():
             raise error
         assert str(caught.value).isprintable()
 
@@ -330,7 +330,7 @@ def test_a_bad_document_is_one_line(parse: Callable, text: str, says: str) -> No
 
 def test_honest_documents_are_read() -> None:
     assert parse_toml("[a.b]\nc = 'a.b.c.d'  # 1.2.3\nd = -1\ne = 1e400\n")["a"]["b"]["d"] == -1
-    nested = "[" * NEST_MAX + "]" * NEST_MAX
+    nested = "[" * MAX_DEPTH + "]" * MAX_DEPTH
     assert parse_json(nested)
     assert parse_json('{"a": [1, 2.5, null, "x"]}') == {"a": [1, 2.5, None, "x"]}
     sentence = "go to the cone. " * 200 + "v1.2.3"
@@ -348,4 +348,4 @@ def test_text_that_is_none_is_named(tmp_path: Path) -> None:
     path = tmp_path / "words.toml"
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(ValueError, match=r"words.toml: is no text: save it as UTF-8"):
-        read_text(path, at_most=10)
+        read_text(path, max_bytes=10)

@@ -206,7 +206,7 @@ def test_commands_and_what_to_keep_away_from(ask) -> None:
     assert [len(one.avoid) for one in found] == [1, 0]
     assert found[0].avoid[0][0] == NEAR
     # The hydrant is placed against the cone; the car and the bench are no business of its.
-    assert [len(one.against) for one in found] == [1, 0]
+    assert [len(one.landmarks) for one in found] == [1, 0]
 
 
 def test_a_region_and_a_manner(ask) -> None:

@@ -205,12 +205,12 @@ def test_examples_of_several_kinds():
     both = [frozenset({"at 0"}), frozenset({"left of 0"})]
     one = Labelled(root=SECOND, world=("red", "blue"), expressed=both, ranks=[2, 0])
     noun, verb = examples_of(SPACE, [one])
-    assert noun.rows["thing"].labels.tolist() == [True, False]
-    assert noun.rows[RANKS].labels.tolist() == [False, True]
-    assert set(noun.rows) == {"thing", RANKS}
-    assert verb.rows["side"].labels.tolist() == [True, False]
-    assert verb.rows["side"].properties.tolist() == [[1, 1], [1, 0]]
-    assert not verb.rows[RANKS].labels.any()
+    assert noun.blocks["thing"].labels.tolist() == [True, False]
+    assert noun.blocks[RANKS].labels.tolist() == [False, True]
+    assert set(noun.blocks) == {"thing", RANKS}
+    assert verb.blocks["side"].labels.tolist() == [True, False]
+    assert verb.blocks["side"].properties.tolist() == [[1, 1], [1, 0]]
+    assert not verb.blocks[RANKS].labels.any()
     with pytest.raises(ValueError, match=r"tree 0: 1 labels, but .* has 2 phrases"):
         examples_of(SPACE, [dataclasses.replace(one, ranks=[2])])
 
@@ -221,17 +221,17 @@ def test_the_engine_s_symbols_are_two_more_spaces():
     sentences = ("find the second car", "go to the tree then go to the bench behind the car")
     instructions = corpus(num_worlds=1, sentences=sentences)
     graph = CorrespondenceGraph(Annotations(TYPES), model.annotation)
-    trees = [tree for one in instructions for tree in one.annotated]
+    trees = [tree for one in instructions for tree in one.annotations]
     assert [tree.clause for tree in trees] == [0, 0, 1]
     assert all(is_right(graph, one) for one in trees)
     for one in instructions:
         behavior = CorrespondenceGraph(Behaviors(TYPES, one.rank), model.behavior)
-        assert all(is_right(behavior, tree) for trees in one.behaving for tree in trees)
+        assert all(is_right(behavior, tree) for trees in one.behaviors for tree in trees)
     made = annotation_examples(instructions, TYPES)
     for mine, own in zip(examples_of(graph.space, trees), made, strict=True):
         assert mine.phrase == own.phrase
         for kind in (SYMBOLS, RANKS):
-            for one, other in zip(mine.rows[kind], own.rows[kind], strict=True):
+            for one, other in zip(mine.blocks[kind], own.blocks[kind], strict=True):
                 np.testing.assert_array_equal(one, other)
 
 

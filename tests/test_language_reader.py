@@ -182,7 +182,7 @@ def test_a_reader_learns_what_is_left_out_and_is_written_and_read(tmp_path: Path
     np.testing.assert_array_equal(model.emission, again.emission)
     path = tmp_path / "own.npz"
     crf.save_reader(path, model, command="test")
-    monkeypatch.setenv(crf.OWN_READER, str(path))
+    monkeypatch.setenv(crf.READER_ENV, str(path))
     crf.load_reader.cache_clear()
     try:
         assert crf.load_reader().labels == model.labels

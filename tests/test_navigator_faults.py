@@ -8,7 +8,7 @@ from hostile import MUTATIONS, looks
 from test_navigator_step import AREA, distance, go, see
 
 from jaxlangnav import navigator
-from jaxlangnav.dialogue import join
+from jaxlangnav.dialogue import merge_utterance
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import NONE, Fault
 from jaxlangnav.navigator import api, speech_acts
@@ -138,9 +138,10 @@ def test_who_was_never_asked_for_anything_stands_still(robot) -> None:
 def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) -> None:
     state = begin(robot)
     instruction = understand("go to the cone", load_shipped()).instruction
-    words = join(state.instruction.readings, state.talk.words, instruction, None, is_new_task=True)
-    nowhere = jnp.array([jnp.nan, 0.0, 0.0])
-    told = speech_acts.tell(state, words, nowhere, effect=speech_acts.Effect.REPLACE)
+    readings, words = state.instruction.readings, state.talk.words
+    merged = merge_utterance(readings, words, instruction, None, is_new_task=True)
+    nowhere = jnp.array([jnp.nan, 0, 0])
+    told = speech_acts.tell(state, merged, nowhere, effect=speech_acts.Effect.REPLACE)
     np.testing.assert_array_equal(told.talk.viewer[0], state.belief.last_pose)
     assert bool(told.belief.must_ground)
 

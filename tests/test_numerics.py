@@ -64,7 +64,7 @@ def test_new_coordinates_are_the_limit_of_a_flat_prior() -> None:
     is_new = np.array([True, False, True, False])[:, None]
     offset = np.array([[1.0], [9.0], [-2.0], [9.0]])
     variance = np.full((4, 1), 0.04)
-    ours = gaussian.enter(
+    ours = gaussian.add_coordinates(
         single(moments), 3, jnp.asarray(is_new), offset, 0.5 * offset, jnp.float32(variance)
     )
     flat = np.where(is_new | is_new.T, np.diag([1e6] * 4), moments.covariance[..., 0])
@@ -198,7 +198,7 @@ def test_each_row_begins_as_the_key_draws_alone(shape: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.5, 2.0), (1e-6, 1.0 - 1e-6)])
 def test_between_two_numbers(low: float, high: float) -> None:
-    drawn = batching.between(batching.uniforms(KEYS, 1000)[0], low, high)
+    drawn = batching.to_interval(batching.uniforms(KEYS, 1000)[0], low, high)
     same = jax.random.uniform(KEYS[0], (1000,), minval=low, maxval=high)
     # A product and a sum may be rounded once or twice.
     np.testing.assert_allclose(drawn, same, rtol=3e-7, atol=3e-7)

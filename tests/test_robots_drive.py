@@ -91,13 +91,13 @@ def test_who_is_walled_in_is_blocked(navigator) -> None:
     turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]
     robot.obstacles += [(1.2 * np.cos(one), 1.2 * np.sin(one), 0.2) for one in turns]
     drive = ends(Ending.BLOCKED, navigator, robot)
-    assert drive.steps[-1].progress is WaypointStatus.GAVE_UP
+    assert drive.steps[-1].progress is WaypointStatus.FAILED
     assert robot.travelled < 1.0
 
 
 def test_a_report_that_cannot_be_makes_it_lost(navigator) -> None:
     robot = put()
-    robot._look = lambda: [Detection(object_type=CONE, range=50.0, bearing=0.0)]
+    robot._detect = lambda: [Detection(object_type=CONE, range=50.0, bearing=0.0)]
     drive = ends(Ending.LOST, navigator, robot)
     assert "DETECTION" in drive.why
     assert drive.steps[-1].fault == Fault.DETECTION
@@ -124,9 +124,9 @@ def test_it_halts_goes_on_and_drops_the_task(navigator) -> None:
 
 
 def test_each_ending_of_the_navigator_is_one_of_the_drive(navigator) -> None:
-    journey = driver._Journey(navigator, put(), jax.random.key(0), None)
+    loop = driver._DriveLoop(navigator, put(), jax.random.key(0), None)
     for name in ("NOT_FOUND", "BLOCKED", "WHICH_ONE", "IDLE"):
-        named, why = journey._name_the_end(Status[name], navigator.start(TEXT))
+        named, why = loop._end_of(Status[name], navigator.start(TEXT))
         assert named is Ending[name]
         assert why
 
@@ -166,13 +166,13 @@ def test_a_camera_that_stops_makes_it_blind_and_a_recording_tells(navigator) -> 
 
 def test_a_waypoint_that_cannot_be_stood_on_is_seen_from_all_sides_and_then_given_up() -> None:
     robot = put()
-    journey = driver._Journey(None, robot, jax.random.key(0), None)
+    loop = driver._DriveLoop(None, robot, jax.random.key(0), None)
     info, target = SimpleNamespace(fault=0), np.array([0.8, 0.3])
     facing, beyond, end = [], [], None
     while end is None:
-        end = journey._judge(WaypointStatus.THERE, target, info)
-        facing += [journey.facing] if journey.facing is not None else []
-        beyond += [journey.beyond] if journey.beyond is not None else []
+        end = loop._check_progress(WaypointStatus.REACHED, target, info)
+        facing += [loop.facing] if loop.facing is not None else []
+        beyond += [loop.overshoot] if loop.overshoot is not None else []
         assert len(facing) + len(beyond) < 9
     assert end[0] is Ending.BLOCKED
     turned = np.sort(np.mod(facing, 2.0 * np.pi))

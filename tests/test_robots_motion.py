@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from jaxlangnav.pytree import replace
-from jaxlangnav.robots.kinematic import KinematicRobot, Slip
-from jaxlangnav.robots.motion.mover import TICK, Mover
-from jaxlangnav.robots.motion.path import find_path, gaps, inflate, is_clear, to_discs
-from jaxlangnav.robots.physics.robot import MACHINES
+from jaxlangnav.robots.kinematic import KinematicRobot, OdometryErrors
+from jaxlangnav.robots.motion.mover import TICK, MotionPlanner
+from jaxlangnav.robots.motion.path import disc_distance, find_path, inflate, is_clear, to_discs
+from jaxlangnav.robots.physics.robot import ROBOT_MODELS
 from jaxlangnav.robots.robot import Robot, WaypointStatus, wrap_heading
 from jaxlangnav.world.state import empty_scenario
 
-SURE = Slip(scale=0.0, noise=0.0, drift=0.0)
+SURE = OdometryErrors(scale=0.0, noise=0.0, drift=0.0)
 
 
 def put(discs=(), *, start=(0.0, 0.0, 0.0)) -> KinematicRobot:
     area, pose = np.array([-2.0, 10.0, -6.0, 6.0]), np.array(start)
     scenario = replace(empty_scenario(), area=area, start=pose)
-    robot = KinematicRobot(scenario, seed=0, slip=SURE)
+    robot = KinematicRobot(scenario, seed=0, errors=SURE)
     robot.obstacles = [tuple(disc) for disc in discs]
     return robot
 
@@ -31,7 +31,7 @@ def go(robot: KinematicRobot, *waypoints, clearance=0.2, speed=1.0, seconds=90.0
     while progress is WaypointStatus.UNDER_WAY and robot.seconds < seconds:
         progress = robot.wait(0.1)
         pose = robot.true_pose
-        gap = gaps(pose[None, 0], pose[None, 1], robot.things())[0] - robot.mover.body.radius
+        gap = disc_distance(*pose[:2, None], robot.things())[0] - robot.mover.body.radius
         least = min(least, float(gap))
     return progress, least
 
@@ -39,7 +39,7 @@ def go(robot: KinematicRobot, *waypoints, clearance=0.2, speed=1.0, seconds=90.0
 def gets_there(robot: KinematicRobot, *waypoints, **options) -> float:
     """Drive to the end without a touch; return the least gap."""
     progress, least = go(robot, *waypoints, **options)
-    assert progress is WaypointStatus.THERE
+    assert progress is WaypointStatus.REACHED
     assert least > 0.0
     return least
 
@@ -83,9 +83,9 @@ def test_who_is_walled_in_gives_up_and_touches_nothing() -> None:
     turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]
     robot = put([(1.5 * np.cos(one), 1.5 * np.sin(one), 0.2) for one in turns])
     progress, least = go(robot, (5.0, 0.0), seconds=40.0)
-    assert progress is WaypointStatus.GAVE_UP
+    assert progress is WaypointStatus.FAILED
     assert least > 0.0
-    assert robot.wait(1.0) is WaypointStatus.GAVE_UP
+    assert robot.wait(1.0) is WaypointStatus.FAILED
 
 
 def test_a_person_who_steps_in_the_way_is_not_run_over() -> None:
@@ -130,19 +130,19 @@ def test_stop_brakes_within_the_bodys_limits() -> None:
     body = robot.mover.body
     assert robot.true_pose[0] - x < body.speed**2 / (2 * body.acceleration) + 0.1
     assert robot.wait(0.1) is WaypointStatus.STANDING
-    assert robot.mover.moving == (0.0, 0.0)
+    assert robot.mover.command == (0.0, 0.0)
 
 
 def test_odometry_goes_wrong_as_it_is_said_to() -> None:
     """Over many robots, the length that a way seems to have spreads by scale and noise."""
     ends = []
-    slip, area = Slip(scale=0.02, noise=0.02, drift=0.002), np.array([-1.0, 9.0, -5.0, 5.0])
+    errors = OdometryErrors(scale=0.02, noise=0.02, drift=0.002)
+    scenario = replace(empty_scenario(), area=np.array([-1.0, 9.0, -5.0, 5.0]))
     for seed in range(40):
-        robot = KinematicRobot(replace(empty_scenario(), area=area), seed=seed, slip=slip)
+        robot = KinematicRobot(scenario, seed=seed, errors=errors)
         go(robot, (4.0, 0.0))
         ends.append(robot.pose() - robot.true_pose)
-    spread = np.std(ends, axis=0)
-    expected = np.hypot(4.0 * 0.02, 0.02 * 2.0)
+    spread, expected = np.std(ends, axis=0), np.hypot(4.0 * 0.02, 0.02 * 2.0)
     # The standard deviation of 40 draws is right to 11 %; the limits are at 5 of these.
     assert 0.45 * expected < spread[0] < 1.55 * expected
     assert spread[2] > 0.002
@@ -174,16 +174,16 @@ def test_waypoints_that_cannot_be_are_refused() -> None:
         put().go_to(np.array([[np.nan, 0.0]]), speed=1.0, clearance=0.0)
 
 
-@pytest.mark.parametrize("name", sorted(MACHINES))
+@pytest.mark.parametrize("name", sorted(ROBOT_MODELS))
 @pytest.mark.parametrize("gap", [-0.05, 0.0, 0.02])
 def test_a_thing_that_is_all_but_touched_holds_nobody(name: str, gap: float) -> None:
     """A circle is wider than the body: a few centimetres of it are no collision."""
-    machine = MACHINES[name]
+    machine = ROBOT_MODELS[name]
     for heading, bearing in itertools.product((-1.5, 0.0, 0.75, 3.0), (0.3, 1.9, 3.4, 5.0)):
         away = machine.body.radius + 0.25 + gap
         disc = np.array([[away, 0.0, 0.25]])
         goal = np.array([away + 2.2 * np.cos(bearing), 2.2 * np.sin(bearing)])
-        mover = Mover(machine.body)
+        mover = MotionPlanner(machine.body)
         mover.go_to(goal[None], speed=1.0, clearance=0.3)
         pose, least = np.array([0.0, 0.0, heading]), np.inf
         for _ in range(round(60.0 / TICK)):
@@ -192,7 +192,7 @@ def test_a_thing_that_is_all_but_touched_holds_nobody(name: str, gap: float) -> 
                 break
             pose = pose + TICK * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), turn])
             least = min(least, np.hypot(pose[0] - away, pose[1]) - 0.25 - machine.body.radius)
-        assert mover.progress is WaypointStatus.THERE, (heading, bearing)
+        assert mover.progress is WaypointStatus.REACHED, (heading, bearing)
         assert least > min(gap, 0.0) - 0.1
 
 

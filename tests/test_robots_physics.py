@@ -15,7 +15,7 @@ from placed import placed
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.steering import WheelCommand, wrap
 from jaxlangnav.robots.physics import tags
-from jaxlangnav.robots.physics.robot import MACHINES, ODOMETRY_NOISE, PhysicsRobot, Wear
+from jaxlangnav.robots.physics.robot import ODOMETRY_NOISE, ROBOT_MODELS, PhysicsRobot, SensorErrors
 from jaxlangnav.robots.robot import Robot, WaypointStatus
 from jaxlangnav.robots.table3 import navigator_of
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -25,14 +25,14 @@ try:
 except ValueError as missing:
     pytest.skip(str(missing), allow_module_level=True)
 
-BOTH = pytest.mark.parametrize("machine", sorted(MACHINES))
-SURE = Wear(wheel_scale=0.0, gyro_bias=0.0, gyro_noise=0.0)
+BOTH = pytest.mark.parametrize("machine", sorted(ROBOT_MODELS))
+SURE = SensorErrors(wheel_scale=0.0, gyro_bias=0.0, gyro_noise=0.0)
 OBJECTS = ((HYDRANT, 3.0, -0.4), (CONE, 2.2, 1.0))
 
 
-def put(machine: str = "husky", objects=OBJECTS, *, wear: Wear = SURE, seed: int = 0):
+def put(machine: str = "husky", objects=OBJECTS, *, errors: SensorErrors = SURE, seed: int = 0):
     scenario = placed(objects, area=(-1.0, 8.0, -4.0, 4.0))
-    return PhysicsRobot(machine, scenario, seed=seed, gates=tags.Gates(range=4.0), wear=wear)
+    return PhysicsRobot(machine, scenario, seed=seed, gates=tags.Gates(range=4.0), errors=errors)
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +57,9 @@ def test_its_wheels_seem_as_far_apart_as_is_known(machine: str) -> None:
             headings.append(robot.true_pose[2])
         robot.close()
         turned = np.ptp(np.unwrap(headings)) * np.sign(turn)
-        rolled = (data.qpos[robot._wheels] - before) * robot.machine.wheel_radius
+        rolled = (data.qpos[robot._wheels] - before) * robot.robot_model.wheel_radius
         apart = rolled[robot._side < 0].mean() - rolled[robot._side > 0].mean()
-        ratios.append(apart / turned / robot.machine.track)
+        ratios.append(apart / turned / robot.robot_model.track)
         assert turned / 3.0 == pytest.approx(turn, rel=0.15)
     low, high = (1.8, 2.1) if machine == "husky" else (0.95, 1.1)
     assert low < min(ratios) <= max(ratios) < high
@@ -69,7 +69,7 @@ def test_its_wheels_seem_as_far_apart_as_is_known(machine: str) -> None:
 def test_its_wheels_roll_as_far_as_they_are_said_to(machine: str) -> None:
     robot = put(machine, ())
     robot.go_to(np.array([[4.0, 0.0]]), speed=1.0, clearance=0.0)
-    assert robot.wait(15.0) is WaypointStatus.THERE
+    assert robot.wait(15.0) is WaypointStatus.REACHED
     x, y, heading = robot.true_pose
     assert abs(x - robot.pose()[0]) < 0.01 * x + 0.01
     assert abs(y) < 0.05
@@ -80,9 +80,9 @@ def test_its_wheels_roll_as_far_as_they_are_said_to(machine: str) -> None:
 
 
 def test_odometry_drifts_and_never_tells_the_truth() -> None:
-    robot = put("husky", (), wear=Wear(), seed=3)
+    robot = put("husky", (), errors=SensorErrors(), seed=3)
     robot.go_to(np.array([[3.0, 2.0], [0.0, 2.0]]), speed=1.0, clearance=0.0)
-    assert robot.wait(25.0) is WaypointStatus.THERE
+    assert robot.wait(25.0) is WaypointStatus.REACHED
     off = robot.pose() - robot.true_pose
     assert 0.005 < np.hypot(*off[:2]) < 0.5
     assert 0.0 < abs(wrap(off[2])) < 0.2
@@ -113,8 +113,8 @@ def test_opencvs_own_detector_sees_the_same_tags(husky: PhysicsRobot) -> None:
         near = [
             one for one, place in theirs if np.hypot(*(tag.corners.mean(0) - 0.5 - place)) < 1.0
         ]
-        assert near == [tag.number]
-    assert {one for one, _ in theirs} == {tag.number for tag in ours}
+        assert near == [tag.tag_id]
+    assert {one for one, _ in theirs} == {tag.tag_id for tag in ours}
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_what_is_out_of_the_gates_is_not_used(husky: PhysicsRobot, gates: tags.G
     kept = tags.to_detections(husky.last_tags, husky.camera, gates)
     assert len(every) == 2
     assert len(kept) < len(every)
-    strangers = [dataclasses.replace(one, number=8 * 16) for one in husky.last_tags]
+    strangers = [dataclasses.replace(one, tag_id=8 * 16) for one in husky.last_tags]
     assert tags.to_detections(strangers, husky.camera, wide) == []
 
 
@@ -155,7 +155,7 @@ def test_things_and_people_are_seen_by_the_scanner_and_not_run_into() -> None:
     robot.go_to(np.array([[4.5, 0.0]]), speed=1.0, clearance=0.2)
     places = []
     robot.on_tick = lambda one: places.append(one.true_pose)
-    assert robot.wait(45.0) is WaypointStatus.THERE
+    assert robot.wait(45.0) is WaypointStatus.REACHED
     way = np.array(places)[:, :2]
     person = robot.scene.data.mocap_pos[-1, :2]
     assert np.hypot(*(way - (2.0, 0.1)).T).min() > 0.28 + 0.31
@@ -224,7 +224,7 @@ def test_a_missing_system_library_is_said_in_one_line(tmp_path) -> None:
 
 
 def test_machines_are_within_their_bodies() -> None:
-    for machine in MACHINES.values():
+    for machine in ROBOT_MODELS.values():
         assert machine.body.speed <= machine.body.top_speed
         assert machine.body.radius > 0.5 * machine.track
-        assert dataclasses.asdict(machine.body)["name"] in MACHINES
+        assert dataclasses.asdict(machine.body)["name"] in ROBOT_MODELS

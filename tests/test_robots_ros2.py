@@ -13,15 +13,15 @@ from refusals import assert_refused
 from test_robots_drive import TEXT, goal_distance, put
 
 from jaxlangnav.navigator.api import Navigator
-from jaxlangnav.robots.libraries import ros
+from jaxlangnav.robots.libraries import load_ros
 from jaxlangnav.robots.robot import Detection, Ending, NavigationRun, WaypointStatus
 from jaxlangnav.robots.ros2 import conversions, node
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.bags import Loopback
 from jaxlangnav.robots.ros2.inbox import Inbox
-from jaxlangnav.robots.ros2.robot import Headway, RosRobot
+from jaxlangnav.robots.ros2.robot import ProgressMonitor, RosRobot
 from jaxlangnav.robots.ros2.session import Session
-from jaxlangnav.robots.ros2.simulation import RobotOptions, UnrulyChannel, simulate
+from jaxlangnav.robots.ros2.simulation import LossyChannel, RobotOptions, simulate
 
 
 def quaternion(x: float, y: float, z: float, w: float) -> Message:
@@ -141,7 +141,7 @@ def transforms(*tags: tuple[str, float, float], seconds: float, frame: str = "ca
 def test_looks_by_tags_come_of_transforms_and_of_pictures_of_nothing() -> None:
     types = node.read_tag_types(["tag36h11:7=cone", "a=b=hydrant"], ("hydrant", "cone"))
     assert types == {"tag36h11:7": 1, "a=b": 0}
-    looks = node.TagLooks(node.TagSetup(types=types, range=3.0, field_of_view=math.pi / 2))
+    looks = node.TagReader(node.TagSetup(types=types, range=3.0, field_of_view=math.pi / 2))
     stamp, (one,) = looks.of_transforms(transforms(("tag36h11:7", 2.0, 0.5), seconds=4.5))
     assert (stamp, one.object_type) == (4.5, 1)
     assert one.bearing == pytest.approx(math.atan2(0.5, 2.0))
@@ -153,15 +153,15 @@ def test_looks_by_tags_come_of_transforms_and_of_pictures_of_nothing() -> None:
     # What tags of no known type are seen in is a look at nothing, once the picture is known.
     stranger = transforms(("tag36h11:99", 1.0, 0.0), seconds=6.0)
     assert looks.of_transforms(stranger) is None
-    assert looks.of_found(Message(header=header("camera", 6.0), detections=[1])) is None
+    assert looks.of_tag_array(Message(header=header("camera", 6.0), detections=[1])) is None
     assert looks.of_transforms(stranger) == (6.0, [])
-    assert looks.of_found(Message(header=header("camera", 7.0), detections=[])) == (7.0, [])
+    assert looks.of_tag_array(Message(header=header("camera", 7.0), detections=[])) == (7.0, [])
 
 
 def test_a_look_is_carried_to_where_the_robot_is_now() -> None:
     seen = [Detection(object_type=0, range=2.0, bearing=0.0)]
     now = np.array([1.0, 0.0, math.pi / 2])
-    (one,) = conversions.carried(seen, np.zeros(3), now)
+    (one,) = conversions.transformed(seen, np.zeros(3), now)
     assert (one.range, one.bearing) == pytest.approx((1.0, -math.pi / 2))
     frame = np.array([3.0, -1.0, 2.0])
     np.testing.assert_allclose(
@@ -183,7 +183,7 @@ def filled(seconds: float = 1.0, speed: float = 1.0) -> Inbox:
 
 def test_a_look_is_used_once_from_where_it_was_taken() -> None:
     inbox = filled()
-    inbox.add_look(0.45, SEEN, now=7.0)
+    inbox.add_detections(0.45, SEEN, now=7.0)
     (one,) = inbox.take() or []
     assert one.range == pytest.approx(2.0 - 0.55)
     assert inbox.take() is None
@@ -193,15 +193,15 @@ def test_a_look_is_used_once_from_where_it_was_taken() -> None:
 
 def test_doubled_overtaken_and_late_looks_are_counted_and_left_out() -> None:
     inbox = filled(4.0)
-    inbox.add_look(4.0, SEEN, now=0.0)
-    inbox.add_look(4.0, [], now=0.0)
-    inbox.add_look(3.9, [], now=0.0)
+    inbox.add_detections(4.0, SEEN, now=0.0)
+    inbox.add_detections(4.0, [], now=0.0)
+    inbox.add_detections(3.9, [], now=0.0)
     assert len(inbox.take() or []) == 1
-    inbox.add_look(4.0, SEEN, now=0.0)
+    inbox.add_detections(4.0, SEEN, now=0.0)
     assert inbox.take() is None
     assert (inbox.counts.doubled, inbox.counts.late) == (2, 1)
     late = filled(4.0)
-    late.add_look(1.9, SEEN, now=0.0)
+    late.add_detections(1.9, SEEN, now=0.0)
     assert late.take() is None
     assert late.counts.late == 1
 
@@ -213,7 +213,7 @@ def test_odometry_in_any_order_doubled_or_with_gaps_places_the_same_look() -> No
     inbox = Inbox()
     for stamp in order:
         inbox.add_odometry(stamp, np.array([stamp, 0.0, 0.0]))
-    inbox.add_look(0.45, SEEN, now=0.0)
+    inbox.add_detections(0.45, SEEN, now=0.0)
     (one,) = inbox.take() or []
     assert one.range == pytest.approx(2.0 - 0.55)
     assert inbox.counts.doubled == 3
@@ -222,13 +222,13 @@ def test_odometry_in_any_order_doubled_or_with_gaps_places_the_same_look() -> No
 
 def test_a_look_without_odometry_waits_for_it_and_is_dropped_if_it_is_missing() -> None:
     inbox = filled()
-    inbox.add_look(1.8, SEEN, now=0.0)
+    inbox.add_detections(1.8, SEEN, now=0.0)
     assert inbox.take() is None
     inbox.add_odometry(1.8, np.array([1.8, 0.0, 0.0]))
     assert len(inbox.take() or []) == 1
     gap = filled()
     gap.add_odometry(2.8, np.array([2.8, 0.0, 0.0]))
-    gap.add_look(1.9, SEEN, now=0.0)
+    gap.add_detections(1.9, SEEN, now=0.0)
     assert gap.take() is None
     assert gap.counts.unplaced == 1
     assert Inbox().take() is None
@@ -238,14 +238,14 @@ def test_a_clock_that_begins_anew_is_a_restart_and_late_odometry_is_none() -> No
     inbox = filled(30.0, speed=0.5)
     inbox.add_odometry(12.0, np.array([6.0, 0.0, 0.0]))
     assert (inbox.counts.late, inbox.counts.restarts) == (1, 0)
-    inbox.add_look(30.0, SEEN, now=0.0)
+    inbox.add_detections(30.0, SEEN, now=0.0)
     for tick in range(12):
         inbox.add_odometry(0.1 * tick, np.array([0.02 * tick, 0.0, 0.0]))
     assert (inbox.counts.late, inbox.counts.restarts) == (1, 1)
     np.testing.assert_allclose(inbox.track.pose, [15.22, 0.0, 0.0], atol=1e-9)
     # The look was of its former life.
     assert inbox.take() is None
-    inbox.add_look(1.1, SEEN, now=0.0)
+    inbox.add_detections(1.1, SEEN, now=0.0)
     assert len(inbox.take() or []) == 1
 
 
@@ -267,17 +267,17 @@ def test_odometry_at_zero_after_a_silence_begins_anew_and_any_other_goes_on() ->
 
 
 def test_headway_is_told_from_odometry_alone() -> None:
-    goal, headway = np.array([2.0, 0.0, 0.0]), Headway()
+    goal, headway = np.array([2.0, 0.0, 0.0]), ProgressMonitor()
     assert headway.progress(np.zeros(3), 0.0) is WaypointStatus.STANDING
     headway.set(goal, 0.0)
     assert headway.progress(np.array([0.5, 0.0, 0.0]), 2.0) is WaypointStatus.UNDER_WAY
     # The same goal once more does not begin its time anew.
     headway.set(goal + 0.01, 4.0)
-    assert headway.progress(np.array([0.5, 0.0, 0.0]), 5.5) is WaypointStatus.GAVE_UP
+    assert headway.progress(np.array([0.5, 0.0, 0.0]), 5.5) is WaypointStatus.FAILED
     assert headway.progress(np.array([1.0, 0.0, 0.0]), 6.0) is WaypointStatus.UNDER_WAY
-    assert headway.progress(np.array([1.0, 0.0, 0.0]), 9.5) is WaypointStatus.THERE
+    assert headway.progress(np.array([1.0, 0.0, 0.0]), 9.5) is WaypointStatus.REACHED
     headway.set(goal, 9.5)
-    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.6) is WaypointStatus.THERE
+    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.6) is WaypointStatus.REACHED
     headway.set(None, 9.6)
     assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.7) is WaypointStatus.STANDING
 
@@ -287,7 +287,7 @@ class Loop(Loopback):
 
     def __init__(self, simulated, *, share: float = 0.0) -> None:
         super().__init__(simulated)
-        self.channel: UnrulyChannel = UnrulyChannel(share, seed=3)
+        self.channel: LossyChannel = LossyChannel(share, seed=3)
         self.away_until = 0.0
         self.spin(0.3)
 
@@ -360,7 +360,7 @@ class Tagged(Loopback):
         super().__init__(simulated)
         types, view = {f"tag36h11:{kind}": kind for kind in range(15)}, math.pi / 2
         setup = node.TagSetup(types=types, range=3.0, field_of_view=view, mount=(0.2, 0.0, 0.0))
-        self.looks = node.TagLooks(setup)
+        self.looks = node.TagReader(setup)
         self.spin(0.3)
 
     def publish(self, topic: str, stamp: float, what) -> None:
@@ -375,10 +375,10 @@ class Tagged(Loopback):
         found = Message(header=header("camera", stamp), detections=places)
         moved = transforms(*places, seconds=stamp)
         own = transforms(("base_link", 1.0, 0.0), seconds=stamp, frame="odom")
-        looks = [self.looks.of_found(found), *map(self.looks.of_transforms, (own, moved))]
+        looks = [self.looks.of_tag_array(found), *map(self.looks.of_transforms, (own, moved))]
         for look in looks:
             if look is not None:
-                self.inbox.add_look(*look, stamp)
+                self.inbox.add_detections(*look, stamp)
 
 
 def test_a_sentence_is_carried_out_by_what_apriltag_ros_publishes(navigator) -> None:
@@ -416,7 +416,7 @@ def test_a_node_that_starts_anew_takes_up_its_task_and_a_silent_robot_makes_it_b
     kept = tmp_path / "words.json"
     simulated = put()
     simulated.at(4.0, lambda one: setattr(one, "camera_works", False))
-    talk, told = session(navigator, Loop(simulated), kept=kept)
+    talk, told = session(navigator, Loop(simulated), path=kept)
 
     def fall(told_now) -> None:
         told.append(told_now)
@@ -431,11 +431,11 @@ def test_a_node_that_starts_anew_takes_up_its_task_and_a_silent_robot_makes_it_b
     assert [one["status"] for one in told[:2]] == ["refused", "heard"]
     assert json.loads(kept.read_text("utf-8")) == [TEXT]
     # Another node, while the camera still delivers nothing: told, and no crash.
-    driven(session(navigator, Loop(simulated), kept=kept)[0], ending=Ending.BLIND)
+    driven(session(navigator, Loop(simulated), path=kept)[0], ending=Ending.BLIND)
     assert json.loads(kept.read_text("utf-8")) == []
     kept.write_text(json.dumps([TEXT]), "utf-8")
     simulated.camera_works = True
-    driven(session(navigator, Loop(simulated), kept=kept)[0], simulated)
+    driven(session(navigator, Loop(simulated), path=kept)[0], simulated)
 
 
 def test_words_under_way_and_after_the_end(navigator) -> None:
@@ -458,7 +458,7 @@ def test_words_under_way_and_after_the_end(navigator) -> None:
 @pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is there")
 def test_messages_that_no_wheel_has_are_said_to_be_of_an_installation() -> None:
     with pytest.raises(ValueError, match=r"tf2_msgs is not installed, and no wheel: .*tf2-msgs"):
-        ros("tf2_msgs.msg")
+        load_ros("tf2_msgs.msg")
 
 
 CLOUDS = [
@@ -498,8 +498,8 @@ def refusals(kept: Path):
     yield lambda: simulate(RobotOptions(start=(99.0, 0.0, 0.0))), outside
     for text in ("{", "[1]", "{}"):
         kept.write_text(text, "utf-8")
-        yield lambda: Session(None, None, print, key=None, kept=kept), "remove it to begin anew"
-    yield lambda: UnrulyChannel(0.5, 0), r"give 0 to 0\.3"
+        yield lambda: Session(None, None, print, key=None, path=kept), "remove it to begin anew"
+    yield lambda: LossyChannel(0.5, 0), r"give 0 to 0\.3"
 
 
 def test_what_cannot_be_is_refused_in_one_line(tmp_path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from test_robots_drive import TEXT, goal_distance, put
 
-from jaxlangnav.robots.physics.tags import Gates, as_told
+from jaxlangnav.robots.physics.tags import Gates, sensor_params
 from jaxlangnav.robots.robot import Detection, Ending
 from jaxlangnav.robots.ros2 import conversions
 from jaxlangnav.robots.ros2.bags import typestore, write_bag
@@ -32,7 +32,7 @@ def store():
 
 @pytest.fixture(scope="module")
 def scribe(store):
-    return conversions.Scribe(store.types.__getitem__)
+    return conversions.MessageBuilder(store.types.__getitem__)
 
 
 def there_and_back(store, message):
@@ -144,7 +144,7 @@ class ReplayBus:
                 self.inbox.add_odometry(stamp, conversions.pose_of(message))
             elif topic == "detections":
                 stamp = conversions.seconds_of(message.header.stamp)
-                self.inbox.add_look(stamp, conversions.detections_of_cloud(message, 15), time)
+                self.inbox.add_detections(stamp, conversions.detections_of_cloud(message, 15), time)
 
     def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
         self.goals.append(goal)
@@ -172,7 +172,7 @@ def test_the_bag_that_ships_replays_to_the_same_decisions(navigator, store) -> N
     gates = Gates(range=options.range, field_of_view=math.radians(options.field_of_view))
     area = np.asarray(draw_start(options).area).tolist()
     key = jax.random.key(options.seed)
-    told = replay(navigator, BAG, store, sensor=as_told(gates), area=area, key=key)
+    told = replay(navigator, BAG, store, sensor=sensor_params(gates), area=area, key=key)
     assert told[-1]["ending"] == "arrived"
     assert len(told) > 8
     assert sum(one.stat().st_size for one in BAG.iterdir()) < 500_000

@@ -9,8 +9,8 @@ import pytest
 
 from jaxlangnav.cli.main import main
 from jaxlangnav.robots import trials
-from jaxlangnav.robots.table3 import HALT, TABLE3, environment
-from jaxlangnav.robots.trials import KNOWN, TrialPlan
+from jaxlangnav.robots.table3 import STOP_DISTANCE, TABLE3, draw_environment
+from jaxlangnav.robots.trials import KNOWN_MAP, TrialPlan
 
 
 def result(row, trial, *, success: bool = True) -> dict:
@@ -36,7 +36,7 @@ def ran(monkeypatch) -> list:
         for row, trial in missing:
             yield row, trial, result(row, trial, success=trial != 1)
 
-    monkeypatch.setattr(trials, "_run", run)
+    monkeypatch.setattr(trials, "_run_missing", run)
     monkeypatch.setattr(trials, "check_libraries", lambda: None)
     return told
 
@@ -58,7 +58,7 @@ def test_what_has_been_kept_is_not_run_again(ran: list, tmp_path) -> None:
     assert again["resumed"] == 4
     ran.clear()
     trials.reproduce_table3(TrialPlan(trials=1, out=tmp_path, seed=1), rows=TABLE3[:1])
-    assert ran == [(TABLE3[0].name, KNOWN), (TABLE3[0].name, 0)]
+    assert ran == [(TABLE3[0].name, KNOWN_MAP), (TABLE3[0].name, 0)]
 
 
 def test_first_trials_and_failures_are_recorded(monkeypatch, tmp_path) -> None:
@@ -72,11 +72,11 @@ def test_first_trials_and_failures_are_recorded(monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(trials, "_navigator_of", lambda robot, policy: None)
     plan = TrialPlan(trials=3, out=tmp_path)
     for trial in range(3):
-        trials._one(TABLE3[6], trial, plan)
+        trials._run_one(TABLE3[6], trial, plan)
     stem = "recordings/husky-1H1C-3-behind-informed-seed0"
     assert pages == [(0, f"{stem}-0.html"), (1, None), (2, None), (2, f"{stem}-2.html")]
     pages.clear()
-    trials._one(TABLE3[6], 2, TrialPlan(trials=3))
+    trials._run_one(TABLE3[6], 2, TrialPlan(trials=3))
     assert pages == [(2, None)]
 
 
@@ -96,16 +96,16 @@ def test_the_table_stands_beside_the_papers(ran: list) -> None:
 
 
 def test_environments_are_as_far_as_the_paper_prints() -> None:
-    drawn = [environment(row, 0) for row in TABLE3]
+    drawn = [draw_environment(row, 0) for row in TABLE3]
     for row, scenario in zip(TABLE3, drawn, strict=True):
         assert bool(scenario.is_valid)
         hydrants, cones = int(row.world[0]), int(row.world[2])
         kinds = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)].tolist()
         assert (kinds.count(0), kinds.count(1)) == (hydrants, cones)
         if row.known is not None:
-            assert np.hypot(*scenario.goal) == pytest.approx(row.known + HALT, abs=0.15)
+            assert np.hypot(*scenario.goal) == pytest.approx(row.known + STOP_DISTANCE, abs=0.15)
     jax.tree.map(np.testing.assert_array_equal, drawn[0], drawn[1])
-    assert not np.allclose(environment(TABLE3[0], 1).goal, drawn[0].goal)
+    assert not np.allclose(draw_environment(TABLE3[0], 1).goal, drawn[0].goal)
 
 
 def hide(monkeypatch, *missing: str) -> None:

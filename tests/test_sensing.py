@@ -122,7 +122,7 @@ def refusals(door: Navigator) -> Iterator[tuple[Callable[[], object], str]]:
     for one in POSES:
         yield lambda one=one: Observation.of(one, [], SENSOR), "^pose"
     for one in AREAS:
-        yield lambda one=one: observations.area_numbers(one), "^area"
+        yield lambda one=one: observations.check_area(one), "^area"
     for one, words in SENSORS:
         yield lambda one=one: default_sensor(**one), words
     yield lambda: default_sensor(10**5000), "range_max is a whole number of 16610 bits, but"
@@ -183,7 +183,7 @@ def test_what_is_sound_at_the_door_is_sound_to_the_belief() -> None:
     """At the very limits of range and view neither of the two refuses what the other takes."""
     from jaxlangnav.semantic_map.gating import _is_detectable
 
-    slack = observations.DEVIATIONS * 0.05
+    slack = observations.GATE_SIGMAS * 0.05
     limits = [(4.0 + slack, 0.0), (1.0, math.pi / 4 + 0.3), (4.0, math.pi / 4)]
     look = Observation.of(HERE, [("cone", *one) for one in limits], SENSOR)
     assert np.asarray(_is_detectable(look, np.int32(8)))[:3].all()
@@ -235,7 +235,7 @@ def entrances(door: Navigator) -> Iterator[tuple[str, Callable[[Any], object]]]:
     yield "sensor", lambda one: door.observation(HERE, (), one)
     for place in range(4):
         yield "area's", lambda one, n=place: door.wait(HERE, at((-9.0, 9.0, -9.0, 9.0), n, one))
-    yield "area", lambda one: observations.area_numbers(one)
+    yield "area", lambda one: observations.check_area(one)
     yield "warm_up", lambda one: refuse_only(door, one)
     yield "labels", lambda one: Navigator.pretrained(labels=one)
     yield "attributes", lambda one: Navigator.pretrained(attributes=one)

@@ -22,19 +22,19 @@ from jaxlangnav.training.examples import (
     Factors,
     annotation_examples,
     behavior_examples,
-    pool,
+    tabulate,
 )
 from jaxlangnav.training.fit import (
     TrainingConfig,
     build_design,
     by_kind,
-    factorise,
     fit,
+    l2_vector,
     loss,
-    strengths,
+    to_device,
     train_weights,
 )
-from jaxlangnav.training.optimum import Problem, minimise, slope_of
+from jaxlangnav.training.optimum import Problem, gradient, minimise
 
 SMALL = ("walk to the barrel", "find the car behind the tree", "park near the box")
 
@@ -69,15 +69,15 @@ def test_objective_is_the_sum_over_all_factors(build, kinds):
     examples = build(corpus(num_worlds=1, sentences=SMALL), TYPES)
     vocabulary, design = build_design(examples, kinds, len(SMALL))
     weights = random_weights(design)
-    model = CorrespondenceModel(vocabulary, weights)
-    total = 0.0
+    model, total = CorrespondenceModel(vocabulary, weights), 0.0
     for example in examples:
         coefficients = model.coefficients(example.phrase)
-        for kind, rows in example.rows.items():
-            odds = (rows.properties @ coefficients[kind]).astype(np.float64)
-            total += np.logaddexp(0, np.where(rows.labels, -odds, odds)).sum()
+        for kind, block in example.blocks.items():
+            odds = (block.properties @ coefficients[kind]).astype(np.float64)
+            total += np.logaddexp(0, np.where(block.labels, -odds, odds)).sum()
     total += 0.05 * sum((w.astype(np.float64) ** 2).sum() for w in weights.values())
-    assert all_counts(design).sum() == sum(len(r.labels) for e in examples for r in e.rows.values())
+    count = sum(len(block.labels) for example in examples for block in example.blocks.values())
+    assert all_counts(design).sum() == count
     assert float(loss(weights, design, all_counts(design), 0.1)) == pytest.approx(total, rel=1e-5)
 
 
@@ -91,14 +91,14 @@ def test_equal_factors_are_joined_and_split_by_instruction():
         label=rng.random(number) < 0.5,
         phrase=rng.integers(0, 6, number),
         instruction=rng.integers(0, 2, number),
-        times=rng.integers(1, 4, number).astype(float),
+        repeats=rng.integers(1, 4, number).astype(float),
     )
     shares, expected = np.array([[1, 0], [0, 1], [2, 1]], np.float32), {}
     for n in range(number):
         key = (*words[factors.phrase[n]], *factors.properties[n])
         counts = expected.setdefault(key, np.zeros((3, 2)))
-        counts[:, int(factors.label[n])] += factors.times[n] * shares[:, factors.instruction[n]]
-    design = pool(factors, {"symbol": slice(0, 3)}, 2)
+        counts[:, int(factors.label[n])] += factors.repeats[n] * shares[:, factors.instruction[n]]
+    design = tabulate(factors, {"symbol": slice(0, 3)}, 2)
     assert len(np.unique(design.cell // 2)) == len(expected)
     for u, g in itertools.product(*map(range, design.properties.shape[:2])):
         counted = design.counts(shares)[:, u, g]
@@ -185,7 +185,7 @@ def test_search_ends_however_often_a_factor_occurs(gap):
     _, value, _ = newton(*problem, 1.0)
     assert int(search.num_steps) < 500
     assert float(search.value) == pytest.approx(value, rel=1e-5)
-    slope = np.asarray(slope_of(problem, found), np.float64)
+    slope = np.asarray(gradient(problem, found), np.float64)
     assert 0.5 * (slope * slope).sum() < 1e-3
 
 
@@ -199,15 +199,15 @@ def test_derivative_by_every_strength_is_that_of_the_minimum():
     vocabulary = Vocabulary((*names[:-1], "pair=NP>PP"))
     groups = ("bias", *FEATURE_GROUPS)
     problem = separable(rng)
-    times = jnp.asarray(rng.integers(0, 3, problem.times.shape), jnp.float32)
-    held = jnp.asarray(rng.integers(0, 2, problem.times.shape), jnp.float32)
+    times = jnp.asarray(rng.integers(0, 3, problem.counts.shape), jnp.float32)
+    held = jnp.asarray(rng.integers(0, 2, problem.counts.shape), jnp.float32)
     factors = np.asarray(problem.words), np.asarray(problem.properties)
     design = Design(*factors, {"symbol": slice(0, 6)}, *[np.zeros(0, int)] * 3, num_instructions=1)
-    factored, config = factorise(design), TrainingConfig(gap=1e-9, max_steps=200)
+    factored, config = to_device(design), TrainingConfig(gap=1e-9, max_steps=200)
     at = np.log(np.linspace(0.5, 3.0, len(groups)))
 
     def held_out_loss(log_l2):
-        l2 = strengths(vocabulary, dict(zip(groups, jnp.exp(log_l2), strict=True)))
+        l2 = l2_vector(vocabulary, dict(zip(groups, jnp.exp(log_l2), strict=True)))
         weights, _ = train_weights(factored, times, l2, config=config)
         return loss(by_kind(weights, design), design, held, 0.0)
 
@@ -239,7 +239,7 @@ def test_derivative_by_every_strength_is_that_of_the_minimum():
 def test_training_is_traced_once_for_all_strengths(small):
     """New regularisation is new data, not a new program."""
     _, vocabulary, design = small
-    factored, counts = factorise(design), jnp.asarray(all_counts(design))
+    factored, counts = to_device(design), jnp.asarray(all_counts(design))
     config = TrainingConfig(gap=0.1)
 
     @jax.jit
@@ -249,7 +249,7 @@ def test_training_is_traced_once_for_all_strengths(small):
         return jnp.vdot(weights, weights)
 
     uniform = {group: 0.1 for group in ("bias", *FEATURE_GROUPS)}
-    weak, strong = (size(strengths(vocabulary, uniform | {"word": l2})) for l2 in (0.01, 1.0))
+    weak, strong = (size(l2_vector(vocabulary, uniform | {"word": l2})) for l2 in (0.01, 1.0))
     assert float(strong) < float(weak)
 
 
@@ -269,7 +269,7 @@ def test_bad_requests_are_refused(small):
         fit(design, np.ones((1, 3), np.float32), config=TrainingConfig(l2=0.0))
     with pytest.raises(AssertionError, match="shape"):
         train_weights(
-            factorise(design),
+            to_device(design),
             jnp.asarray(all_counts(design)[:1]),
             jnp.ones(design.words.shape[1]),
             config=TrainingConfig(),

@@ -27,9 +27,9 @@ from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.training.examples import (
     annotation_examples,
     behavior_examples,
+    labelled_instructions,
     read_annotation,
     read_behavior,
-    read_examples,
 )
 from jaxlangnav.training.scoring import score_annotations, score_behaviors
 
@@ -48,17 +48,17 @@ def test_symbols_are_read_by_name():
 def test_labels_stand_at_their_phrases():
     (labelled,) = corpus(sentences=("go to the car behind the tree",))
     car, tree = TYPES.index("car"), TYPES.index("tree")
-    (clause,) = labelled.annotated
+    (clause,) = labelled.annotations
     expressed = dict(zip([n.path for n in post_order(clause.root)], clause.expressed, strict=True))
     assert expressed[(0,)] == {relation_symbol(car, BEHIND, tree)}
     assert expressed[(0, 0, 0, 0)] == {object_symbol(car)}
     assert expressed[(0, 0, 0, 1)] == {region_symbol(BEHIND, tree)}
-    assert len(labelled.behaving) == 3
+    assert len(labelled.behaviors) == 3
 
 
 def test_statements_have_no_behavior():
     (labelled,) = corpus(sentences=("the barrel is behind the bench",))
-    assert not any(labelled.behaving)
+    assert not any(labelled.behaviors)
     assert behavior_examples([labelled], TYPES) == []
     assert len(annotation_examples([labelled], TYPES)) == 4
 
@@ -87,18 +87,17 @@ def test_ranks_of_a_landmark_stay_below():
 def test_each_factor_is_an_example():
     instructions = corpus(num_worlds=1, sentences=("go to the car",))
     examples = annotation_examples(instructions, TYPES)
-    assert [len(e.rows["symbol"].labels) for e in examples] == [494] * 3
-    slots = len(instructions[0].behaving[0][0].world.object_type)
-    sizes = [
-        sum(len(r.labels) for r in e.rows.values()) for e in behavior_examples(instructions, TYPES)
-    ]
+    assert [len(e.blocks["symbol"].labels) for e in examples] == [494] * 3
+    slots = len(instructions[0].behaviors[0][0].world.object_type)
+    examples = behavior_examples(instructions, TYPES)
+    sizes = [sum(len(block.labels) for block in it.blocks.values()) for it in examples]
     assert sizes == [8 * slots, 8 * slots, 5 + 14 * slots]
 
 
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)])
 def test_what_is_spoken_and_held_out_is_read_right(every):
     model = load_shipped()
-    instructions = read_examples(load_corpus("corpus_spoken")[::every], TYPES)
+    instructions = labelled_instructions(load_corpus("corpus_spoken")[::every], TYPES)
     both = [[one] for one in (model.annotation, model.behavior)]
     annotation = score_annotations(instructions, both[0], None, TYPES).by_width[4][0]
     behavior = score_behaviors(instructions, *both, None, TYPES).by_width[4][0]
@@ -162,7 +161,7 @@ def alone(space, model, trees, width):
 def alone_behaviors(annotation, model, labelled, width):
     """The same, a row for each world."""
     space = Behaviors(TYPES, infer_annotations(labelled.parse, annotation, TYPES).rank)
-    return [alone(space, model, trees, width) for trees in labelled.behaving]
+    return [alone(space, model, trees, width) for trees in labelled.behaviors]
 
 
 def test_each_of_many_models_is_scored_as_alone(instructions, models):
@@ -177,7 +176,7 @@ def test_each_of_many_models_is_scored_as_alone(instructions, models):
         for k, (annotation, behavior) in enumerate(zip(*models, strict=True)):
             tested = [instructions[i] for i in np.flatnonzero(IS_TESTED[k])]
             wanted = (
-                [alone(Annotations(TYPES), annotation, one.annotated, width) for one in tested],
+                [alone(Annotations(TYPES), annotation, one.annotations, width) for one in tested],
                 [
                     row
                     for one in tested

@@ -22,8 +22,8 @@ from jaxlangnav.world.motion import (
     BODY_RADIUS,
     HOLONOMIC,
     Unicycle,
-    carry_out as move_eagerly,
-    halted,
+    move_body as move_eagerly,
+    stop_at_wall,
 )
 from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import WorldState
@@ -127,17 +127,17 @@ def test_success_is_a_stop_within_a_metre_and_a_half(offset: float, expected: bo
 
 def test_a_wall_halts_the_body_and_its_wheels() -> None:
     terrain, before = among_walls((2.0, 0.0, 2.0, 4.0)), robot()
-    on = halted(before, move(KEY, before, action(3.0, 0.0), motion(length=3.0)), terrain)
+    on = stop_at_wall(before, move(KEY, before, action(3.0, 0.0), motion(length=3.0)), terrain)
     np.testing.assert_allclose(on.position, [2.0 - BODY_RADIUS, 2.0], atol=1e-5)
     np.testing.assert_allclose(on.odometry, [1.5 + 0.75, 2.5, 0.0], atol=1e-5)
     np.testing.assert_allclose(on.distance, 3.75, atol=1e-5)
     # It stands against it, and may leave it.
     chex.assert_trees_all_close(
-        halted(on, move(KEY, on, action(1.0, 0.0), motion()), terrain).position, on.position
+        stop_at_wall(on, move(KEY, on, action(1.0, 0.0), motion()), terrain).position, on.position
     )
     for place in (terrain, OPEN):
         back = move(KEY, on, action(-1.0, 0.0), motion())
-        chex.assert_trees_all_equal(halted(on, back, place), back)
+        chex.assert_trees_all_equal(stop_at_wall(on, back, place), back)
 
 
 MOVE = jax.jit(lambda body, *rest: body.move(*rest))

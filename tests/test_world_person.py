@@ -7,7 +7,7 @@ import pytest
 from recording_fixture import make_scene
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.world.person import PERSONS, Person, RobotView, Says, params_of, say, unspoken
+from jaxlangnav.world.person import PERSONS, Person, RobotView, Says, new_person, params_of, say
 
 SCENARIO = jax.tree.map(jnp.asarray, make_scene().scenario)  # the goal at (9, 1), a cone at (6, 1)
 GOAL, WRONG = 0, 1
@@ -28,7 +28,7 @@ def seen(
 
 
 def watch(params, *sights: RobotView, seed: int = 0) -> tuple[list[Says], Person]:
-    person, told = unspoken(), []
+    person, told = new_person(), []
     for sight in sights:
         person, said, _ = speak(jax.random.key(seed), person, sight, SCENARIO, params=params)
         told.append(Says(int(said)))
@@ -51,7 +51,7 @@ def test_what_is_right_is_not_corrected_and_the_wait_begins_anew() -> None:
 
 def test_a_question_is_answered() -> None:
     person, said, slot = speak(
-        jax.random.key(0), unspoken(), seen(asking=True), SCENARIO, params=params_of()
+        jax.random.key(0), new_person(), seen(asking=True), SCENARIO, params=params_of()
     )
     assert (int(said), int(slot), int(person.num_answers)) == (Says.THIS, GOAL, 1)
     sight = seen(asking=True, candidates=(False, True))
@@ -79,11 +79,11 @@ def test_errors_come_at_their_rate(rate: float) -> None:
         (seen(step=0), Says.FALSEHOOD),
     ):
         _, said, _ = jax.vmap(
-            lambda key, sight=sight: speak(key, unspoken(), sight, SCENARIO, params=params)
+            lambda key, sight=sight: speak(key, new_person(), sight, SCENARIO, params=params)
         )(keys)
         assert abs(float(np.mean(np.asarray(said) == wrong)) - rate) < allowed
     _, _, slot = jax.vmap(
-        lambda key: speak(key, unspoken(), seen(1, asking=True), SCENARIO, params=params)
+        lambda key: speak(key, new_person(), seen(1, asking=True), SCENARIO, params=params)
     )(keys)
     assert abs(float(np.mean(np.asarray(slot) == WRONG)) - rate) < allowed
 

@@ -10,29 +10,29 @@ from jaxlangnav.experiments.tasks import Cell, draw_tasks
 from jaxlangnav.messages import NONE, default_motion, default_sensor
 from jaxlangnav.world.places import (
     BORDER_MARGIN,
-    NUM_HAUNTED,
-    OWN_GAP,
+    GOAL_GAP,
+    NUM_FIXED_CLUTTER,
     PAIR_GAP,
-    PlaceLaw,
+    PlaceParams,
     is_related,
-    place_law,
+    place_params,
 )
 from jaxlangnav.world.state import CONE, HYDRANT
 
 AREA = (-2.0, 12.0, -9.0, 9.0)
 NUMBER = 40
 LAWS = {
-    "plain": place_law(area=AREA),
-    "pairs": place_law(area=AREA, num_pairs=4, num_bystanders=6),
-    "false": place_law(area=AREA, side=-1.0, num_pairs=2),
-    "crowd": place_law(area=AREA, num_pairs=1, num_bystanders=56),
-    "small": place_law(area=(-4.0, 4.0, -4.0, 4.0), num_haunted=3),
-    "no goal": place_law(area=AREA, has_goal=False),
-    "no cone": place_law(area=AREA, has_cone=False),
+    "plain": place_params(area=AREA),
+    "pairs": place_params(area=AREA, num_pairs=4, num_bystanders=6),
+    "false": place_params(area=AREA, side=-1.0, num_pairs=2),
+    "crowd": place_params(area=AREA, num_pairs=1, num_bystanders=56),
+    "small": place_params(area=(-4.0, 4.0, -4.0, 4.0), num_clutter=3),
+    "no goal": place_params(area=AREA, has_goal=False),
+    "no cone": place_params(area=AREA, has_cone=False),
 }
 
 
-def cell(law: PlaceLaw) -> Cell:
+def cell(law: PlaceParams) -> Cell:
     return Cell(
         world="here", relation="behind", instruction_index=0, sensor=default_sensor(),
         motion=default_motion(), episodes=1, seed=0, place=law, assumed_sensor=default_sensor(),
@@ -69,7 +69,7 @@ def test_things_stand_by_the_law(drawn: dict, name: str) -> None:
         own = [one for one in (0, 1) if one in used]
         rest = [one for one in used if one > 1]
         if own and rest:
-            assert apart[np.ix_(own, rest)].min() >= OWN_GAP - 1e-4
+            assert apart[np.ix_(own, rest)].min() >= GOAL_GAP - 1e-4
         hydrants, cones = used[kind[used] == HYDRANT], used[kind[used] == CONE]
         fits = {
             (int(h), int(c))
@@ -93,9 +93,9 @@ def test_goals_are_all_round(drawn: dict) -> None:
 def test_a_place_without_goal_or_haunting_says_so(drawn: dict) -> None:
     assert set(drawn["no goal"].goal_index) == {NONE}
     assert set(drawn["plain"].goal_index) == {0}
-    haunted = (drawn["small"].errors.haunt_type != NONE).sum(axis=1)
-    assert set(haunted) == {3}
-    assert drawn["plain"].errors.haunt_type.shape[1] == NUM_HAUNTED
+    num_clutter = (drawn["small"].errors.clutter_type != NONE).sum(axis=1)
+    assert set(num_clutter) == {3}
+    assert drawn["plain"].errors.clutter_type.shape[1] == NUM_FIXED_CLUTTER
 
 
 def test_a_place_is_the_same_alone_and_among_others(drawn: dict) -> None:
@@ -109,7 +109,7 @@ def test_a_place_is_the_same_alone_and_among_others(drawn: dict) -> None:
 
 def test_too_many_things_are_refused() -> None:
     with pytest.raises(ValueError, match="place of 66 things"):
-        place_law(area=AREA, num_bystanders=64)
+        place_params(area=AREA, num_bystanders=64)
 
 
 def test_places_and_templates_are_not_drawn_at_once() -> None:

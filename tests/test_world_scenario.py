@@ -10,7 +10,7 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.world.scenario import Scenario, draw_scenario, sample_scenario, scenario_law
+from jaxlangnav.world.scenario import Scenario, draw_scenario, sample_scenario, scenario_params
 from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import CONE, HYDRANT
 from jaxlangnav.world.templates import (
@@ -33,7 +33,7 @@ draw_many = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)), compiler_options
 def draw(template: str, relation: str) -> Scenario:
     """Draw many worlds as NumPy arrays."""
     keys = jax.random.split(jax.random.key(0), NUM_WORLDS)
-    worlds = draw_many(keys, scenario_law(template=template, relation=relation))
+    worlds = draw_many(keys, scenario_params(template=template, relation=relation))
     return jax.tree.map(np.asarray, worlds)
 
 
@@ -163,7 +163,7 @@ def test_one_program_draws_every_template_and_relation() -> None:
 
 
 def test_a_world_that_cannot_be_drawn_is_marked() -> None:
-    law = scenario_law(template="4H4C", relation="behind")
+    law = scenario_params(template="4H4C", relation="behind")
     cramped = type(law)(
         num_hydrants=law.num_hydrants,
         num_cones=law.num_cones,

@@ -152,11 +152,11 @@ def errors(invented: tuple[int, ...] = (), haunted: float = 0.0) -> Errors:
     types = jnp.arange(8)
     return Errors(
         is_type=types < 6,
-        is_invented=jnp.isin(types, jnp.array(invented, jnp.int32)),
-        haunt_type=jnp.array([1, NONE], jnp.int32),
-        haunt_x=jnp.array([2.0, 1.0]),
-        haunt_y=jnp.array([1.0, 1.0]),
-        haunt_probability=jnp.float32(haunted),
+        is_clutter=jnp.isin(types, jnp.array(invented, jnp.int32)),
+        clutter_type=jnp.array([1, NONE], jnp.int32),
+        clutter_x=jnp.array([2.0, 1.0]),
+        clutter_y=jnp.array([1.0, 1.0]),
+        clutter_probability=jnp.float32(haunted),
     )
 
 

@@ -11,7 +11,7 @@ from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.runtime import spinner
 from jaxlangnav.cli.settings import SettingPath, apply, apply_to_task, read_settings
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 
 if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
@@ -119,8 +119,8 @@ class Follow:
         """Validate the options; returns the scripted utterances by step."""
         checks.check_range(self.range)
         checks.check_seed(self.seed)
-        refuse_below(2, **{"--particles": self.particles})
-        refuse_below(1, **{"--max-steps": 1 if self.max_steps is None else self.max_steps})
+        check_minimum(2, **{"--particles": self.particles})
+        check_minimum(1, **{"--max-steps": 1 if self.max_steps is None else self.max_steps})
         checks.check_folder("--out", self.out)
         script = speech.read_script(self.hear, self.max_steps or 120)
         speech.check_speakers(ask=self.ask, talk=self.talk, person=self.person)

@@ -9,7 +9,7 @@ from jaxlangnav.cli import checks
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import apply, read_settings
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 
 _DEFAULT_EPISODES = {"robustness": 500}
 _SETTING_GROUPS = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
@@ -129,7 +129,7 @@ class Reproduce:
         minimum = {"trials": 1, "episodes": 1, "particles": 2}
         for option, limit in minimum.items():
             if getattr(self, option) is not None:
-                refuse_below(limit, **{f"--{option}": getattr(self, option)})
+                check_minimum(limit, **{f"--{option}": getattr(self, option)})
         for option, experiments in _EXPERIMENTS_OF_OPTION.items():
             if getattr(self, option) and self.what not in experiments:
                 names = " and ".join(experiments)

@@ -32,7 +32,7 @@ def keep_compiled_programs() -> None:
     import jax
 
     from jaxlangnav.inputs.program_cache import set_cache_dir
-    from jaxlangnav.inputs.whole_files import check_own_files, own_folder
+    from jaxlangnav.inputs.whole_files import check_user_files, user_folder
 
     if not getattr(jax.config, "jax_enable_compilation_cache", True):
         return
@@ -41,15 +41,15 @@ def keep_compiled_programs() -> None:
     try:
         if jax_folder is None:
             # JAX executes what it loads, so other users must not write there.
-            folder = own_folder(_cache_folder("xla"))
-            check_own_files(folder)
+            folder = user_folder(_cache_folder("xla"))
+            check_user_files(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         programs = None
         if jax_folder and "://" not in jax_folder:
             with contextlib.suppress(OSError):
-                programs = own_folder(Path(jax_folder) / "programs")
-        set_cache_dir(programs or own_folder(_cache_folder("programs")), say=note)
+                programs = user_folder(Path(jax_folder) / "programs")
+        set_cache_dir(programs or user_folder(_cache_folder("programs")), say=note)
     except OSError as error:
         note(f"compiled programs are not kept: {one_line(error)}")
 

@@ -10,7 +10,7 @@ import tyro
 from jaxlangnav.cli.checks import File, check_file, check_seed
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.language.phrase import MIN_PROBABILITY
 
 
@@ -141,12 +141,12 @@ class Evaluate:
 
     def run(self, output: Output) -> Document:
         """Run the protocol and print the table beside the paper's."""
-        refuse_below(2, **{"--splits": self.splits})
+        check_minimum(2, **{"--splits": self.splits})
         check_seed(self.seed)
         if not self.beams:
             raise UsageError("--beams needs at least one width")
         for beam in self.beams:
-            refuse_below(1, **{"--beams": beam})
+            check_minimum(1, **{"--beams": beam})
         if not 0.0 <= self.least_probability <= 1.0:
             raise UsageError(f"--least-probability must be in [0, 1], not {self.least_probability}")
         if self.rewrites is not None and self.sentences is None:

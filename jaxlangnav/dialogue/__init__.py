@@ -1,17 +1,17 @@
-"""What a stream of utterances leaves behind: words joined, things ruled out, what is spoken of."""
+"""Dialogue state: merged readings of all utterances, answers, exclusions and avoidance."""
 
-from jaxlangnav.dialogue.history import Merged as Merged, first_words as first_words
+from jaxlangnav.dialogue.history import Merged as Merged, discourse_of as discourse_of
 from jaxlangnav.dialogue.memory import (
     AVOID_ALL as AVOID_ALL,
     AVOID_IT as AVOID_IT,
     Conversation as Conversation,
-    Words as Words,
-    as_answered as as_answered,
-    avoided as avoided,
+    DiscourseInfo as DiscourseInfo,
+    add_avoidance as add_avoidance,
+    apply_answers as apply_answers,
     begin_conversation as begin_conversation,
-    excluding as excluding,
-    focus as focus,
-    pinned as pinned,
-    seen_from as seen_from,
+    compose_poses as compose_poses,
+    exclude_slots as exclude_slots,
+    pin_goals as pin_goals,
+    task_mentions as task_mentions,
 )
-from jaxlangnav.dialogue.merge import join as join
+from jaxlangnav.dialogue.merge import merge_utterance as merge_utterance

@@ -1,7 +1,7 @@
-"""All that has been said, as records of the host: the history A^t of section 3.2.
+"""Host-side records of the utterance history A^t (section 3.2), read from and written to arrays.
 
-They are read from the arrays that the engine holds, and written into such arrays. One ``Merged``
-serves a whole batch that has heard the same: it says where in the old arrays each entry came from.
+One ``Merged`` serves a whole batch that has heard the same utterances: it says where in the old
+arrays each entry came from.
 """
 
 import dataclasses
@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.dialogue.memory import AVOID_ALL, AVOID_IT, Words, heard_alone
-from jaxlangnav.grounding.instruction import Instruction, Spoken
+from jaxlangnav.dialogue.memory import AVOID_ALL, AVOID_IT, DiscourseInfo, default_discourse
+from jaxlangnav.grounding.instruction import Instruction, Referents
 from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.pytree import pytree, replace
@@ -21,206 +21,207 @@ from jaxlangnav.pytree import pytree, replace
 
 @pytree
 class Merged:
-    """What has been said with what is said now; C commands of the new utterance lead."""
+    """Readings of all utterances, the new one merged in; its C commands come first."""
 
-    instruction: Instruction  # the new utterance, with the readings of all that has been said
-    words: Words  # with the goals of the old commands
-    new_goal: jax.Array  # i32[K, C] mention that each new command is about
-    new_pinned: jax.Array  # bool[K, C] earlier utterances say which one that is
-    from_relation: jax.Array  # i32[K, J] where it was among the old ones, k J + j; NONE: it is new
-    from_mention: jax.Array  # i32[K, M] likewise, k M + m
+    instruction: Instruction  # the new utterance, with the readings of all utterances
+    words: DiscourseInfo  # with the goals of the old commands
+    new_goal: jax.Array  # i32[K, C] goal mention of each new command
+    new_pinned: jax.Array  # bool[K, C] earlier utterances specify which object that is
+    from_relation: jax.Array  # i32[K, J] old index k J + j of each relation; NONE: it is new
+    from_mention: jax.Array  # i32[K, M] old index k M + m of each mention; NONE: it is new
 
 
-class Edge(NamedTuple):
-    """One relation, as ``Relation`` has it, and who said it."""
+class RelationEdge(NamedTuple):
+    """One relation between mentions, as in ``Readings``, and the utterance that stated it."""
 
     figure: int
     relation: int
     landmark: int
     rank: int
-    heard: int
-    source: int = NONE
+    utterance: int
+    source: int = NONE  # its old index
 
-    def moved(self, places: Sequence[int]) -> "Edge":
+    def renumber(self, indices: Sequence[int]) -> "RelationEdge":
         """Renumber its mentions."""
-        figure, landmark = moved((self.figure, self.landmark), places)
+        figure, landmark = renumber((self.figure, self.landmark), indices)
         return self._replace(figure=figure, landmark=landmark)
 
 
-def moved(mentions: Sequence[int], places: Sequence[int]) -> list[int]:
+def renumber(mentions: Sequence[int], indices: Sequence[int]) -> list[int]:
     """Renumber mentions; ``NONE`` stays."""
-    return [NONE if one == NONE else places[one] for one in mentions]
+    return [NONE if mention == NONE else indices[mention] for mention in mentions]
 
 
 @dataclasses.dataclass
 class Mention:
-    """One thing spoken of."""
+    """One object that utterances refer to."""
 
-    kind: int
+    type_code: int
     is_asked: bool
     avoid: int = 0
-    source: int = NONE
+    source: int = NONE  # its old index
 
     @property
     def label(self) -> int:
-        """Its type, whatever it looks like."""
-        return int(label_of(self.kind))
+        """Its object type, without attributes."""
+        return int(label_of(self.type_code))
 
 
 @dataclasses.dataclass
 class History:
-    """One reading of all that has been said."""
+    """One reading of all utterances so far."""
 
     mentions: list[Mention]
-    edges: list[Edge]
+    edges: list[RelationEdge]
     goals: list[int]  # of the old commands
     pinned: list[bool]  # likewise
     new_goals: list[int]
     log_probability: float
     num_dropped: int = 0
 
-    def is_told(self, goal: int, heard: int, *, is_now: bool) -> bool:
-        """Tell whether the utterance now, or those before, say where the thing of a goal is."""
-        return goal != NONE and any(
-            goal in (one.figure, one.landmark) and (one.heard == heard) == is_now
-            for one in self.edges
-            if one.relation != NONE
+    def is_described(self, mention: int, utterance: int, *, is_now: bool) -> bool:
+        """Tell whether this utterance (``is_now``) or any other one relates a mention."""
+        return mention != NONE and any(
+            mention in (edge.figure, edge.landmark) and (edge.utterance == utterance) == is_now
+            for edge in self.edges
+            if edge.relation != NONE
         )
 
     def description(self, mention: int) -> frozenset[tuple[int, ...]]:
-        """List what is said of a thing; what is said of the robot is so where it was said."""
+        """Collect a mention's relations; those to the robot hold only for their own utterance."""
         return frozenset(
-            (one.relation, kind, one.rank, one.heard if kind == ROBOT else NONE)
-            for one in self.edges
-            if one.figure == mention and one.relation != NONE
-            for kind in (self.mentions[one.landmark].kind,)
+            (edge.relation, code, edge.rank, edge.utterance if code == ROBOT else NONE)
+            for edge in self.edges
+            if edge.figure == mention and edge.relation != NONE
+            for code in (self.mentions[edge.landmark].type_code,)
         )
 
 
-def histories_of(readings: Readings, words: Words) -> list[History]:
-    """Read readings of one robot, leaves [K, ...], into records, the likeliest first."""
-    table, about = jax.device_get((readings, words))
+def histories_of(readings: Readings, words: DiscourseInfo) -> list[History]:
+    """Convert the readings of one robot, leaves [K, ...], to records, the likeliest first."""
+    table, info = jax.device_get((readings, words))
     num_mentions, num_relations = table.mention_type.shape[1], table.relation.shape[1]
-    found = []
-    things = np.stack([table.mention_type, about.is_asked, about.avoid], axis=-1)
-    ties = (table.figure, table.relation, table.landmark, table.rank, about.heard)
+    histories = []
+    mention_rows = np.stack([table.mention_type, info.is_asked, info.avoid], axis=-1)
+    columns = (table.figure, table.relation, table.landmark, table.rank, info.heard)
     for k in np.argsort(-table.log_probability, kind="stable").tolist():
         if table.log_probability[k] == -np.inf:
             continue
         mentions = [
-            Mention(kind, bool(is_asked), avoid, source=k * num_mentions + m)
-            for m, (kind, is_asked, avoid) in enumerate(things[k].tolist())
-            if kind != NONE
+            Mention(type_code, bool(is_asked), avoid, source=k * num_mentions + m)
+            for m, (type_code, is_asked, avoid) in enumerate(mention_rows[k].tolist())
+            if type_code != NONE
         ]
         edges = [
-            Edge(*row, source=k * num_relations + j)
-            for j, row in enumerate(np.stack(ties, axis=-1)[k].tolist())
+            RelationEdge(*row, source=k * num_relations + j)
+            for j, row in enumerate(np.stack(columns, axis=-1)[k].tolist())
             if row[0] != NONE
         ]
-        goals, pinned = about.goal[k].tolist(), about.is_pinned[k].tolist()
+        goals, pinned = info.goal[k].tolist(), info.is_pinned[k].tolist()
         log_probability = float(table.log_probability[k])
-        found.append(History(mentions, edges, goals, pinned, [], log_probability))
-    return found
+        histories.append(History(mentions, edges, goals, pinned, [], log_probability))
+    return histories
 
 
-def _goals(reading: History, told: Spoken, landmarks: set[int], num_clauses: int) -> list[int]:
-    """Find the mention that each command of a sentence is about."""
+def _goals(history: History, spoken: Referents, landmarks: set[int], num_clauses: int) -> list[int]:
+    """Find the goal mention of each command of a sentence."""
     goals: list[int] = []
-    for index in range(num_clauses):
-        kind = told.goals[index] if index < len(told.goals) else None
-        alike = [
+    for clause in range(num_clauses):
+        goal_type = spoken.goals[clause] if clause < len(spoken.goals) else None
+        types = None if goal_type is None else spoken.types_of(goal_type)
+        candidates = [
             m
-            for m, one in enumerate(reading.mentions)
-            if (one.kind != ROBOT if kind is None else one.label in told.may_be(kind))
+            for m, mention in enumerate(history.mentions)
+            if (mention.type_code != ROBOT if types is None else mention.label in types)
         ]
-        alike = [m for m in alike if m not in landmarks] or alike
-        before = sum(one == kind for one in told.goals[:index])
-        goals.append(alike[min(before, len(alike) - 1)] if alike and kind != NONE else NONE)
+        candidates = [m for m in candidates if m not in landmarks] or candidates
+        index = min(spoken.goals[:clause].count(goal_type), len(candidates) - 1)
+        goals.append(candidates[index] if candidates and goal_type != NONE else NONE)
     return goals
 
 
 def new_histories(
-    instruction: Instruction, spoken: Spoken | None, heard: int, *, is_asked: bool
+    instruction: Instruction, spoken: Referents | None, utterance: int, *, is_asked: bool
 ) -> list[History]:
-    """Read a new, grounded utterance into records, the likeliest first.
+    """Convert a new, grounded utterance to records, the likeliest reading first.
 
-    ``spoken`` is what it speaks of, None: as its readings show; ``heard`` its number; ``is_asked``
-    whether it asks for what it speaks of.
+    ``spoken`` is what it refers to, None: as its readings show; ``utterance`` its number;
+    ``is_asked`` whether it requests what it refers to.
     """
-    number, told = int(instruction.num_clauses), spoken or Spoken()
-    words = heard_alone(instruction, heard, is_asked=is_asked, xp=np)
-    found = histories_of(instruction.readings, words)
-    for reading in found:
-        reading.edges = [one._replace(source=NONE) for one in reading.edges]
-        landmarks = {one.landmark for one in reading.edges}
-        reading.new_goals = _goals(reading, told, landmarks, number)
-        for index, one in enumerate(reading.mentions):
-            one.source = NONE
-            for kind, is_all in told.avoided:
-                if one.label == kind and index not in landmarks:
-                    one.avoid = AVOID_ALL if is_all else AVOID_IT
-    return found
+    references = spoken or Referents()
+    words = default_discourse(instruction, utterance, is_asked=is_asked, xp=np)
+    histories = histories_of(instruction.readings, words)
+    for history in histories:
+        history.edges = [edge._replace(source=NONE) for edge in history.edges]
+        landmarks = {edge.landmark for edge in history.edges}
+        history.new_goals = _goals(history, references, landmarks, int(instruction.num_clauses))
+        for m, mention in enumerate(history.mentions):
+            mention.source = NONE
+            for label, is_all in references.avoided:
+                if mention.label == label and m not in landmarks:
+                    mention.avoid = AVOID_ALL if is_all else AVOID_IT
+    return histories
 
 
-def _table(rows: Iterable[Sequence[Any]], number: int, width: int, empty: Sequence[int]) -> Any:
-    """Lay out rows of entries as columns i32[number, width], filled up with what is empty."""
-    found = np.full((number, width, len(empty)), empty, np.int32)
-    for place, row in enumerate(rows):
-        found[place, : len(row)] = np.reshape(row, (-1, len(empty)))
-    return np.moveaxis(found, 2, 0)
+def _table(rows: Iterable[Sequence[Any]], height: int, width: int, padding: Sequence[int]) -> Any:
+    """Lay out rows of entries as columns i32[height, width], filled up with ``padding``."""
+    table = np.full((height, width, len(padding)), padding, np.int32)
+    for index, row in enumerate(rows):
+        table[index, : len(row)] = np.reshape(row, (-1, len(padding)))
+    return np.moveaxis(table, 2, 0)
 
 
-def written(
+def to_arrays(
     ranked: Sequence[History],
     sizes: tuple[int, int, int, int],
     instruction: Instruction,
-    heard: int,
+    utterance: int,
 ) -> Merged:
-    """Write histories, the likeliest first, into arrays of K, M, J and C.
+    """Convert histories, the likeliest first, to arrays of sizes K, M, J and C.
 
-    ``instruction`` is what has been said last, ``heard`` its number; probabilities sum to one.
+    ``instruction`` is the latest utterance, ``utterance`` its number; probabilities sum to one.
     """
-    number, num_mentions, num_edges, num_commands = sizes
-    log_all = [one.log_probability for one in ranked]
-    log_probability = np.full(number, -np.inf, np.float32)
+    k_size, m_size, j_size, c_size = sizes
+    log_all = [history.log_probability for history in ranked]
+    log_probability = np.full(k_size, -np.inf, np.float32)
     log_probability[: len(ranked)] = np.array(log_all) - np.logaddexp.reduce(log_all)
 
-    things = ([dataclasses.astuple(it) for it in one.mentions] for one in ranked)
-    kind, is_asked, avoid, from_mention = _table(things, number, num_mentions, (NONE, 0, 0, NONE))
-    ties = (one.edges for one in ranked)
-    figure, relation, landmark, rank, said, from_relation = _table(
-        ties, number, num_edges, Edge(NONE, NONE, NONE, 0, 0)
-    )
+    mentions = ([dataclasses.astuple(it) for it in history.mentions] for history in ranked)
+    codes, is_asked, avoid, from_mention = _table(mentions, k_size, m_size, (NONE, 0, 0, NONE))
+    edges = (history.edges for history in ranked)
+    padding = RelationEdge(NONE, NONE, NONE, 0, 0)
+    figure, relation, landmark, rank, heard, from_relation = _table(edges, k_size, j_size, padding)
     old = (
         [
-            (goal, was or one.is_told(goal, heard, is_now=True))
-            for goal, was in zip(one.goals, one.pinned, strict=True)
+            (goal, was or history.is_described(goal, utterance, is_now=True))
+            for goal, was in zip(history.goals, history.pinned, strict=True)
         ]
-        for one in ranked
+        for history in ranked
     )
     new = (
-        [(goal, one.is_told(goal, heard, is_now=False)) for goal in one.new_goals] for one in ranked
+        [(goal, it.is_described(goal, utterance, is_now=False)) for goal in it.new_goals]
+        for it in ranked
     )
-    goal, is_pinned = _table(old, number, num_commands, (NONE, 0))
-    new_goal, new_pinned = _table(new, number, num_commands, (NONE, 0))
+    goal, is_pinned = _table(old, k_size, c_size, (NONE, 0))
+    new_goal, new_pinned = _table(new, k_size, c_size, (NONE, 0))
     readings = Readings(
-        mention_type=kind,
+        mention_type=codes,
         figure=figure,
         relation=relation,
         landmark=landmark,
         rank=rank,
         log_probability=jnp.asarray(log_probability),
     )
-    words = Words(
+    words = DiscourseInfo(
         is_asked=is_asked > 0,
         avoid=avoid,
         goal=goal,
         is_pinned=is_pinned > 0,
-        heard=said,
-        num_heard=jnp.int32(heard + 1),
+        heard=heard,
+        num_heard=jnp.int32(utterance + 1),
         num_dropped=jnp.int32(ranked[0].num_dropped),
     )
-    joined = Merged(
+    merged = Merged(
         instruction=replace(instruction, readings=readings),
         words=words,
         new_goal=new_goal,
@@ -228,14 +229,14 @@ def written(
         from_relation=from_relation,
         from_mention=from_mention,
     )
-    return jax.device_put(joined)
+    return jax.device_put(merged)
 
 
-def first_words(instruction: Instruction, spoken: Spoken | None) -> Words:
-    """Tell what the readings of the first sentence, padded, are about; ``spoken`` as elsewhere."""
-    words = heard_alone(instruction, xp=np)
+def discourse_of(instruction: Instruction, spoken: Referents | None) -> DiscourseInfo:
+    """Find the goal mentions of the first utterance in its padded readings."""
+    words = default_discourse(instruction, xp=np)
     goal = np.array(words.goal)
     order = np.argsort(-np.asarray(instruction.readings.log_probability), kind="stable")
-    for k, one in zip(order, new_histories(instruction, spoken, 0, is_asked=True), strict=False):
-        goal[k, : len(one.new_goals)] = one.new_goals
+    for k, new in zip(order, new_histories(instruction, spoken, 0, is_asked=True), strict=False):
+        goal[k, : len(new.new_goals)] = new.new_goals
     return jax.device_put(dataclasses.replace(words, goal=goal))

@@ -1,195 +1,196 @@
-"""Joining what has been said with what is said now (host; section 3.2, the history A^t).
+"""Merge a new utterance into the utterance history A^t (host; section 3.2).
 
-Readings of earlier utterances and of the new one are multiplied: of all pairs the K likeliest stay.
-A thing of the new one is a thing spoken of before where language says so. What does not fit the
-arrays leaves, the oldest relations first, and is counted. All of it depends on the words alone.
+Readings of the history and of the new utterance are multiplied: the K likeliest pairs are kept.
+Coreference rules identify new mentions with old ones. What exceeds the arrays' capacity is dropped,
+the oldest relations first, and counted. All of it depends on the utterances alone.
 """
 
 import dataclasses
 import itertools
 
 from jaxlangnav.dialogue.history import (
-    Edge,
     History,
     Merged,
+    RelationEdge,
     histories_of,
-    moved,
     new_histories,
-    written,
+    renumber,
+    to_arrays,
 )
-from jaxlangnav.dialogue.memory import Words
-from jaxlangnav.grounding.instruction import Instruction, Spoken
+from jaxlangnav.dialogue.memory import DiscourseInfo
+from jaxlangnav.grounding.instruction import Instruction, Referents
 from jaxlangnav.grounding.readings import topological_order, untyped_last
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 
 
-def _places(old: History, new: History, told: Spoken, *, is_loose: bool) -> list[int]:
-    """Find which mention of all that is said each mention of the new utterance is."""
-    places: list[int] = []
-    size, again = len(old.mentions), _said_again(old, new)
-    for index, one in enumerate(new.mentions):
-        if index in again:
-            places.append(again[index])
+def _resolve(old: History, new: History, spoken: Referents, *, is_loose: bool) -> list[int]:
+    """Resolve coreference: the merged index of each mention of the new utterance."""
+    indices: list[int] = []
+    size, repeated = len(old.mentions), _repeated_mentions(old, new)
+    for index, mention in enumerate(new.mentions):
+        if index in repeated:
+            indices.append(repeated[index])
             continue
-        taken = {*places, *again.values()} if one.kind != ROBOT else set()
-        alike = [m for m, it in enumerate(old.mentions) if it.kind == one.kind and m not in taken]
-        # What the task speaks of comes to mind first, then what was spoken of last.
-        alike.sort(key=lambda m: (old.mentions[m].is_asked, m), reverse=True)
-        said = new.description(index)
-        if one.kind != ROBOT and one.label in told.others:
-            alike = []
-        elif one.kind != ROBOT and one.label not in told.known:
-            # Two descriptions may be of one thing where one of them says all that the other does.
-            before = {m: old.description(m) for m in alike}
-            alike = [m for m in alike if said <= before[m] or before[m] <= said]
-            alike = [m for m in alike if is_loose or before[m] or not said]
-        places.append(alike[0] if alike else size)
-        size += not alike
-    return places
+        code, is_robot = mention.type_code, mention.type_code == ROBOT
+        taken = set() if is_robot else {*indices, *repeated.values()}
+        same = [m for m, it in enumerate(old.mentions) if it.type_code == code and m not in taken]
+        # Salience: mentions that the task requests come first, then the most recent.
+        same.sort(key=lambda m: (old.mentions[m].is_asked, m), reverse=True)
+        description = new.description(index)
+        if not is_robot and mention.label in spoken.others:
+            same = []
+        elif not is_robot and mention.label not in spoken.known:
+            # Two descriptions may refer to one object where one of them includes the other.
+            before = {m: old.description(m) for m in same}
+            same = [m for m in same if description <= before[m] or before[m] <= description]
+            same = [m for m in same if is_loose or before[m] or not description]
+        indices.append(same[0] if same else size)
+        size += not same
+    return indices
 
 
-def _said_again(old: History, new: History) -> dict[int, int]:
-    """Find what the new utterance describes, beside others of its kind, as it has been before."""
-    # Of "the cone behind the cone", said again, neither cone is the other one.
-    kinds, found = [one.kind for one in new.mentions], {}
-    for index, one in enumerate(new.mentions):
-        said = new.description(index)
-        alike = [
+def _repeated_mentions(old: History, new: History) -> dict[int, int]:
+    """Match new mentions of a type that occurs twice to old ones of the same description."""
+    # Of "the cone behind the cone", repeated, neither cone is the other one.
+    codes, matches = [mention.type_code for mention in new.mentions], {}
+    for index, code in enumerate(codes):
+        text = new.description(index)
+        same = [
             m
             for m, it in enumerate(old.mentions)
-            if it.kind == one.kind and m not in found.values() and old.description(m) == said
+            if it.type_code == code and m not in matches.values() and old.description(m) == text
         ]
-        if said and alike and kinds.count(one.kind) > 1:
-            found[index] = alike[-1]
-    return found
+        if text and same and codes.count(code) > 1:
+            matches[index] = same[-1]
+    return matches
 
 
 def _product(
-    old: History, new: History, told: Spoken, *, is_new_task: bool, is_loose: bool
+    old: History, new: History, spoken: Referents, *, is_new_task: bool, is_loose: bool
 ) -> History:
-    places = _places(old, new, told, is_loose=is_loose)
+    indices = _resolve(old, new, spoken, is_loose=is_loose)
     mentions = [
-        dataclasses.replace(one, is_asked=one.is_asked and not is_new_task) for one in old.mentions
+        dataclasses.replace(it, is_asked=it.is_asked and not is_new_task) for it in old.mentions
     ]
-    for place, one in zip(places, new.mentions, strict=True):
-        if place == len(mentions):
-            mentions.append(dataclasses.replace(one))
-        known = mentions[place]
-        known.is_asked = known.is_asked or one.is_asked
-        known.avoid = max(known.avoid, one.avoid)
+    for index, mention in zip(indices, new.mentions, strict=True):
+        if index == len(mentions):
+            mentions.append(dataclasses.replace(mention))
+        merged = mentions[index]
+        merged.is_asked = merged.is_asked or mention.is_asked
+        merged.avoid = max(merged.avoid, mention.avoid)
     edges = list(old.edges)
-    known_edges = {one._replace(heard=0, source=NONE) for one in edges}
-    for one in (edge.moved(places) for edge in new.edges):
-        # From another place "behind the cone" is another side of it: said again, it is news.
-        # What lies between two things does so from anywhere.
-        is_news = one.relation not in (NONE, BETWEEN)
-        if is_news or one._replace(heard=0) not in known_edges:
-            edges.append(one)
-    total, goals = old.log_probability + new.log_probability, moved(new.new_goals, places)
+    old_edges = {edge._replace(utterance=0, source=NONE) for edge in edges}
+    for edge in (edge.renumber(indices) for edge in new.edges):
+        # From another viewpoint "behind the cone" is another side of it: repeated, it adds a
+        # relation. "Between" does not depend on the viewpoint.
+        is_viewed = edge.relation not in (NONE, BETWEEN)
+        if is_viewed or edge._replace(utterance=0) not in old_edges:
+            edges.append(edge)
+    total, goals = old.log_probability + new.log_probability, renumber(new.new_goals, indices)
     return History(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
 
 
-def _is_apart(old: History, new: History, told: Spoken) -> bool:
-    """Tell whether what is spoken of as known is of one type before, and of another one now."""
-    # Of a noun that may be either of two labels each is a reading of its own.
-    before, now = ({one.label for one in said.mentions} for said in (old, new))
+def _is_inconsistent(old: History, new: History, spoken: Referents) -> bool:
+    """Tell whether an ambiguous noun, taken as known, has another type in the old reading."""
+    # A noun that may name either of two labels has one reading for each.
+    before, now = ({mention.label for mention in it.mentions} for it in (old, new))
     return any(
-        told.known >= set(way) and bool(before & set(way)) and not before & now & set(way)
-        for way in told.ways
+        spoken.known >= set(types) and bool(before & set(types)) and not before & now & set(types)
+        for types in spoken.candidates
     )
 
 
-def _tidied(reading: History) -> History:
-    """Leave out that a thing exists where more is said of it; ask for what the goals hang on."""
-    ends = [{one.figure, one.landmark} for one in reading.edges if one.relation != NONE]
-    placed = set().union(*ends)
-    reading.edges = [
-        one for one in reading.edges if one.relation != NONE or one.figure not in placed
+def _simplify(history: History) -> History:
+    """Drop bare existence of related mentions; request mentions that requested ones depend on."""
+    ends = [{edge.figure, edge.landmark} for edge in history.edges if edge.relation != NONE]
+    related = set().union(*ends)
+    history.edges = [
+        edge for edge in history.edges if edge.relation != NONE or edge.figure not in related
     ]
-    for pair in ends * len(reading.mentions):
-        things = [reading.mentions[m] for m in pair]
-        if any(one.is_asked for one in things if one.kind != ROBOT):
-            for one in things:
-                one.is_asked = True
-    return reading
+    for pair in ends * len(history.mentions):
+        mentions = [history.mentions[m] for m in pair]
+        if any(mention.is_asked for mention in mentions if mention.type_code != ROBOT):
+            for mention in mentions:
+                mention.is_asked = True
+    return history
 
 
-def _is_needed(reading: History, edge: Edge) -> bool:
-    """Tell whether a relation is the last that speaks of a goal, or of what is to be avoided."""
-    goals = {*reading.goals, *reading.new_goals} - {NONE}
-    needed = goals | {m for m, one in enumerate(reading.mentions) if one.avoid}
-    held = {end for one in reading.edges if one is not edge for end in (one.figure, one.landmark)}
-    return bool({edge.figure, edge.landmark} & needed - held)
+def _is_needed(history: History, edge: RelationEdge) -> bool:
+    """Tell whether a relation is the last one of a goal, or of a mention to be avoided."""
+    goals = {*history.goals, *history.new_goals} - {NONE}
+    needed = goals | {m for m, mention in enumerate(history.mentions) if mention.avoid}
+    others = {end for it in history.edges if it is not edge for end in (it.figure, it.landmark)}
+    return bool({edge.figure, edge.landmark} & needed - others)
 
 
-def _fitted(reading: History, num_mentions: int, num_relations: int) -> History:
-    """Drop the oldest relations, and what nothing speaks of any more, until the arrays hold it."""
+def _fit_capacity(history: History, num_mentions: int, num_relations: int) -> History:
+    """Drop the oldest relations, and mentions left without any, until the arrays suffice."""
     dropped = 0
     while True:
-        touched = {end for one in reading.edges for end in (one.figure, one.landmark)}
-        kept = [m for m in range(len(reading.mentions)) if m in touched]
-        if len(kept) <= num_mentions and len(reading.edges) <= num_relations:
+        related = {end for edge in history.edges for end in (edge.figure, edge.landmark)}
+        kept = [m for m in range(len(history.mentions)) if m in related]
+        if len(kept) <= num_mentions and len(history.edges) <= num_relations:
             break
-        oldest = min(reading.edges, key=lambda one: (_is_needed(reading, one), one.heard))
-        # "Between" says nothing by halves: a relation goes where its other one does.
-        is_half = oldest.relation == BETWEEN
-        reading.edges = [
-            one
-            for one in reading.edges
-            if one is not oldest
-            and not (is_half and one.relation == BETWEEN and one.figure == oldest.figure)
+        oldest = min(history.edges, key=lambda edge: (_is_needed(history, edge), edge.utterance))
+        # "Between" has two relations, which are dropped together.
+        is_between = oldest.relation == BETWEEN
+        history.edges = [
+            edge
+            for edge in history.edges
+            if edge is not oldest
+            and not (is_between and edge.relation == BETWEEN and edge.figure == oldest.figure)
         ]
         dropped += 1
-    place = [kept.index(m) if m in touched else NONE for m in range(len(reading.mentions))]
-    mentions = [reading.mentions[m] for m in kept]
-    edges = topological_order([one.moved(place) for one in reading.edges])
+    indices = [kept.index(m) if m in related else NONE for m in range(len(history.mentions))]
+    mentions = [history.mentions[m] for m in kept]
+    edges = topological_order([edge.renumber(indices) for edge in history.edges])
     return dataclasses.replace(
-        reading,
+        history,
         mentions=mentions,
-        edges=untyped_last(edges, [one.kind for one in mentions]),
-        goals=moved(reading.goals, place),
-        new_goals=moved(reading.new_goals, place),
-        num_dropped=reading.num_dropped + dropped,
+        edges=untyped_last(edges, [mention.type_code for mention in mentions]),
+        goals=renumber(history.goals, indices),
+        new_goals=renumber(history.new_goals, indices),
+        num_dropped=history.num_dropped + dropped,
     )
 
 
-def join(
+def merge_utterance(
     readings: Readings,
-    words: Words,
+    words: DiscourseInfo,
     instruction: Instruction,
-    spoken: Spoken | None,
+    spoken: Referents | None,
     *,
     is_new_task: bool,
     is_loose: bool = True,
     is_asked: bool = True,
 ) -> Merged:
-    """Join what has been said with what is said now.
+    """Merge a new utterance into the readings of the utterance history.
 
     Args:
-        readings: of all that has been said, leaves [K, ...], of one robot.
-        words: what they are about.
-        instruction: what is said now.
-        spoken: what it speaks of; None: as its readings show.
-        is_new_task: it takes the place of the present task, which need not be looked for any more.
-        is_loose: what is said of a thing may be said of one of which nothing was said before; a new
-            task speaks of a thing of its own then, for the other one may have been ruled out.
-        is_asked: it asks for what it speaks of; a statement does not.
+        readings: of the history, leaves [K, ...], of one robot.
+        words: discourse information on them.
+        instruction: the new utterance.
+        spoken: what it refers to; None: as its readings show.
+        is_new_task: it replaces the present task, whose mentions are no longer requested.
+        is_loose: a described mention may refer to one without any description; false for a new
+            task, whose mention is then a new object, as the other one may have been ruled out.
+        is_asked: it requests what it refers to; a statement does not.
 
     Returns:
-        The K likeliest readings of both, in arrays of the size of ``readings``.
+        The K likeliest merged readings, in arrays of the sizes of ``readings``.
     """
-    heard = int(words.num_heard)
+    utterance = int(words.num_heard)
     old = histories_of(readings, words) or [History([], [], [], [], [], 0.0)]
-    new = new_histories(instruction, spoken, heard, is_asked=is_asked)
+    new = new_histories(instruction, spoken, utterance, is_asked=is_asked)
     new = new or [History([], [], [], [], [NONE] * int(instruction.num_clauses), 0.0)]
-    pairs, told = list(itertools.product(old, new)), spoken or Spoken()
-    both = [
-        _product(one, other, told, is_new_task=is_new_task, is_loose=is_loose)
-        for one, other in [pair for pair in pairs if not _is_apart(*pair, told)] or pairs
+    pairs, references = list(itertools.product(old, new)), spoken or Referents()
+    merged = [
+        _product(*pair, references, is_new_task=is_new_task, is_loose=is_loose)
+        for pair in [it for it in pairs if not _is_inconsistent(*it, references)] or pairs
     ]
-    both.sort(key=lambda one: -one.log_probability)
+    merged.sort(key=lambda history: -history.log_probability)
     (k_size, m_size), j_size = readings.mention_type.shape, readings.relation.shape[1]
-    ranked = [_fitted(_tidied(one), m_size, j_size) for one in both[:k_size]]
+    ranked = [_fit_capacity(_simplify(history), m_size, j_size) for history in merged[:k_size]]
     ranked[0].num_dropped += int(words.num_dropped)
     sizes = k_size, m_size, j_size, words.goal.shape[1]
-    return written(ranked, sizes, instruction, heard)
+    return to_arrays(ranked, sizes, instruction, utterance)

@@ -47,7 +47,7 @@ from jaxlangnav.environments.command import (
 from jaxlangnav.environments.pool import next_world
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import pytree, replace
@@ -55,8 +55,8 @@ from jaxlangnav.task.opening import detector_of, open_task
 from jaxlangnav.terrain.view import eye_of, rotate
 from jaxlangnav.world import simulator
 from jaxlangnav.world.files import WorldFile, open_world
-from jaxlangnav.world.motion import carry_out, halted, plain_action
-from jaxlangnav.world.scenario import ScenarioLaw, scenario_law
+from jaxlangnav.world.motion import move_body, plain_action, stop_at_wall
+from jaxlangnav.world.scenario import ScenarioParams, scenario_params
 from jaxlangnav.world.sensor import NUM_DETECTIONS, sense
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -83,7 +83,7 @@ OBSERVATION_SIZE = VIEW_SIZE + 6 + NUM_CELLS**2
 class EnvironmentParams:
     """Parameters of an environment; traced, may vary over the batch."""
 
-    worlds: ScenarioLaw | Scenario  # their distribution, or a pool, leaves [N, …]
+    worlds: ScenarioParams | Scenario  # their distribution, or a pool, leaves [N, …]
     command: EmbeddedCommand
     sensor: SensorParams
     motion: MotionParams
@@ -143,7 +143,7 @@ def default_params(
     """
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be above 0 m")
-    refuse_below(1, max_steps=max_steps)
+    check_minimum(1, max_steps=max_steps)
     model, source = load_shipped(), open_world(world)
     is_find = False
     if isinstance(source, WorldFile):
@@ -160,7 +160,7 @@ def default_params(
     elif instruction is not None:
         raise ValueError(f"instruction is given, but in {world} worlds relation names the command")
     else:
-        worlds = scenario_law(template=source, relation=relation)
+        worlds = scenario_params(template=source, relation=relation)
         sensor, motion = default_sensor(sensing_range or 3.0), default_motion()
         understood = understand(text_of(world=world, relation=relation), model)
     range_max = jnp.maximum(sensor.range_max, simulator.SUCCESS_RADIUS)
@@ -268,8 +268,8 @@ def _transition(
     is_stopped = action[2] > STOP_ABOVE
     displacement = action[:2] * params.motion.step_length
     command = plain_action(state.world.odometry[:2] + displacement, displacement, is_stopped)
-    target = carry_out(key, state.world, command, params.motion)
-    world = halted(state.world, target, state.scenario.terrain)
+    target = move_body(key, state.world, command, params.motion)
+    world = stop_at_wall(state.world, target, state.scenario.terrain)
     next_state = replace(state, world=world, steps=state.steps + 1)
     previous_distance = simulator.goal_distance(state.world, state.scenario)
     goal_distance = simulator.goal_distance(world, state.scenario)

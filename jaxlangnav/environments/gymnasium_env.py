@@ -20,7 +20,7 @@ from jaxlangnav.environments import functional
 from jaxlangnav.environments.command import text_of
 from jaxlangnav.environments.functional import DISCRETE_ACTIONS, EnvironmentState
 from jaxlangnav.environments.pool import NUM_WORLDS, draw_pool
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz.mapping import render_world
 from jaxlangnav.viz.style import require
@@ -190,7 +190,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         ``num_worlds``: size of the pool from which each episode takes a random world; 0 samples
         a new world in every step of every environment, at hundreds of times the cost.
         """
-        refuse_below(1, num_envs=num_envs)
+        check_minimum(1, num_envs=num_envs)
         if num_worlds < 0:
             raise ValueError(f"num_worlds is {num_worlds}, but must be 0 (always fresh) or more")
         self.metadata = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.inputs.limits import refuse_below
-from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario
+from jaxlangnav.inputs.limits import check_minimum
+from jaxlangnav.world.scenario import ScenarioParams, draw_scenario
 from jaxlangnav.world.state import Scenario
 
 NUM_WORLDS = 1024
@@ -17,14 +17,14 @@ _BATCH_SIZE = 64  # worlds sampled together, which bounds the memory of rejectio
 
 @functools.partial(jax.jit, static_argnames="num_worlds")
 def draw_pool(
-    key: Array, worlds: ScenarioLaw | Scenario, *, num_worlds: int = NUM_WORLDS
+    key: Array, worlds: ScenarioParams | Scenario, *, num_worlds: int = NUM_WORLDS
 ) -> Scenario:
     """Sample a pool of worlds, a leading axis N ≥ 1 on every leaf; another N recompiles.
 
     Invalid samples (rejection sampling failed) are replaced by valid ones of the pool, if there
     are any. A single world or a pool is returned unchanged.
     """
-    refuse_below(1, num_worlds=num_worlds)
+    check_minimum(1, num_worlds=num_worlds)
     if isinstance(worlds, Scenario):
         return worlds
     keys = jax.random.split(key, num_worlds)
@@ -34,9 +34,9 @@ def draw_pool(
     return jax.tree.map(lambda leaf: leaf[order[jnp.arange(num_worlds) % num_valid]], samples)
 
 
-def next_world(key: Array, worlds: ScenarioLaw | Scenario) -> Scenario:
+def next_world(key: Array, worlds: ScenarioParams | Scenario) -> Scenario:
     """Sample a world, or pick one of the N worlds of a pool uniformly."""
-    if isinstance(worlds, ScenarioLaw):
+    if isinstance(worlds, ScenarioParams):
         return draw_scenario(key, worlds)
     # Cheaper than randint; the modulo bias of 32 bits is negligible.
     index = jax.random.bits(key) % jnp.uint32(worlds.goal_index.shape[0])

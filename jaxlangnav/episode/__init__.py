@@ -17,7 +17,7 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import HOLONOMIC, Body, halted
+from jaxlangnav.world.motion import HOLONOMIC, Body, stop_at_wall
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -122,7 +122,7 @@ def cycle(
         decide_key, state.navigator, observation, params=params, config=config
     )
     proposed = task.body.move(move_key, state.world, action, task.motion)
-    world = halted(state.world, proposed, task.scenario.terrain)
+    world = stop_at_wall(state.world, proposed, task.scenario.terrain)
     counts = add_counts(state, info)
     next_state = replace(state, navigator=agent, world=world, steps=state.steps + 1, **counts)
     return next_state, info, observation

@@ -18,7 +18,7 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
 from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene, stack_frames
 from jaxlangnav.grounding.asked import summarize_commands
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.language.lexicon import load_lexicon
@@ -80,7 +80,7 @@ def play(
     Raises:
         ValueError: ``max_steps`` is less than 1.
     """
-    refuse_below(1, max_steps=max_steps)
+    check_minimum(1, max_steps=max_steps)
     state = _begin(task, instructions, config=config)
     if speech is not None:
         state = speech.begin(state)

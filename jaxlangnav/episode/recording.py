@@ -236,7 +236,7 @@ def missing_names(scene: StaticScene, frame: Snapshot) -> list[str]:
     if clause < len(scene.commands) and scene.commands[clause].mention != NONE:
         command, types = scene.commands[clause], scene.readings.mention_type
         best = int(np.argmax(scene.readings.log_probability))
-        needed = {int(types[best][mention]) for mention in (command.mention, *command.against)}
+        needed = {int(types[best][mention]) for mention in (command.mention, *command.landmarks)}
         missing = [object_type for object_type in missing if object_type in needed]
     return [scene.type_name(object_type) for object_type in missing]
 

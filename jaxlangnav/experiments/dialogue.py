@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import episode
-from jaxlangnav.dialogue import Merged, Words, first_words, join
+from jaxlangnav.dialogue import DiscourseInfo, Merged, discourse_of, merge_utterance
 from jaxlangnav.episode import EpisodeResult, EpisodeState, Task
 from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
@@ -23,7 +23,7 @@ from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState, speech_acts
 from jaxlangnav.navigator.speech_acts import Effect, tell
 from jaxlangnav.pytree import pytree, replace, strong_types
-from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, say, unspoken
+from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, new_person, say
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
 _KEY_INDEX = 31
@@ -36,7 +36,7 @@ class Sentence:
     """The initial command, and statements that may follow during the episode."""
 
     instruction: Instruction  # leaves [1, …], with room for more
-    words: Words
+    words: DiscourseInfo
     true_statement: Merged
     false_statement: Merged
 
@@ -77,12 +77,12 @@ def ground_dialogue(text: str, true_text: str, false_text: str) -> Sentence:
     model = load_shipped()
     command = understand(text, model)
     padded = replace(command.instruction, readings=widen(command.instruction.readings, Capacity()))
-    words = first_words(padded, command.spoken)
+    words = discourse_of(padded, command.spoken)
 
     def merge(statement: str) -> Merged:
         understood = understand(statement, model)
         reading = understood.instruction, understood.spoken
-        return join(padded.readings, words, *reading, is_new_task=False, is_asked=False)
+        return merge_utterance(padded.readings, words, *reading, is_new_task=False, is_asked=False)
 
     return Sentence(
         instruction=jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], padded),
@@ -114,7 +114,7 @@ def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _State
     nan, false = jnp.float32(jnp.nan), jnp.asarray(False)
     lane = _State(
         progress=replace(progress, navigator=replace(navigator, talk=talk)),
-        person=unspoken(),
+        person=new_person(),
         is_done=false,
         corrected_at=nan,
         shortest=nan,

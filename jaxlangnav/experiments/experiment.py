@@ -40,7 +40,7 @@ from jaxlangnav.experiments.tasks import (
     take_tasks,
 )
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorParams, check
 from jaxlangnav.world.templates import TABLE_2
@@ -212,7 +212,7 @@ class Experiment(Report):
         """
         limit, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
         arms = [dataclasses.replace(a, tallied=a.tallied or limit) for a in self.arms(options)]
-        refuse_below(1, episodes=options.episodes)
+        check_minimum(1, episodes=options.episodes)
         # Tasks and columns are laid out in parts and then put together: for a moment twice.
         episode_bytes = 2 * rows * (task_bytes() + len(arms) * (result_bytes() + _LABEL_BYTES))
         context = f"{rows} rows run {len(arms)} times"

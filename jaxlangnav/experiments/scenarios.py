@@ -16,7 +16,7 @@ from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.tasks import Cell
 from jaxlangnav.messages import SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.world.places import place_law
+from jaxlangnav.world.places import place_params
 
 COMMANDS = {
     "behind": "go to the hydrant behind the cone",
@@ -37,7 +37,7 @@ class ScenarioSpec(RowSpec):
     world: str = "place"
     range: float = 3.0
     relation: str = "behind"
-    place: _Values = dataclasses.field(default_factory=dict)  # arguments of ``place_law``
+    place: _Values = dataclasses.field(default_factory=dict)  # arguments of ``place_params``
     truth: _Values = dataclasses.field(default_factory=dict)
     """Arguments of ``default_sensor`` for the true sensor model."""
     assumed: _Values = dataclasses.field(default_factory=dict)
@@ -56,7 +56,7 @@ class ScenarioSpec(RowSpec):
 
         The number of objects is relevant where several may fit the sentence.
         """
-        is_true = not (self.assumed or self.motion or self.place.get("num_haunted"))
+        is_true = not (self.assumed or self.motion or self.place.get("num_clutter"))
         return self._has_true_sentence and is_true and self._has_counts
 
     @property
@@ -79,7 +79,7 @@ class ScenarioSpec(RowSpec):
     def described(self) -> Row:
         """Describe the scenario for the report."""
         actual = [_format(name, value) for name, value in {**self.truth, **self.motion}.items()]
-        has_fixed_clutter = self.place.get("num_haunted")
+        has_fixed_clutter = self.place.get("num_clutter")
         assumed = [_format(name, value) for name, value in self.assumed.items()]
         assumed += ["odometry 2 %"] if self.motion else []
         assumed += ["nothing of the four places"] if has_fixed_clutter else []
@@ -109,7 +109,7 @@ class ScenarioSpec(RowSpec):
             motion=replace(default_motion(), **motion),
             seed=seed,
             environments=environments,
-            place=place_law(**law_args),
+            place=place_params(**law_args),
             assumed_sensor=default_sensor(self.range, **{**self.truth, **self.assumed}),
             labels=self.heading() | {"relation": self.relation},
             overrides=self.params,
@@ -154,7 +154,7 @@ _FALSE: dict[str, Any] = {
 }  # fmt: skip
 _EXACTLY_ONE = {**_counts(0.02), "misleading": 0.001, "absent": 0.0}
 """Exactly one such object exists."""
-_FIXED = {"num_haunted": 4, "haunt_probability": 0.2}
+_FIXED = {"num_clutter": 4, "clutter_probability": 0.2}
 _CROWD = {"num_bystanders": 56, "num_pairs": 1}
 _ALL: dict[str, Any] = {
     "description": "14 bystanders and one more pair",

@@ -64,7 +64,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{folder} holds no sweep: there is no {MANIFEST}")
     document: dict[str, Any] = {}
     try:
-        document = parse_json(read_text(path, at_most=_MAX_MANIFEST_BYTES))
+        document = parse_json(read_text(path, max_bytes=_MAX_MANIFEST_BYTES))
         name, files = document["settings"]["name"], document["settings"]["files"]
         is_valid = isinstance(name, str) and name_fault(name) is None and type(files) is int
     except (ValueError, KeyError, TypeError):

@@ -41,15 +41,15 @@ from msgspec import Meta, field
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
-from jaxlangnav.inputs.documents import naming, read_document
+from jaxlangnav.inputs.documents import error_prefix, read_document
 from jaxlangnav.inputs.limits import LENGTH
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, unknown_key
 from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator.deployment import FIELDS
-from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
-from jaxlangnav.world.scenario import scenario_law
+from jaxlangnav.world.files import MAX_FILE_BYTES, WorldFile, open_world
+from jaxlangnav.world.scenario import scenario_params
 from jaxlangnav.world.state import NUM_SLOTS, walls_of
 from jaxlangnav.world.templates import Template, check_relation
 
@@ -117,11 +117,11 @@ def read_config(
     ``ValueError``, in one line: the file is unreadable or invalid.
     """
     path = Path(path)
-    table = read_document(path, at_most=_MAX_BYTES)
+    table = read_document(path, max_bytes=_MAX_BYTES)
     for name, keys in (overrides or {}).items():
         if isinstance(table.setdefault(name, {}), dict):
             table[name] |= keys
-    with naming(path):
+    with error_prefix(path):
         return config_from_dict(table, folder=path.parent)
 
 
@@ -155,7 +155,7 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
         default_sensor(range_max, noise=max(config.params["sensor"].get("noise", (0.1,))))
     for world in (item for item in config.worlds if item not in custom):
         for command in config.commands:
-            scenario_law(template=world, relation=command.relation)
+            scenario_params(template=world, relation=command.relation)
     return config
 
 
@@ -207,7 +207,7 @@ def _open_worlds(
             )
         custom[entry] = opened
         if is_file:
-            content = read_file(path, at_most=LARGEST_WORLD_FILE)
+            content = read_file(path, max_bytes=MAX_FILE_BYTES)
             hashes[entry] = hashlib.sha256(content).hexdigest()
     return custom, hashes
 

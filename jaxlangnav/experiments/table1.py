@@ -24,7 +24,7 @@ from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.training.examples import LabelledInstruction, read_examples
+from jaxlangnav.training.examples import LabelledInstruction, labelled_instructions
 from jaxlangnav.training.fit import Fit, fit
 from jaxlangnav.training.scoring import (
     ExactScores,
@@ -33,7 +33,7 @@ from jaxlangnav.training.scoring import (
     score_annotations,
     score_behaviors,
 )
-from jaxlangnav.training.shipped import MODELS, LaidOut, lay_out
+from jaxlangnav.training.shipped import MODELS, TrainingData, training_data
 
 HOLD_OUT = 1 / 3
 TABLE_1: dict[str, dict[str, float]] = {
@@ -67,7 +67,7 @@ class Splits:
     examples: int  # (phrase, symbol) factors, mean over the training parts
 
 
-def _fit_splits(data: LaidOut, held_out: np.ndarray) -> Splits:
+def _fit_splits(data: TrainingData, held_out: np.ndarray) -> Splits:
     """Train one model on all splits at once, and on the first one alone to time it."""
     design, train_masks = data.design, (~held_out).astype(np.float32)
     _, first = fit(design, train_masks[:1])
@@ -122,7 +122,7 @@ def _inference_seconds(
             count += 1
             continue
         graph = CorrespondenceGraph(Behaviors(type_names, belief.rank), behavior)
-        for trees in sentence.behaving:
+        for trees in sentence.behaviors:
             count += 1
             for tree in trees:
                 graph.weigh(tree.root, tree.world, tree.clause).search(width)
@@ -154,9 +154,9 @@ def evaluate(
     _check(splits, beams)
     type_names, corpus = load_lexicon().type_names, load_corpus(CORPUS)
     check_count("splits", splits, each=_SPLIT_BYTES * len(corpus))
-    instructions = read_examples(corpus, type_names)
+    instructions = labelled_instructions(corpus, type_names)
     inputs = instructions, type_names
-    datasets = {name: lay_out(name, *inputs) for name in MODELS}
+    datasets = {name: training_data(name, *inputs) for name in MODELS}
     for design in (data.design for data in datasets.values()):
         counts = math.prod(design.properties.shape[:2]) * 2
         weights = design.words.shape[1] * design.properties.shape[2]
@@ -197,7 +197,7 @@ def _oov_accuracy(
         {word.lemma for root in instruction.parse.clauses for word in root.all_words()}
         for instruction in instructions
     ]
-    counts = np.array([1 if name == "annotation" else len(item.behaving) for item in instructions])
+    counts = np.array([1 if name == "annotation" else len(item.behaviors) for item in instructions])
     rows = []
     for split, is_held_out in zip(scores, held_out, strict=True):
         train_words = set[str]().union(*(words[i] for i in np.flatnonzero(~is_held_out)))

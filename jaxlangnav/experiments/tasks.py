@@ -18,11 +18,11 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.episode import Task
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
-from jaxlangnav.world.places import PlaceLaw, draw_place
-from jaxlangnav.world.scenario import draw_scenario, scenario_law
+from jaxlangnav.world.places import PlaceParams, draw_place
+from jaxlangnav.world.scenario import draw_scenario, scenario_params
 from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, empty_scenario
 
@@ -80,7 +80,7 @@ class Cell:
     """Number of worlds, used cyclically (ten in the paper); 0: a new one per episode."""
     scenario: Scenario | None = None
     """A custom world; None: sample worlds of the template that ``world`` names."""
-    place: PlaceLaw | None = None
+    place: PlaceParams | None = None
     """Distribution of worlds in place of a template; equal names in ``world`` share keys."""
     assumed_sensor: SensorParams | None = None  # sensor model of the filter; the true one if None
     labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -185,7 +185,7 @@ def _shared_fields(cell: Cell) -> dict[str, Any]:
     # A custom world replaces a sampled one, so any template will do.
     template = (cell.world, cell.relation) if cell.scenario is None else ("1H1C", "null")
     return common | {
-        "law": scenario_law(template=template[0], relation=template[1]),
+        "law": scenario_params(template=template[0], relation=template[1]),
         "is_custom": np.asarray(cell.scenario is not None),
         "scenario": empty_scenario() if cell.scenario is None else cell.scenario,
     }
@@ -193,8 +193,8 @@ def _shared_fields(cell: Cell) -> dict[str, Any]:
 
 def make_tasks(cell: Cell) -> Task:
     """Sample the worlds and keys of a cell, at least one, leaves [E, …]."""
-    refuse_below(1, episodes=cell.episodes)
-    refuse_below(0, environments=cell.environments)
+    check_minimum(1, episodes=cell.episodes)
+    check_minimum(0, environments=cell.environments)
     numbers = cell.first_episode + np.arange(cell.episodes)
     return draw_tasks([cell], np.zeros(cell.episodes, np.int32), numbers)
 

@@ -14,7 +14,7 @@ from jaxlangnav.grounding.annotation import describe_annotation
 from jaxlangnav.grounding.form import Form, FormCommand, FormReading, read_form
 from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
-from jaxlangnav.grounding.instruction import Instruction, Spoken, pack_instruction
+from jaxlangnav.grounding.instruction import Instruction, Referents, pack_instruction
 from jaxlangnav.grounding.readings import (
     NUM_EDGES,
     NUM_MENTIONS,
@@ -66,7 +66,7 @@ class AnnotationGrounder:
             instruction=form_instruction(form),
             annotations=tuple(_annotations(form, self.type_names)),
             notes=form.notes,
-            spoken=Spoken(goals=tuple(first.type_of(c.thing) for c in first.commands)),
+            spoken=Referents(goals=tuple(first.type_of(c.thing) for c in first.commands)),
         )
 
 

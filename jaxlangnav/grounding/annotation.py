@@ -39,7 +39,7 @@ _MAX_SYMBOLS = 12
 
 
 @dataclasses.dataclass(frozen=True)
-class Belief:
+class AnnotationBelief:
     """Distribution over the sets of annotations of a sentence."""
 
     clauses: tuple[tuple[tuple[RankedAnnotations, ...], float], ...]
@@ -110,14 +110,14 @@ def _split_by_rank(paths: list[Path], rank: Mapping[Path, np.ndarray]) -> list[l
     return [[path for path in paths if likeliest[path] == r] for r in ranks]
 
 
-def _untyped_phrases(phrase: Phrase, path: Path, *, is_of_thing: bool) -> Iterator[Path]:
+def _untyped_phrases(phrase: Phrase, path: Path, *, is_untyped_figure: bool) -> Iterator[Path]:
     """Yield the phrases whose figure is untyped ("the thing")."""
-    if is_of_thing:
+    if is_untyped_figure:
         yield path
     is_new = phrase.label == "NP" and bool(phrase.children)
     for i, child in enumerate(phrase.children):
-        of_thing = is_untyped(phrase.children[0]) and i > 0 if is_new else is_of_thing
-        yield from _untyped_phrases(child, (*path, i), is_of_thing=of_thing)
+        is_untyped_child = is_untyped(phrase.children[0]) and i > 0 if is_new else is_untyped_figure
+        yield from _untyped_phrases(child, (*path, i), is_untyped_figure=is_untyped_child)
 
 
 def _clause_sets(
@@ -132,30 +132,30 @@ def _clause_sets(
     ``rank`` has for each phrase f64[5], log-probabilities of the ranks 0 to 4.
     """
     phrases = {node.path: node.phrase for node in post_order(root, clause)}
-    things = frozenset(_untyped_phrases(root, (clause,), is_of_thing=False))
+    untyped = frozenset(_untyped_phrases(root, (clause,), is_untyped_figure=False))
     for hypothesis in beam:
         symbols, rank_probs = [], []
         for symbol in space.members(hypothesis.expressed)[:_MAX_SYMBOLS]:
             paths = []
             if symbol.kind != OBJECT:
                 region = region_symbol(symbol.relation, symbol.landmark)
-                wanted = [space.index[symbol], space.index[region]]
-                saying = [
-                    path for path, h in hypothesis.walk((clause,)) if h.expressed[wanted].any()
+                indices = [space.index[symbol], space.index[region]]
+                expressing = [
+                    path for path, h in hypothesis.walk((clause,)) if h.expressed[indices].any()
                 ]
                 paths = [
                     path
-                    for path in saying  # the lowest phrases that express it
-                    if not any(path == below[: len(path)] != below for below in saying)
+                    for path in expressing  # the lowest phrases that express it
+                    if not any(path == below[: len(path)] != below for below in expressing)
                 ]
             for index, r in enumerate(REGISTRY):  # relations that share the symbol: by the words
-                if r.symbol == symbol.relation and any(phrases[p].says(r.name) for p in paths):
+                if r.symbol == symbol.relation and any(phrases[p].has_sense(r.name) for p in paths):
                     symbol = symbol._replace(relation=index)
             has_rank = REGISTRY[symbol.relation].num_landmarks == 1
-            of_thing = symbol._replace(kind=RELATION, figure=ANYTHING)
+            untyped_region = symbol._replace(kind=RELATION, figure=ANYTHING)
             for group in _split_by_rank(paths, rank) if has_rank else [paths]:
-                is_of_thing = symbol.kind == REGION and things.intersection(group)
-                symbols.append(of_thing if is_of_thing else symbol)
+                is_untyped_figure = symbol.kind == REGION and untyped.intersection(group)
+                symbols.append(untyped_region if is_untyped_figure else symbol)
                 rank_probs.append(_likeliest_ranks(group if has_rank else [], rank))
         for choice in itertools.product(*rank_probs):
             ranked = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
@@ -164,7 +164,7 @@ def _clause_sets(
 
 def infer_annotations(
     parse: Parse, model: CorrespondenceModel, type_names: tuple[str, ...], width: int = BEAM_WIDTH
-) -> Belief:
+) -> AnnotationBelief:
     """Infer up to ``width`` sets of annotations of a sentence, best first (section 3.1).
 
     Clauses are independent: their log-probabilities add up.
@@ -182,4 +182,4 @@ def infer_annotations(
         pairs = itertools.product(joint, best)
         both = [((*done, new), score + more) for (done, score), (new, more) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
-    return Belief(tuple(joint), rank)
+    return AnnotationBelief(tuple(joint), rank)

@@ -47,7 +47,7 @@ class CommandSummary:
     mention: int
     probability: float  # of action, mode and goal together
     avoid: tuple[tuple[int, int, float], ...]  # region, mention, probability
-    against: tuple[int, ...] = ()  # landmarks of the goal, and their landmarks
+    landmarks: tuple[int, ...] = ()  # landmarks of the goal, and their landmarks
 
 
 @cached_jit()
@@ -58,8 +58,8 @@ def _infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
 def summarize_commands(instruction: Instruction) -> list[CommandSummary]:
     """Infer each command's likeliest meaning in the world of the likeliest reading, in order."""
     readings = jax.tree.map(np.asarray, instruction.readings)
-    best = int(np.argmax(readings.log_probability))
-    slots, world = _world_of(readings, best)
+    reading = int(np.argmax(readings.log_probability))
+    slots, world = _described_world(readings, reading)
     summaries = []
     for behavior in infer_commands(instruction, world):
         goal, constraint = behavior.goal, behavior.constraint
@@ -77,7 +77,7 @@ def summarize_commands(instruction: Instruction) -> list[CommandSummary]:
                 (int(r), slots[s], float(constraint[r, s]))
                 for r, s in np.argwhere(constraint >= _MIN_CONSTRAINT)
             ),
-            against=_connected(readings, best, mention),
+            landmarks=_connected_mentions(readings, reading, mention),
         )
         summaries.append(summary)
     return summaries
@@ -118,13 +118,13 @@ def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[s
         ``object``, ``probability``.
     """
     readings = jax.tree.map(np.asarray, instruction.readings)
-    kinds = readings.mention_type[int(np.argmax(readings.log_probability))]
+    types = readings.mention_type[int(np.argmax(readings.log_probability))]
 
     def target(region: int, mention: int) -> dict[str, str]:
-        kind = ROBOT if mention == ROBOT else int(kinds[mention])
+        code = ROBOT if mention == ROBOT else int(types[mention])
         return {
             "region": REGIONS[region],
-            "object": "robot" if kind == ROBOT else name_of(kind, names),
+            "object": "robot" if code == ROBOT else name_of(code, names),
         }
 
     return [
@@ -142,27 +142,27 @@ def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[s
     ]
 
 
-def _world_of(readings: Readings, best: int) -> tuple[list[int], World]:
+def _described_world(readings: Readings, reading: int) -> tuple[list[int], World]:
     """Build the world that a reading describes, and list each slot's mention; the robot is last."""
-    kinds = readings.mention_type[best]
-    things, robots = (np.flatnonzero(mask).tolist() for mask in (kinds >= 0, kinds == ROBOT))
-    slot_of = {mention: slot for slot, mention in enumerate(things)}
-    slot_of |= dict.fromkeys(robots, len(things))
+    types = readings.mention_type[reading]
+    mentions, robots = (np.flatnonzero(mask).tolist() for mask in (types >= 0, types == ROBOT))
+    slot_of = {mention: slot for slot, mention in enumerate(mentions)}
+    slot_of |= dict.fromkeys(robots, len(mentions))
     edges = [
         (rank, relation, slot_of[figure], slot_of[landmark])
-        for figure, relation, landmark, rank in readings.edges(best).tolist()
+        for figure, relation, landmark, rank in readings.edges(reading).tolist()
         if relation != NONE
     ]
     ranked = [(min(rank, NUM_RANKS) - 1, *edge) for rank, *edge in edges if rank > 0]
-    world = World.of_edges([*kinds[things], ROBOT], [edge for _, *edge in edges], ranked)
-    return [*things, robots[0] if robots else ROBOT], world
+    world = World.of_edges([*types[mentions], ROBOT], [edge for _, *edge in edges], ranked)
+    return [*mentions, robots[0] if robots else ROBOT], world
 
 
-def _connected(readings: Readings, best: int, mention: int) -> tuple[int, ...]:
+def _connected_mentions(readings: Readings, reading: int, mention: int) -> tuple[int, ...]:
     """List the mentions that relations connect to one, transitively, but not through the robot."""
-    all_edges = readings.edges(best)
+    all_edges = readings.edges(reading)
     edges = all_edges[all_edges[:, 1] != NONE][:, [0, 2]].tolist()
-    edges = [edge for edge in edges if ROBOT not in readings.mention_type[best][edge]]
+    edges = [edge for edge in edges if ROBOT not in readings.mention_type[reading][edge]]
     reached = {mention}
     for _ in edges:
         reached |= {end for edge in edges if reached & set(edge) for end in edge}

@@ -56,9 +56,9 @@ class Detector:
             ValueError: no label, too many, one that is no name, twice, empty or a word of the
                 grammar, or no such group; one line.
         """
-        self.labels = check_names(labels, "labels", at_most=MAX_LABELS)
+        self.labels = check_names(labels, "labels", max_count=MAX_LABELS)
         self.attribute_groups = frozenset(
-            check_names(attribute_groups, "attributes", at_most=MAX_LABELS)
+            check_names(attribute_groups, "attributes", max_count=MAX_LABELS)
         )
         self._names = [  # as sentences write them: "Stop_Sign" is "stop sign"
             " ".join(normalize(label).replace("_", " ").replace("-", " ").split())
@@ -99,7 +99,7 @@ class Detector:
     @property
     def plain_labels(self) -> frozenset[str]:
         """The labels and their synonyms in plain words."""
-        return frozenset().union(*(load_nouns().alike(name) for name in self._names))
+        return frozenset().union(*(load_nouns().synonyms_of(name) for name in self._names))
 
     def find(self, noun: str) -> tuple[tuple[int, ...], bool]:
         """Find the labels that match a noun, which is lower-case and singular.
@@ -120,15 +120,15 @@ class Detector:
             return by_head, True  # "the sign": any of the detector's signs
         if tuple(noun.split()) in foreign:  # a mail box is no box, and a tree house no house
             return (), False
-        broader = load_nouns().broader.get(noun)
-        return (broader and self._matching(broader)) or self._matching(noun.split()[-1]), False
+        hypernym = load_nouns().hypernyms.get(noun)
+        return (hypernym and self._matching(hypernym)) or self._matching(noun.split()[-1]), False
 
     def _matching(self, noun: str) -> tuple[int, ...]:
         """List the labels equal to a noun, or else to a synonym, ignoring spaces."""
         spellings = [{n.replace(" ", ""), singular(n).replace(" ", "")} for n in self._names]
         for names in _synonym_sets(noun):
-            joined = {name.replace(" ", "") for name in names}
-            if labels := tuple(i for i, forms in enumerate(spellings) if forms & joined):
+            variants = {name.replace(" ", "") for name in names}
+            if labels := tuple(i for i, forms in enumerate(spellings) if forms & variants):
                 return labels
         return ()
 
@@ -144,7 +144,7 @@ class Detector:
 def _synonym_sets(noun: str) -> Iterator[frozenset[str]]:
     """Yield sets of equivalent names: the noun, then its synonyms, then the lexicon's."""
     yield frozenset({noun})
-    yield load_nouns().alike(noun)
+    yield load_nouns().synonyms_of(noun)
     if noun in _lexicon_names():
         yield _lexicon_names()[noun]
 
@@ -178,7 +178,7 @@ class BoundSentence:
         self.kinds: list[tuple[int, ...]] = [() for _ in type_names]
         self.notes: dict[str, None] = {}
         self._untyped = ANYTHING  # code of an untyped object
-        self._latest: dict[str, int] = {}  # noun → code of its last mention's attributes
+        self._last_codes: dict[str, int] = {}  # noun → code of its last mention's attributes
         clauses = [
             self._bind(clause, head_of(clause) if clause.label == "VP" else None)
             for clause in tree.clauses
@@ -225,21 +225,21 @@ class BoundSentence:
 
     def _code(self, phrase: Phrase, head: Word, noun: str) -> int:
         """Encode the attributes that the detector reports, and note those that are not used."""
-        attributes, unused = attributes_of(phrase)
+        attributes, ignored = attributes_of(phrase)
         if SAME in head.senses and not attributes:
-            return self._latest.get(noun, 0)
-        used: dict[str | None, str] = {}
+            return self._last_codes.get(noun, 0)
+        by_group: dict[str | None, str] = {}
         for word, value in attributes:
             group = group_of(value)
             if group not in self.detector.attribute_groups:
                 self.notes.setdefault(f"'{word.text}' is not used: my detector reports no {group}")
-            elif group in used:
+            elif group in by_group:
                 self.notes.setdefault(
                     f"'{word.text}' is not used: one {group} of a thing is compared"
                 )
             else:
-                used[group] = value
-        for word in unused:
+                by_group[group] = value
+        for word in ignored:
             adjective = base_adjective(word.text)
             if adjective is not None:  # detections have no degrees
                 raise LanguageError(
@@ -247,16 +247,16 @@ class BoundSentence:
                     f"compared; say '{adjective}', or which one is the nearest"
                 )
             self.notes.setdefault(f"'{word.text}' is not used: it is no attribute that is compared")
-        self._latest[noun] = attribute_code(*used.values())
-        return self._latest[noun]
+        self._last_codes[noun] = attribute_code(*by_group.values())
+        return self._last_codes[noun]
 
     def _name(self, noun: str, code: int, phrase: Phrase, *, is_goal: bool) -> str:
         """Find or add the sentence's type for a noun with its attributes."""
         text = noun_text(phrase) or noun
         labels, is_itself = self.detector.find(text)
         if not is_itself:
-            by_type = self.detector.find(noun)
-            labels, is_itself = by_type if by_type[0] else (labels, is_itself)
+            noun_labels = self.detector.find(noun)
+            labels, is_itself = noun_labels if noun_labels[0] else (labels, is_itself)
         if len(labels) > MAX_NAMED_TYPES:
             listed = ", ".join(self.detector.labels[i] for i in labels[:_MAX_LISTED])
             raise UnknownObjectError(
@@ -265,11 +265,11 @@ class BoundSentence:
             )
         if not labels and is_goal:
             position = next(w.position for w in phrase.words if w.type_sense)
-            listed_labels = self.detector.labels[:_MAX_LISTED]
-            more = ", ..." if len(self.detector.labels) > len(listed_labels) else ""
+            shown = self.detector.labels[:_MAX_LISTED]
+            ellipsis = ", ..." if len(self.detector.labels) > len(shown) else ""
             raise UnknownObjectError(
                 f"'{text[:30]}' (word {position}): my detector has no label for it; "
-                f"it knows {', '.join(listed_labels)}{more}"
+                f"it knows {', '.join(shown)}{ellipsis}"
             )
         if not labels:
             labels = (self.detector.index_without_label(noun),)
@@ -279,21 +279,21 @@ class BoundSentence:
             self.notes.setdefault(
                 f"my detector has no label for '{text[:30]}': any {matched} may be meant"
             )
-        return self._enter(noun, code, labels)
+        return self._add_type(noun, code, labels)
 
-    def _enter(self, noun: str, code: int, labels: tuple[int, ...]) -> str:
+    def _add_type(self, noun: str, code: int, labels: tuple[int, ...]) -> str:
         """Find the type with these codes, or add it; the lexicon's types keep their indices."""
-        kinds = tuple(type_code(label, code) for label in labels)
-        if noun in self.names and self.kinds[self.names.index(noun)] in ((), kinds):
-            self.kinds[self.names.index(noun)] = kinds
+        codes = tuple(type_code(label, code) for label in labels)
+        if noun in self.names and self.kinds[self.names.index(noun)] in ((), codes):
+            self.kinds[self.names.index(noun)] = codes
             return noun
-        if kinds in self.kinds:
-            return self.names[self.kinds.index(kinds)]
+        if codes in self.kinds:
+            return self.names[self.kinds.index(codes)]
         name = " ".join([*attribute_words(code), noun]) if noun in self.names else noun
         while name in self.names:  # of one noun in two wordings, bound to different labels
             name = f"other {name}"
         self.names.append(name)
-        self.kinds.append(kinds)
+        self.kinds.append(codes)
         return name
 
 

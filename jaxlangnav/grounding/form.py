@@ -12,7 +12,7 @@ from functools import cache
 from typing import Any
 
 from jaxlangnav.grounding.readings import Relation
-from jaxlangnav.inputs.documents import naming, parse_json, read_shipped
+from jaxlangnav.inputs.documents import error_prefix, parse_json, read_shipped
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.messages import (
     ACTIONS,
@@ -46,8 +46,8 @@ def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str =
     """
     from jsonschema import Draft202012Validator
 
-    whole = {**annotation_schema(), **(schema or {})}
-    error: Any = next(iter(Draft202012Validator(whole).iter_errors(value)), None)
+    full_schema = {**annotation_schema(), **(schema or {})}
+    error: Any = next(iter(Draft202012Validator(full_schema).iter_errors(value)), None)
     if error is None:
         return
     where, instance, limit = f"{path}{error.json_path[1:]}", error.instance, error.validator_value
@@ -64,12 +64,12 @@ def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str =
         case "maxItems":
             raise ValueError(f"{where} has {len(instance)} entries, but at most {limit} are held")
         case "enum":
-            wanted = f"one of {', '.join(limit)}"
+            expected = f"one of {', '.join(limit)}"
         case "type":
-            wanted = f"of type {limit}: {error.schema['description']}"
+            expected = f"of type {limit}: {error.schema['description']}"
         case _:
-            wanted = error.schema["description"]
-    raise ValueError(f"{where} is {quote(instance)}, but must be {wanted}")
+            expected = error.schema["description"]
+    raise ValueError(f"{where} is {quote(instance)}, but must be {expected}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,11 +123,11 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
             f"the annotations have {len(text):,} characters; at most {MAX_FORM_CHARACTERS:,} are "
             "read"
         )
-    with naming("annotations"):
+    with error_prefix("annotations"):
         document = parse_json(text)
     validate(document)
     readings = [
-        _read(one, type_names, f"$.readings[{i}]") for i, one in enumerate(document["readings"])
+        _to_reading(it, type_names, f"$.readings[{i}]") for i, it in enumerate(document["readings"])
     ]
     total = math.fsum(reading.probability for reading in readings)
     if abs(total - 1.0) > _TOLERANCE:
@@ -152,7 +152,7 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
     return Form(tuple(scaled), tuple(document.get("notes", ())))
 
 
-def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> FormReading:
+def _to_reading(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> FormReading:
     """Read a reading that matches the schema: ids become indices."""
     index: dict[str, int] = {ROBOT_ID: ROBOT}
     for i, thing in enumerate(document["things"]):
@@ -166,22 +166,22 @@ def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> 
             )
         index[thing["id"]] = i
     relations = tuple(
-        _read_relation(one, index, f"{path}.relations[{i}]")
-        for i, one in enumerate(document.get("relations", ()))
+        _read_relation(it, index, f"{path}.relations[{i}]")
+        for i, it in enumerate(document.get("relations", ()))
     )
     ids = {thing: quote(name) for name, thing in index.items()}
-    between = [one for one in relations if one.relation == BETWEEN]
-    for figure in dict.fromkeys(one.figure for one in between):
-        landmarks = sorted({one.landmark for one in between if one.figure == figure})
+    between = [it for it in relations if it.relation == BETWEEN]
+    for figure in dict.fromkeys(it.figure for it in between):
+        landmarks = sorted({it.landmark for it in between if it.figure == figure})
         if len(landmarks) != 2:
             raise ValueError(
                 f"{path}.relations has {ids[figure]} between "
-                f"{', '.join(ids[one] for one in landmarks)}, but a thing lies "
+                f"{', '.join(ids[it] for it in landmarks)}, but a thing lies "
                 "between two: one entry for each of its two landmarks"
             )
     commands = tuple(
-        _read_command(one, index, f"{path}.commands[{i}]")
-        for i, one in enumerate(document.get("commands", ()))
+        _read_command(it, index, f"{path}.commands[{i}]")
+        for i, it in enumerate(document.get("commands", ()))
     )
     types = tuple(type_names.index(thing["type"]) for thing in document["things"])
     return FormReading(float(document["probability"]), types, relations, commands)
@@ -207,7 +207,7 @@ def _read_relation(document: Mapping[str, Any], index: Mapping[str, int], path: 
             "nothing is its own landmark"
         )
     rank = int(document.get("rank", 0))
-    relation = [one.name for one in REGISTRY].index(document["relation"])
+    relation = [it.name for it in REGISTRY].index(document["relation"])
     if rank and relation not in ORDERS:
         raise ValueError(
             f"{path}.rank is {rank}, but nothing is ordered by {document['relation']}: use near, "
@@ -258,8 +258,8 @@ def read_meaning(document: Any, *, path: str) -> tuple[FormReading, tuple[str, .
     Raises:
         ValueError: a field cannot be; one line that begins with the JSON ``path`` of the document.
     """
-    whole = annotation_schema()["$defs"]["reading"]
-    fields = {name: one for name, one in whole["properties"].items() if name != "probability"}
-    validate(document, {**whole, "properties": fields, "required": ["things"]}, path=path)
+    schema = annotation_schema()["$defs"]["reading"]
+    fields = {name: it for name, it in schema["properties"].items() if name != "probability"}
+    validate(document, {**schema, "properties": fields, "required": ["things"]}, path=path)
     names = tuple(dict.fromkeys(thing["type"] for thing in document["things"]))
-    return _read({**document, "probability": 1.0}, names, path), names
+    return _to_reading({**document, "probability": 1.0}, names, path), names

@@ -38,7 +38,7 @@ from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.messages import NEAR, NONE, REGIONS
 from jaxlangnav.relations.table import SYMBOL_OF
 
-Place = tuple[int, int, "ThingDescription"]
+LandmarkRelation = tuple[int, int, "ObjectDescription"]
 """Relation, rank, and description of the landmark."""
 ANY, AGAIN, OTHER = (), ("alike",), ("own_previous",)
 """Reference of a goal to the previous one, as conditions that it must not meet: none; the same
@@ -46,25 +46,25 @@ object; another one of its type ("the other cone")."""
 
 
 @dataclasses.dataclass(frozen=True)
-class ThingDescription:
+class ObjectDescription:
     """Description of an object by type and relations; equal descriptions are not told apart."""
 
     kind: int  # object type; ROBOT
-    places: frozenset[Place] = frozenset()
+    places: frozenset[LandmarkRelation] = frozenset()
 
 
 @dataclasses.dataclass(frozen=True)
 class Destination:
     """A region of a described object: the goal of a command, or a constraint."""
 
-    thing: ThingDescription
+    thing: ObjectDescription
     region: int
     before: tuple[str, ...] = ANY
 
 
 def _description_of(
     reading: FormReading, thing: int, ancestors: tuple[int, ...] = ()
-) -> ThingDescription:
+) -> ObjectDescription:
     """Describe an object by its type and relations, and recursively its landmarks."""
     # Cyclic relations are cut: ``ancestors`` are the objects whose description contains this one.
     path = (*ancestors, thing)
@@ -74,10 +74,10 @@ def _description_of(
         for r in reading.relations
         if r.figure == thing and r.landmark not in path
     }
-    return ThingDescription(reading.type_of(thing), frozenset(places))
+    return ObjectDescription(reading.type_of(thing), frozenset(places))
 
 
-def _destination_of(reading: FormReading, index: int) -> Destination:
+def _destination(reading: FormReading, index: int) -> Destination:
     """Describe the goal of one of a reading's commands."""
     command, last = reading.commands[index], reading.commands[index - 1].thing
     before = ANY
@@ -86,41 +86,41 @@ def _destination_of(reading: FormReading, index: int) -> Destination:
     return Destination(_description_of(reading, command.thing), command.region, before)
 
 
-def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
+def _satisfies(thing: ObjectDescription, reading: FormReading, index: int) -> bool:
     """Check whether an object of a reading satisfies a description."""
     relations = [r for r in reading.relations if r.figure == index]
 
-    def is_stated(relation: int, rank: int, landmark: ThingDescription) -> bool:
+    def is_stated(relation: int, rank: int, landmark: ObjectDescription) -> bool:
         # The nearest is near, too; particles do not distinguish ranks beyond the first.
         return any(
             SYMBOL_OF[r.relation] == relation
             and (rank == 0 or min(rank, 2) == min(r.rank, 2))
-            and _fits(landmark, reading, r.landmark)
+            and _satisfies(landmark, reading, r.landmark)
             for r in relations
         )
 
     return reading.type_of(index) == thing.kind and all(is_stated(*place) for place in thing.places)
 
 
-def _probabilities(form: Form, meant: Sequence[Sequence[Destination]]) -> dict[Destination, float]:
+def _probabilities(form: Form, goals: Sequence[Sequence[Destination]]) -> dict[Destination, float]:
     """Compute the conditional probability of each destination of the readings in a particle."""
     # It is 1 if particles of the other readings never contain the described object, as then the
     # particles' weights carry its probability. An object described by its type alone may always
     # exist; relations are only those that the reading states.
-    pairs = list(zip(form.readings, meant, strict=True))
+    pairs = list(zip(form.readings, goals, strict=True))
     probabilities: dict[Destination, float] = {}
-    for end in dict.fromkeys(end for named in meant for end in named):
-        prob = sum(reading.probability for reading, named in pairs if end in named)
-        others = [reading for reading, named in pairs if end not in named]
-        is_sure = not others or (
+    for end in dict.fromkeys(end for ends in goals for end in ends):
+        prob = sum(reading.probability for reading, ends in pairs if end in ends)
+        others = [reading for reading, ends in pairs if end not in ends]
+        is_certain = not others or (
             bool(end.thing.places)
             and not any(
-                _fits(end.thing, reading, index)
+                _satisfies(end.thing, reading, index)
                 for reading in others
                 for index in range(len(reading.types))
             )
         )
-        probabilities[end] = 1.0 if is_sure else prob
+        probabilities[end] = 1.0 if is_certain else prob
     return probabilities
 
 
@@ -152,8 +152,8 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
     Raises:
         CapacityError: the program cannot hold as much; one line.
     """
-    wanted = _probabilities(form, [[_destination_of(reading, index)] for reading in form.readings])
-    regions = sorted({end.region for end in wanted})
+    probabilities = _probabilities(form, [[_destination(r, index)] for r in form.readings])
+    regions = sorted({end.region for end in probabilities})
     if len(regions) > NUM_REGION_SLOTS:
         names = ", ".join(REGIONS[region] for region in regions)
         raise CapacityError(
@@ -161,35 +161,35 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
             f"{NUM_REGION_SLOTS} are held: leave the least likely reading out"
         )
     phrases = []
-    for end, prob in wanted.items():
+    for end, prob in probabilities.items():
         inside = CERTAIN + _log_odds(prob)
-        row = _in_slot(regions.index(end.region), end.region, inside)
-        phrases.append(_Phrase(row, (_thing(end.thing, CERTAIN, end.before),)))
+        row = _slot_fields(regions.index(end.region), end.region, inside)
+        phrases.append(_Phrase(row, (_object_phrase(end.thing, CERTAIN, end.before),)))
     avoided = [
         [Destination(_description_of(r, thing), NEAR) for thing in r.commands[index].avoid]
         for r in form.readings
     ]
     constraints = _probabilities(form, avoided)
-    phrases += [_thing(end.thing, _log_odds(prob)) for end, prob in constraints.items()]
+    phrases += [_object_phrase(end.thing, _log_odds(prob)) for end, prob in constraints.items()]
     is_used = np.arange(NUM_REGION_SLOTS) < len(regions)
     slots = np.where(is_used, np.arange(NUM_REGION_SLOTS), NONE)
     base = np.where(is_used, -CERTAIN, LOG_NEVER)
-    passing_on = {  # fields of a phrase that expresses the goal regions of its children
+    forwarding = {  # fields of a phrase that expresses the goal regions of its children
         "region_relation": np.append(regions, [NONE] * (NUM_REGION_SLOTS - len(regions))),
         "regions": _stack(REGION_CONDITIONS, base=base, same=2.0 * CERTAIN * is_used),
         "region_from": np.tile(slots, (NUM_CHILDREN, 1)),
     }
     # Surplus children are moved below intermediate phrases that pass their regions on.
-    row = passing_on | {"objects": _stack(OBJECT_CONDITIONS, always=-CERTAIN, inside=2.0 * CERTAIN)}
+    row = forwarding | {"objects": _stack(OBJECT_CONDITIONS, always=-CERTAIN, inside=2.0 * CERTAIN)}
     while len(phrases) > NUM_CHILDREN:
         phrases = [_Phrase(row, tuple(phrases[:NUM_CHILDREN])), *phrases[NUM_CHILDREN:]]
     # The verb phrase: the children's regions become goals, their objects constraints.
-    verb = passing_on | {
+    verb = forwarding | {
         "is_verb": True,
         "constraint_relation": NEAR,
         "constraints": _stack(CONSTRAINT_CONDITIONS, base=-CERTAIN, inside=2.0 * CERTAIN),
     }
-    fields = _lay_out(_Phrase(verb, tuple(phrases)), index)
+    fields = _to_fields(_Phrase(verb, tuple(phrases)), index)
     for reading in form.readings:
         command = reading.commands[index]
         fields["action"][command.action] += reading.probability
@@ -204,28 +204,28 @@ def _log_odds(probability: float) -> float:
     return min(CERTAIN, math.log(probability / (1.0 - probability)))
 
 
-def _thing(thing: ThingDescription, peak: float, before: tuple[str, ...] = ANY) -> _Phrase:
+def _object_phrase(thing: ObjectDescription, peak: float, before: tuple[str, ...] = ANY) -> _Phrase:
     """Build the phrase of a description ("the hydrant behind the cone") at log-odds ``peak``."""
-    ordered = sorted(thing.places, key=lambda place: (*place[:2], repr(place[2])))
+    relations = sorted(thing.places, key=lambda place: (*place[:2], repr(place[2])))
     places = []
-    for relation, rank, landmark in ordered:  # restrictors, such as "behind the cone"
-        row = _in_slot(0, relation, 2.0 * CERTAIN)
+    for relation, rank, landmark in relations:  # restrictors, such as "behind the cone"
+        row = _slot_fields(0, relation, 2.0 * CERTAIN)
         table = relation + NUM_RELATIONS * min(rank, 2)
-        places.append(_Phrase(row, (_thing(landmark, CERTAIN),), table))
-    first, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
-    given = {"own": -CERTAIN, "other": LOG_NEVER, "own_lies": CERTAIN + (CERTAIN if rest else peak)}
-    objects = _stack(OBJECT_CONDITIONS, **given, **dict.fromkeys(before, LOG_NEVER))
+        places.append(_Phrase(row, (_object_phrase(landmark, CERTAIN),), table))
+    restrictors, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
+    odds = {"own": -CERTAIN, "other": LOG_NEVER, "own_lies": CERTAIN + (CERTAIN if rest else peak)}
+    objects = _stack(OBJECT_CONDITIONS, **odds, **dict.fromkeys(before, LOG_NEVER))
     own = np.array([thing.kind] + [NONE] * (MAX_NAMED_TYPES - 1), np.int32)
-    phrase = _Phrase({"own": own, "objects": objects}, tuple(first))
+    phrase = _Phrase({"own": own, "objects": objects}, tuple(restrictors))
     while rest:  # too many restrictors for one phrase: add a parent of the same objects
-        more, rest = rest[: NUM_CHILDREN - 1], rest[NUM_CHILDREN - 1 :]
-        there = CERTAIN + (CERTAIN if rest else peak)
-        objects = _stack(OBJECT_CONDITIONS, always=-CERTAIN, inside_lies=there)
-        phrase = _Phrase({"objects": objects}, (phrase, *more))
+        extra, rest = rest[: NUM_CHILDREN - 1], rest[NUM_CHILDREN - 1 :]
+        inside = CERTAIN + (CERTAIN if rest else peak)
+        objects = _stack(OBJECT_CONDITIONS, always=-CERTAIN, inside_lies=inside)
+        phrase = _Phrase({"objects": objects}, (phrase, *extra))
     return phrase
 
 
-def _in_slot(slot: int, relation: int, inside: float) -> dict[str, np.ndarray]:
+def _slot_fields(slot: int, relation: int, inside: float) -> dict[str, np.ndarray]:
     """Build the fields of one region slot; the other slots are empty."""
     is_here = np.arange(NUM_REGION_SLOTS) == slot
     base = np.where(is_here, -CERTAIN, LOG_NEVER)
@@ -240,7 +240,7 @@ def _stack(conditions: Sequence[str], **log_odds: Any) -> np.ndarray:
     return np.stack(np.broadcast_arrays(*(log_odds.get(name, 0.0) for name in conditions)))
 
 
-def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:
+def _to_fields(root: _Phrase, index: int) -> dict[str, np.ndarray]:
     """Write the phrases into the rows of a program in post-order, the root last."""
     phrases = list(root.walk())
     tables = list(dict.fromkeys(p.table for p in phrases if p.table != NONE))

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxlangnav.grounding.annotation import annotation_document
 from jaxlangnav.grounding.binding import Detector
-from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Spoken, understand
+from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Referents, understand
 from jaxlangnav.grounding.readings import pad_readings, unpad_readings
 from jaxlangnav.inputs.object_types import name_of, noun_of
 from jaxlangnav.language.phrase import MIN_PROBABILITY
@@ -40,7 +40,7 @@ class Grounded:
     probability, as ``jaxlangnav ground --json`` prints them."""
     notes: tuple[str, ...] = ()
     """Further remarks for people, a line each."""
-    spoken: Spoken | None = None
+    spoken: Referents | None = None
     """Object types referred to, for the dialogue state; None: derived from the readings."""
     alternatives: "tuple[Alternative, ...]" = ()
     """Alternative interpretations, likeliest first, if the grounder distinguishes them."""
@@ -85,7 +85,7 @@ def names_of(grounder: Grounder) -> tuple[str, ...]:
     return getattr(grounder, "names", grounder.type_names)
 
 
-class OtherTypes:
+class GrounderWrapper:
     """Base class of grounders that wrap another grounder and share its object types."""
 
     def __init__(self, grounder: Grounder) -> None:
@@ -151,10 +151,10 @@ class GraphGrounder:
         """Ground a sentence; see ``Grounder.ground``."""
         earlier = None
         if context.about != NONE:
-            kind = noun_of(context.about, self.names)
-            earlier = Antecedent(kind=kind, is_at=context.is_at)
-        limit = self.least_probability
-        understood = understand(text, self.model, self.detector, earlier, limit)
+            noun = noun_of(context.about, self.names)
+            earlier = Antecedent(kind=noun, is_at=context.is_at)
+        threshold = self.least_probability
+        understood = understand(text, self.model, self.detector, earlier, threshold)
         # A robot under way also accepts statements and constraints.
         if not context.is_under_way or int(understood.instruction.num_clauses):
             understood.check_task(is_first=not context.is_under_way)
@@ -182,7 +182,7 @@ MIN_ASKED = 0.05
 """Alternatives less probable than this are not asked about."""
 
 
-class FirstGrounder(OtherTypes):
+class FirstGrounder(GrounderWrapper):
     """Fallback: grounds with one grounder, and with another if the first refuses."""
 
     def __init__(self, first: Grounder, then: Grounder) -> None:
@@ -206,7 +206,7 @@ class FirstGrounder(OtherTypes):
         return dataclasses.replace(reply, notes=(f"not read as it stands: {refusal}", *reply.notes))
 
 
-class ChoosingGrounder(OtherTypes):
+class ChoosingGrounder(GrounderWrapper):
     """Clarification: a person chooses among the alternatives of an ambiguous instruction."""
 
     def __init__(self, grounder: Grounder, choose: Chooser, *, least: float = MIN_ASKED) -> None:
@@ -245,10 +245,10 @@ def _by_reading(grounded: Grounded, names: Sequence[str]) -> Iterator[Alternativ
     """Yield each reading as an alternative; the commands are those of the sentence."""
     ranked = sorted(unpad_readings(grounded.instruction.readings), key=lambda item: -item[1])
     for reading, score in ranked:
-        kinds = ["robot" if m == ROBOT else name_of(m, names) for m in reading.mentions]
-        named = [*kinds, None]  # NONE is the last index
+        nouns = ["robot" if m == ROBOT else name_of(m, names) for m in reading.mentions]
+        names_ = [*nouns, None]  # NONE is the last index
         documents = tuple(
-            annotation_document(named[figure], named[landmark], relation, rank, 1.0)
+            annotation_document(names_[figure], names_[landmark], relation, rank, 1.0)
             for figure, relation, landmark, rank in reading.relations
         )
         instruction = replace(grounded.instruction, readings=pad_readings([(reading, 0.0)]))

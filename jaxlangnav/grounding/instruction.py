@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations
+from jaxlangnav.grounding.annotation import AnnotationBelief, describe_annotation, infer_annotations
 from jaxlangnav.grounding.binding import BoundSentence, Detector, noun_text
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program
@@ -34,7 +34,7 @@ from jaxlangnav.pytree import pytree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Spoken:
+class Referents:
     """Object types that a sentence refers to, by index, as the dialogue state needs them."""
 
     goals: tuple[int, ...] = ()
@@ -44,15 +44,15 @@ class Spoken:
     avoided: tuple[tuple[int, bool], ...] = ()  # types to avoid, and whether all of a type
     steps: tuple[tuple[float, float], ...] = ()
     """End positions of metric commands ("go 2 m left"): metres, robot frame when it hears them."""
-    ways: tuple[tuple[int, ...], ...] = ()
+    candidates: tuple[tuple[int, ...], ...] = ()
     """Candidate types of each ambiguous noun; the first stands for the noun in ``goals``."""
 
-    def may_be(self, kind: int) -> tuple[int, ...]:
-        """List the candidate types of a goal's noun, ``kind`` first."""
-        return next((types for types in self.ways if types[0] == kind), (kind,))
+    def types_of(self, label: int) -> tuple[int, ...]:
+        """List the candidate types of a goal's noun, ``label`` first."""
+        return next((types for types in self.candidates if types[0] == label), (label,))
 
 
-def _collect_references(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoken:
+def _collect_references(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Referents:
     """Collect the types a sentence refers to; ``types_of`` lists the candidate types of a noun."""
     goals: list[int] = []
     known: set[int] = set()
@@ -69,26 +69,26 @@ def _collect_references(tree: Parse, types_of: Callable[[str], tuple[int, ...]])
         candidates.setdefault(types)
         return types
 
-    for clause, kind in zip(tree.clauses, tree.kinds, strict=True):
+    for clause, clause_kind in zip(tree.clauses, tree.kinds, strict=True):
         nouns = [child for child in clause.children if child.label == "NP"]
         for leaf in leaves(clause):
-            if leaf.says("other"):
+            if leaf.has_sense("other"):
                 others.update(types_at(leaf))
         if is_constraint(clause):
             avoided += [(type_, not noun.children) for noun in nouns for type_ in types_at(noun)]
-        elif kind == COMMAND:
+        elif clause_kind == COMMAND:
             goals.append(next(iter(types_at(clause)), NONE))
         else:  # definite nouns without a modifier are taken as known
             for noun in (noun for noun in nouns if not noun.children):
                 if not {word.text for word in noun.words} & {"a", "an", "another"}:
                     known.update(types_at(noun))
-    return Spoken(
+    return Referents(
         goals=tuple(goals),
         known=frozenset(known),
         others=frozenset(others),
         avoided=tuple(avoided),
         steps=tuple(m.end for m in tree.measures if m.end is not None),
-        ways=tuple(types for types in candidates if len(types) > 1),
+        candidates=tuple(types for types in candidates if len(types) > 1),
     )
 
 
@@ -129,12 +129,12 @@ class Understanding:
     """Result of grounding a sentence: its parse, annotations, instruction and notes."""
 
     parse: Parse
-    belief: Belief
+    belief: AnnotationBelief
     instruction: Instruction
     names: tuple[str, ...]  # object types of the sentence, indexed by ``belief``
     type_names: tuple[str, ...]  # of the detector, indexed by ``instruction``
     notes: tuple[str, ...]  # words that are not used, a line each
-    spoken: Spoken  # object types that the sentence refers to
+    spoken: Referents  # object types that the sentence refers to
 
     @property
     def annotations(self) -> list[dict[str, Any]]:
@@ -154,22 +154,22 @@ class Understanding:
         """
         if is_first:
             self._check_others()
-        kinds = zip(self.parse.clauses, self.parse.kinds, strict=True)
-        commands = [clause for clause, kind in kinds if kind == COMMAND]
+        clauses = zip(self.parse.clauses, self.parse.kinds, strict=True)
+        commands = [clause for clause, kind in clauses if kind == COMMAND]
         text = f"'{self.parse.instruction}'"
         if not commands:
             raise ValueError(
                 f"{text} informs but asks for nothing to be done: "
                 "give a command, as in 'go to the hydrant'"
             )
-        alone = [clause for clause in commands if is_constraint(clause)]
-        if len(alone) == len(commands):
+        constraints = [clause for clause in commands if is_constraint(clause)]
+        if len(constraints) == len(commands):
             raise ValueError(
                 f"{text} says what to keep away from, but not where to go: say it with a command, "
                 "as in 'go to the bench but avoid the cone'"
             )
-        if alone:
-            words = " ".join(word.text for word in alone[0].all_words())
+        if constraints:
+            words = " ".join(word.text for word in constraints[0].all_words())
             raise ValueError(
                 f"'{words}' asks to keep away from where the command before it ends: "
                 "say where to go then, as in 'then go to the bench'"
@@ -177,14 +177,14 @@ class Understanding:
 
     def _check_others(self) -> None:
         """Refuse "the other hydrant" where no hydrant has been mentioned before."""
-        named: set[str] = set()
+        mentioned: set[str] = set()
         for clause in self.parse.clauses:
-            things = [noun for noun in clause.walk() if noun.label == "NP" and not noun.children]
-            others = [noun for noun in things if noun.says("other")]
-            named |= {type_sense(noun) or "" for noun in things if noun not in others} - {""}
+            nouns = [noun for noun in clause.walk() if noun.label == "NP" and not noun.children]
+            others = [noun for noun in nouns if noun.has_sense("other")]
+            mentioned |= {type_sense(noun) or "" for noun in nouns if noun not in others} - {""}
             for noun in others:
                 kind = type_sense(noun)
-                if kind not in named and (kind is not None or not named):
+                if kind not in mentioned and (kind is not None or not mentioned):
                     name = "thing" if kind is None else noun_text(noun) or kind.partition(":")[2]
                     raise ValueError(
                         f"'{self.parse.instruction}': no {name} has been spoken of yet, so there "

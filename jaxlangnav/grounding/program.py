@@ -197,7 +197,7 @@ def compile_clause(
     _check_sizes(nodes)
     fields = empty_program()
     fields["num_phrases"] = np.asarray(len(nodes), np.int32)
-    wanted = []
+    candidates = []
     for index, node in enumerate(nodes):
         row = NUM_PHRASES - 1 if index == len(nodes) - 1 else index
         children = node.children[::-1]  # the last child is child 0
@@ -222,9 +222,9 @@ def compile_clause(
         ranks = find_ranks(node.phrase, node.path, rank, type_names)
         slots = _fill_regions(fields, row, children, terms, ranks)
         if node.phrase.label in RESTRICTORS:
-            wanted += slots
+            candidates += slots
     tables: list[int] = []
-    for _, row, slot, table in sorted(wanted, key=lambda slot: -slot[0]):  # largest bound first
+    for _, row, slot, table in sorted(candidates, key=lambda slot: -slot[0]):  # largest bound first
         if table not in tables and len(tables) < NUM_TABLES:
             tables.append(table)
         if table in tables:

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import numpy as np
 
-from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
+from jaxlangnav.grounding.annotation import AnnotationBelief, RankedAnnotations
 from jaxlangnav.grounding.search import sum_by_key
 from jaxlangnav.grounding.symbols import OBJECT, REGION
 from jaxlangnav.inputs.object_types import is_anything
@@ -205,7 +205,7 @@ def _fits(reading: Reading) -> bool:
 
 
 def to_readings(
-    belief: Belief, kinds_of: Callable[[int], tuple[int, ...]] = lambda kind: (kind,)
+    belief: AnnotationBelief, kinds_of: Callable[[int], tuple[int, ...]] = lambda kind: (kind,)
 ) -> Readings:
     """Pack the likeliest readings of a sentence, padded to K; their probabilities sum to one.
 

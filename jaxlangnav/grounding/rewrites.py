@@ -21,10 +21,10 @@ from jax import Array
 
 from jaxlangnav.grounding.asked import CommandSummary, summarize_commands
 from jaxlangnav.grounding.form import quote
-from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, OtherTypes
+from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, GrounderWrapper
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
 from jaxlangnav.grounding.search import sum_by_key
-from jaxlangnav.inputs.documents import naming, parse_json, read_lines
+from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.pytree import pytree, replace
@@ -75,7 +75,7 @@ class Read:
     grounded: Grounded
 
 
-class RewriteGrounder(OtherTypes):
+class RewriteGrounder(GrounderWrapper):
     """Grounder of the rewritings of a sentence, in place of the sentence itself."""
 
     def __init__(
@@ -92,34 +92,34 @@ class RewriteGrounder(OtherTypes):
         rewrites, notes = self._rewrites(text)
         grounded, refusals = verify_rewrites(self.graph, rewrites, context)
         if not grounded:
-            first, why = next(iter(refusals.items()))
+            refused, reason = next(iter(refusals.items()))
             raise ValueError(
                 f"none of the {len(refusals)} rewritings of {quote(text)} can be read; "
-                f"the likeliest is {quote(first)}: {why}"
+                f"the likeliest is {quote(refused)}: {reason}"
             )
         temperature = float(self.params.temperature)
         if refusals:
-            log_lost = [score / temperature for one, score in rewrites if one in refusals]
+            log_refused = [score / temperature for it, score in rewrites if it in refusals]
             log_all = [score / temperature for _, score in rewrites]
-            lost = np.exp(np.logaddexp.reduce(log_lost) - np.logaddexp.reduce(log_all))
+            fraction = np.exp(np.logaddexp.reduce(log_refused) - np.logaddexp.reduce(log_all))
             notes += (
                 f"{len(refusals)} of {len(rewrites)} rewritings cannot be read and are left out, "
-                f"{lost:.0%} of the weight",
+                f"{fraction:.0%} of the weight",
             )
-        log_weights = np.array([one.log_probability for one in grounded]) / temperature
+        log_weights = np.array([read.log_probability for read in grounded]) / temperature
         log_weights -= np.logaddexp.reduce(log_weights)
         return _mixture(grounded, log_weights, notes)
 
     def _rewrites(self, text: str) -> tuple[list[Rewrite], tuple[str, ...]]:
         """Query the source: distinct rewritings, likeliest first, and notes."""
-        given = self.source(text)
-        for one, score in given:
-            if not isinstance(one, str) or math.isnan(score) or score == math.inf:
+        answers = self.source(text)
+        for rewrite, score in answers:
+            if not isinstance(rewrite, str) or math.isnan(score) or score == math.inf:
                 raise ValueError(
-                    f"the source gives {quote(one)} the log-probability {score}; it must be a "
+                    f"the source gives {quote(rewrite)} the log-probability {score}; it must be a "
                     "text and a number that is finite or -inf"
                 )
-        ranked = sum_by_key((one for one in given if one[1] > -math.inf), np.logaddexp)
+        ranked = sum_by_key((it for it in answers if it[1] > -math.inf), np.logaddexp)
         if not ranked:
             raise ValueError(f"the source has no rewriting of {quote(text)}: say it in other words")
         left_out = len(ranked) - MAX_REWRITES
@@ -131,58 +131,58 @@ def verify_rewrites(
     graph: Grounder, rewrites: Sequence[Rewrite], context: Context
 ) -> tuple[list[Read], dict[str, str]]:
     """Parse and ground rewritings: the grounded ones, and the error of each refused text."""
-    found, refusals = [], {}
+    reads, refusals = [], {}
     for text, score in rewrites:
         try:
-            found.append(Read(text, score, graph.ground(text, context)))
+            reads.append(Read(text, score, graph.ground(text, context)))
         except ValueError as error:
             refusals[text] = str(error)
-    return found, refusals
+    return reads, refusals
 
 
-def _mixture(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...]) -> Grounded:
+def _mixture(reads: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...]) -> Grounded:
     """Mix the readings of rewritings, with the commands of the likeliest meaning."""
     groups: dict[Any, list[int]] = {}
-    for index, read in enumerate(found):
+    for index, read in enumerate(reads):
         groups.setdefault(_meaning(read.grounded), []).append(index)
     weight = np.exp(log_weights)
     ranked = sorted(groups.values(), key=lambda group: -weight[group].sum())
     alternatives = []
     for group in ranked:  # represented by its likeliest rewriting
-        best, prob = found[max(group, key=lambda index: weight[index])], weight[group].sum()
-        way = Alternative(says=best.text, probability=float(prob), grounded=best.grounded)
-        alternatives.append(way)
-    first = alternatives[0]
-    remarks = [f"read as '{first.says}', {first.probability:.0%} of the weight"]
-    reported = [way for way in alternatives[1:] if way.probability >= _MIN_REPORTED]
+        best, prob = reads[max(group, key=lambda index: weight[index])], weight[group].sum()
+        alternative = Alternative(says=best.text, probability=float(prob), grounded=best.grounded)
+        alternatives.append(alternative)
+    likeliest = alternatives[0]
+    summary = [f"read as '{likeliest.says}', {likeliest.probability:.0%} of the weight"]
+    reported = [it for it in alternatives[1:] if it.probability >= _MIN_REPORTED]
     if reported:
-        others = ", ".join(f"'{way.says}' {way.probability:.0%}" for way in reported)
-        remarks.append(f"it may also mean {others}")
-    readings, left_out = _mixed_readings(found, log_weights, [i for group in ranked for i in group])
+        others = ", ".join(f"'{it.says}' {it.probability:.0%}" for it in reported)
+        summary.append(f"it may also mean {others}")
+    readings, left_out = _mixed_readings(reads, log_weights, [i for group in ranked for i in group])
     if left_out >= _MIN_REPORTED:
-        remarks.append(f"readings of {left_out:.0%} of the weight are more than are held")
+        summary.append(f"readings of {left_out:.0%} of the weight are more than are held")
     return Grounded(
-        instruction=replace(first.grounded.instruction, readings=pad_readings(readings)),
-        annotations=_mixed_annotations(found, weight),
-        notes=(*notes, *remarks, *first.grounded.notes),
-        spoken=first.grounded.spoken,
+        instruction=replace(likeliest.grounded.instruction, readings=pad_readings(readings)),
+        annotations=_mixed_annotations(reads, weight),
+        notes=(*notes, *summary, *likeliest.grounded.notes),
+        spoken=likeliest.grounded.spoken,
         alternatives=tuple(alternatives),
     )
 
 
 def _mixed_readings(
-    found: Sequence[Read], log_weights: np.ndarray, order: Sequence[int]
+    reads: Sequence[Read], log_weights: np.ndarray, order: Sequence[int]
 ) -> tuple[list[tuple[Reading, float]], float]:
     """Sum equal readings by weight: the likeliest ones, and the fraction of the weight left out."""
-    given = [
+    scored = [
         (reading, score + float(log_weights[index]))
         for index in order
-        for reading, score in unpad_readings(found[index].grounded.instruction.readings)
+        for reading, score in unpad_readings(reads[index].grounded.instruction.readings)
     ]
-    first = {_canonical(reading): reading for reading, _ in reversed(given)}
-    ranked = sum_by_key(((_canonical(reading), score) for reading, score in given), np.logaddexp)
+    by_key = {_canonical(reading): reading for reading, _ in reversed(scored)}
+    ranked = sum_by_key(((_canonical(reading), score) for reading, score in scored), np.logaddexp)
     left_out = sum(math.exp(score) for _, score in ranked[NUM_READINGS:])
-    return [(first[key], score) for key, score in ranked[:NUM_READINGS]], left_out
+    return [(by_key[key], score) for key, score in ranked[:NUM_READINGS]], left_out
 
 
 def _canonical(reading: Reading) -> tuple[Any, ...]:
@@ -215,14 +215,14 @@ def _meaning(grounded: Grounded) -> tuple[Any, ...]:
     return (_canonical(reading), tuple(map(command_key, summarize_commands(grounded.instruction))))
 
 
-def _mixed_annotations(found: Sequence[Read], weight: np.ndarray) -> tuple[Mapping[str, Any], ...]:
+def _mixed_annotations(reads: Sequence[Read], weight: np.ndarray) -> tuple[Mapping[str, Any], ...]:
     """Sum annotations by weight, likeliest first."""
     ranked = sum_by_key(
         (
             tuple(item for item in document.items() if item[0] != "probability"),
             float(w) * float(document["probability"]),
         )
-        for read, w in zip(found, weight, strict=True)
+        for read, w in zip(reads, weight, strict=True)
         for document in read.grounded.annotations
     )
     return tuple(dict(key) | {"probability": min(prob, 1.0)} for key, prob in ranked)
@@ -241,9 +241,9 @@ class _Recorded(Schema):
 
     def __post_init__(self) -> None:
         """Check that the log-probabilities are finite."""
-        for one, score in self.rewrites:
+        for text, score in self.rewrites:
             if not math.isfinite(score):
-                raise ValueError(f"rewrites has {score} for {quote(one)}, but must be finite")
+                raise ValueError(f"rewrites has {score} for {quote(text)}, but must be finite")
 
 
 class RecordedRewrites:
@@ -261,16 +261,16 @@ class RecordedRewrites:
             ValueError: no such file, or a line cannot be; one line that names file and line.
         """
         self.answers: dict[str, tuple[Rewrite, ...]] = {}
-        for line_number, line in read_lines(path, at_most=_MAX_FILE_BYTES):
-            with naming(f"{path}:{line_number}"):
+        for line_number, line in read_lines(path, max_bytes=_MAX_FILE_BYTES):
+            with error_prefix(f"{path}:{line_number}"):
                 document = parse_json(line)
                 if not isinstance(document, dict):
-                    why = "must be an object with text and rewrites"
-                    raise ValueError(f"is {quote(document)}, but {why}")
-                one = convert(document, _Recorded)
-                if one.text in self.answers:
-                    raise ValueError(f"text {quote(one.text)} stands in an earlier line already")
-            self.answers[one.text] = tuple(one.rewrites)
+                    reason = "must be an object with text and rewrites"
+                    raise ValueError(f"is {quote(document)}, but {reason}")
+                record = convert(document, _Recorded)
+                if record.text in self.answers:
+                    raise ValueError(f"text {quote(record.text)} stands in an earlier line already")
+            self.answers[record.text] = tuple(record.rewrites)
         if not self.answers:
             raise ValueError(f"{path}: holds no rewriting: write one JSON object a line")
 

@@ -23,7 +23,7 @@ from jaxlangnav.grounding.model import (
     Vocabulary,
 )
 from jaxlangnav.grounding.properties import property_names
-from jaxlangnav.inputs.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
+from jaxlangnav.inputs.arrays import open_arrays, read_floats, read_text_entry, value_errors
 from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.inputs.whole_files import read_file, replacing
@@ -75,8 +75,8 @@ def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
 
 
 def _document(archive: ZipFile, name: str, schema: type[_Document]) -> _Document:
-    text = read_text_entry(archive, name, at_most=_MAX_TEXT)
-    with faults_as_values():
+    text = read_text_entry(archive, name, max_length=_MAX_TEXT)
+    with value_errors():
         return convert(json.loads(text), schema, where=name)
 
 
@@ -137,7 +137,7 @@ def about(path: Path) -> dict[str, object]:
 def _opened(path: Path) -> Iterator[ZipFile]:
     """Open a weight file; errors say that it is not a file of weights."""
     try:
-        yield open_arrays(read_file(path, at_most=_MAX_BYTES))
+        yield open_arrays(read_file(path, max_bytes=_MAX_BYTES))
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         why = why.removeprefix(f"{path}: ")

@@ -58,22 +58,22 @@ def to_world(
     """
     count = len(placed.objects)
     codes = placed.attributes or [0] * count
-    kinds = [
+    types = [
         type_code(type_names.index(name), code)
         for (name, _, _), code in zip(placed.objects, codes, strict=True)
     ]
-    world = World.of_edges([*kinds, ROBOT], ())
+    world = World.of_edges([*types, ROBOT], ())
     if count:
         geometry = Geometry(placed, side_range=side_range)
         other = ~np.eye(count, count + 1, dtype=bool)
         world.is_related[:, :count] = geometry.holds & other
         # Number of objects of its type ranked before each figure, by landmark: i[6, n, n + 1].
         label = label_of(world.object_type[:count])
-        alike = (label[:, None] == label[None, :]) & ~np.eye(count, dtype=bool)  # [figure, other]
-        is_rival = alike[None] & ~np.eye(count + 1, count, dtype=bool)[:, None, :]
-        before = count_before(geometry.strength.swapaxes(1, 2), is_rival).swapaxes(1, 2)
+        is_same = (label[:, None] == label[None, :]) & ~np.eye(count, dtype=bool)  # [figure, other]
+        is_rival = is_same[None] & ~np.eye(count + 1, count, dtype=bool)[:, None, :]
+        rank_of = count_before(geometry.strength.swapaxes(1, 2), is_rival).swapaxes(1, 2)
         for rank in range(NUM_RANKS):
-            world.is_ranked[rank, :, :count] = (before == rank) & other
+            world.is_ranked[rank, :, :count] = (rank_of == rank) & other
     if placed.previous is not None:
         world.is_previous[placed.previous] = True
     return world
@@ -93,19 +93,21 @@ def reading_world(placed: PlacedWorld, type_names: tuple[str, ...], readings: Re
     if not placed.objects or not ((edges[:, 1] == BETWEEN) | (edges[:, 3] > 0)).any():
         return world
     strength = Geometry(placed).strength
-    kinds = np.asarray(readings.mention_type[0])
-    is_kind = [is_type(world.object_type, kind) for kind in kinds]
+    types = np.asarray(readings.mention_type[0])
+    is_kind = [is_type(world.object_type, kind) for kind in types]
     _encode_between(world, placed, is_kind, edges)
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
         is_figure = allowed = is_kind[figure][:-1]
-        for other, relation_, by, other_rank in edges:
+        for other, tie, mark, other_rank in edges:
             if other == figure and other_rank == 0:
-                allowed = allowed & world.is_related[SYMBOL_OF[relation_]][:-1, is_kind[by]].any(1)
+                allowed = allowed & world.is_related[SYMBOL_OF[relation_]][:-1, is_kind[mark]].any(
+                    1
+                )
         table = world.is_ranked[min(rank, 2) - 1, relation]
         for index in np.flatnonzero(is_kind[landmark]):
             rivals = allowed & (np.arange(len(is_figure)) != index)
-            meant = rivals & (count_before(strength[relation, :, index], rivals) == rank - 1)
-            table[:-1, index] = np.where(is_figure, meant, table[:-1, index])
+            is_ranked = rivals & (count_before(strength[relation, :, index], rivals) == rank - 1)
+            table[:-1, index] = np.where(is_figure, is_ranked, table[:-1, index])
     return world
 
 
@@ -116,12 +118,12 @@ def explain_mismatch(
 
     One phrase per cause ("no hydrant is behind the robot"); empty if all annotations hold.
     """
-    world, kinds = reading_world(placed, type_names, readings), np.asarray(readings.mention_type[0])
-    names = ["robot" if kind == ROBOT else name_of(kind, type_names) for kind in kinds]
-    is_kind = [is_type(world.object_type, kind) for kind in kinds]
+    world, types = reading_world(placed, type_names, readings), np.asarray(readings.mention_type[0])
+    names = ["robot" if kind == ROBOT else name_of(kind, type_names) for kind in types]
+    is_kind = [is_type(world.object_type, kind) for kind in types]
     missing = [
         f"there is no {name}"
-        for kind, name, mask in zip(kinds, names, is_kind, strict=True)
+        for kind, name, mask in zip(types, names, is_kind, strict=True)
         if kind >= 0 and not mask.any()
     ]
     if missing:

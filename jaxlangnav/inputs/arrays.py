@@ -20,7 +20,7 @@ _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 @contextlib.contextmanager
-def faults_as_values() -> Iterator[None]:
+def value_errors() -> Iterator[None]:
     """Context that converts any exception of a parser into a one-line ``ValueError``."""
     try:
         with warnings.catch_warnings():
@@ -34,7 +34,7 @@ def faults_as_values() -> Iterator[None]:
 
 def open_arrays(content: bytes) -> zipfile.ZipFile:
     """Open an archive of arrays (``.npz``) from bytes; ValueError for a duplicate name."""
-    with faults_as_values():
+    with value_errors():
         archive = zipfile.ZipFile(io.BytesIO(content))
         if len(set(archive.namelist())) < len(archive.namelist()):
             raise ValueError("a name stands in it twice")
@@ -43,17 +43,17 @@ def open_arrays(content: bytes) -> zipfile.ZipFile:
 
 def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """Read an array of a given shape: f32, finite, read-only; otherwise ValueError."""
-    with faults_as_values():
+    with value_errors():
         array = parse_floats(_read_member(archive, name, 4 * math.prod(shape) + _HEADER))
         if array.shape != shape:
             raise ValueError(f"{name} has shape {array.shape}, not {shape}")
         return array
 
 
-def read_text_entry(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str:
-    """Read a text, a 0-d array of ``at_most`` characters; otherwise ValueError."""
-    with faults_as_values():
-        array = _parse(_read_member(archive, name, 4 * at_most + _HEADER))
+def read_text_entry(archive: zipfile.ZipFile, name: str, *, max_length: int) -> str:
+    """Read a text, a 0-d array of at most ``max_length`` characters; otherwise ValueError."""
+    with value_errors():
+        array = _parse_array(_read_member(archive, name, 4 * max_length + _HEADER))
         if array.dtype.kind != "U" or array.shape != ():
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not one text")
         return str(array)
@@ -61,8 +61,8 @@ def read_text_entry(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str
 
 def parse_floats(content: bytes) -> np.ndarray:
     """Parse the bytes of a ``.npy`` file: f32[...], finite, read-only; otherwise ValueError."""
-    with faults_as_values():
-        array = _parse(content)
+    with value_errors():
+        array = _parse_array(content)
         if array.dtype != np.float32:
             raise ValueError(f"numbers are {array.dtype}, not float32")
         if not np.isfinite(array).all():
@@ -70,20 +70,20 @@ def parse_floats(content: bytes) -> np.ndarray:
         return array
 
 
-def _read_member(archive: zipfile.ZipFile, name: str, at_most: int) -> bytes:
+def _read_member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
     """Decompress a file of an archive, which verifies its checksum."""
     if f"{name}.npy" not in archive.namelist():
         raise ValueError(f"{name} is missing")
     info = archive.getinfo(f"{name}.npy")
-    if info.file_size > at_most:
-        raise ValueError(f"{name} has {info.file_size:,} bytes; at most {at_most:,} belong there")
+    if info.file_size > max_bytes:
+        raise ValueError(f"{name} has {info.file_size:,} bytes; at most {max_bytes:,} belong there")
     if info.compress_type not in _COMPRESSIONS:
         raise ValueError(f"{name} is compressed in an unknown way")
     with archive.open(info) as file:
-        return file.read(at_most + 1)
+        return file.read(max_bytes + 1)
 
 
-def _parse(content: bytes) -> np.ndarray:
+def _parse_array(content: bytes) -> np.ndarray:
     """Parse numbers or text, with exactly as many bytes as the header declares."""
     stream = io.BytesIO(content)
     if np.lib.format.read_magic(stream) != (1, 0):

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.inputs.whole_files import read_file
 
-NEST_MAX = 32
+MAX_DEPTH = 32
 """Limit of the nesting depth of tables and lists."""
 _MAX_BITS = 64
 """Limit of an integer's size."""
@@ -26,7 +26,7 @@ _MAX_TEXT = 200
 """Length to which a parser's error message is shortened."""
 # The parser's time is quadratic in the parts of a dotted key. Matches only where a key may start.
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
-_LONG_KEY = re.compile(rf"""(?<![\w"'-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{NEST_MAX}}}""")
+_LONG_KEY = re.compile(rf"""(?<![\w"'-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_DEPTH}}}""")
 
 
 class DocumentError(ValueError):
@@ -36,7 +36,7 @@ class DocumentError(ValueError):
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse TOML; DocumentError if invalid, too deep, or with an integer above 64 bits."""
     if _LONG_KEY.search(text):
-        raise DocumentError(f"has a key of more than {NEST_MAX} parts: use fewer dots")
+        raise DocumentError(f"has a key of more than {MAX_DEPTH} parts: use fewer dots")
     return _parse(tomllib.loads, text, "TOML")
 
 
@@ -64,42 +64,42 @@ def _reject_constant(name: str) -> NoReturn:
     raise DocumentError(f"holds {name}, which is no number of JSON")
 
 
-def read_document(path: Path, *, at_most: int) -> Any:
-    """Read a JSON or TOML file (by its extension .json or another) of ``at_most`` bytes.
+def read_document(path: Path, *, max_bytes: int) -> Any:
+    """Read a JSON or TOML file (by its extension .json or another) of at most ``max_bytes`` bytes.
 
     Raises:
         ValueError: it cannot be read or is not valid; one line that names the file.
     """
     if not os.path.lexists(path):
         raise ValueError(f"{path}: no such file")
-    text = read_text(path, at_most=at_most)
-    with naming(path):
+    text = read_text(path, max_bytes=max_bytes)
+    with error_prefix(path):
         return parse_json(text) if path.suffix.lower() == ".json" else parse_toml(text)
 
 
-def read_text(path: str | Path, *, at_most: int) -> str:
-    """Read a text file of ``at_most`` bytes.
+def read_text(path: str | Path, *, max_bytes: int) -> str:
+    """Read a text file of at most ``max_bytes`` bytes.
 
     Raises:
         ValueError: it cannot be read, is no regular file, too large, or no UTF-8; one line that
             names the file.
     """
     try:
-        return read_file(path, at_most=at_most).decode("utf-8")
+        return read_file(path, max_bytes=max_bytes).decode("utf-8")
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ValueError(f"{path}: is no text: save it as UTF-8") from None
 
 
-def read_lines(path: str | Path, *, at_most: int) -> list[tuple[int, str]]:
+def read_lines(path: str | Path, *, max_bytes: int) -> list[tuple[int, str]]:
     """Read the nonempty lines of a file, with their line numbers from 1, as ``read_text``."""
-    lines = enumerate(read_text(path, at_most=at_most).split("\n"), start=1)
+    lines = enumerate(read_text(path, max_bytes=max_bytes).split("\n"), start=1)
     return [(number, line) for number, line in lines if line.strip()]
 
 
 @contextlib.contextmanager
-def naming(prefix: object) -> Iterator[None]:
+def error_prefix(prefix: object) -> Iterator[None]:
     """Context that prefixes the message of a ValueError with a location: a file, or its line."""
     try:
         yield
@@ -107,19 +107,19 @@ def naming(prefix: object) -> Iterator[None]:
         raise ValueError(f"{prefix}: {error}") from None
 
 
-def shipped_file(floor: str, name: str) -> Path:
+def shipped_file(subpackage: str, name: str) -> Path:
     """Return the path of a file in the folder ``data`` of a subpackage, such as "language"."""
-    return Path(__file__).parent.parent / floor / "data" / name
+    return Path(__file__).parent.parent / subpackage / "data" / name
 
 
-def read_shipped(floor: str, name: str) -> str:
+def read_shipped(subpackage: str, name: str) -> str:
     """Read a text file from the folder ``data`` of a subpackage."""
-    return shipped_file(floor, name).read_text("utf-8")
+    return shipped_file(subpackage, name).read_text("utf-8")
 
 
 def _parse(loads: Callable[[str], Any], text: str, syntax: str) -> Any:
     """Parse a document, and check its depth and numbers."""
-    too_deep = f"is nested more than {NEST_MAX} deep: use fewer tables inside tables"
+    too_deep = f"is nested more than {MAX_DEPTH} deep: use fewer tables inside tables"
     try:
         document = loads(text)
     except DocumentError:
@@ -134,7 +134,7 @@ def _parse(loads: Callable[[str], Any], text: str, syntax: str) -> Any:
         raise DocumentError(f"is no valid {syntax}: {reason}") from None
     level, depth = [document], 0
     while level:  # breadth-first, so that depth needs no recursion
-        if depth > NEST_MAX:
+        if depth > MAX_DEPTH:
             raise DocumentError(too_deep)
         children: list[Any] = []
         for value in level:

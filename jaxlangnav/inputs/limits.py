@@ -21,13 +21,13 @@ MAX_VALUE = 1e15
 """Limit of a dimensionless number."""
 MIN_VALUE = 1e-15
 """Lower limit of a dimensionless number other than zero."""
-VIEWS = (1e-3, math.tau + 1e-3)
+FOV_SPAN = (1e-3, math.tau + 1e-3)
 """Limits of the field of view, radians."""
 MAX_FALSE, MAX_WRONG = 100.0, 0.99
 """Limits of expected false detections per type and scan, and of the mislabelling probability."""
 
 
-def refuse_below(minimum: int, **counts: Any) -> None:
+def check_minimum(minimum: int, **counts: Any) -> None:
     """Raise a one-line ``ValueError`` for a count, given by name, below a minimum."""
     for name, value in counts.items():
         if value < minimum:
@@ -113,15 +113,15 @@ class Quantity:
                 raise ValueError(line) from None
         match = _TEXT.match(value) if isinstance(value, str) else None
         units = ", ".join(_UNITS[self.kind])
-        wanted, hint = _NAMES[self.kind], f" ({units})" if units else ""
+        expected, hint = _NAMES[self.kind], f" ({units})" if units else ""
         if match is None:
-            raise ValueError(f"{name} is {as_text(value)}, but must be {wanted}{hint}")
+            raise ValueError(f"{name} is {as_text(value)}, but must be {expected}{hint}")
         number, unit = float(match[1]), match[2]
         if not unit or unit in _UNITS[self.kind]:
             return number * _UNITS[self.kind].get(unit, 1.0)
         other = next((kind for kind, units in _UNITS.items() if unit in units), None)
         fault = f"is {_NAMES[other]}" if other else f'has the unknown unit "{shorten(unit)}"'
-        raise ValueError(f'{name} = "{shorten(match[0])}" {fault}, but {wanted} is needed{hint}')
+        raise ValueError(f'{name} = "{shorten(match[0])}" {fault}, but {expected} is needed{hint}')
 
     def _limits(self) -> str:
         unit = {"length": " m", "angle": " rad"}.get(self.kind, "")

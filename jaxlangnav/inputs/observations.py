@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.inputs.limits import (
+    FOV_SPAN,
     MAX_FALSE,
     MAX_METRES,
     MAX_WRONG,
     RANGES,
-    VIEWS,
     bounded,
     number,
 )
@@ -26,7 +26,7 @@ from jaxlangnav.inputs.object_types import ATTRIBUTES, attribute_code, group_of
 from jaxlangnav.inputs.sanitize import quote
 
 SLOTS = (8, 16, 32, 64)
-"""Sizes to which detections are padded; each has its own compiled program."""
+"""Padded numbers of detections; each has its own compiled program."""
 
 
 def _type_index(name: Any, types: Sequence[str], what: str) -> int:
@@ -53,17 +53,17 @@ def _type_index(name: Any, types: Sequence[str], what: str) -> int:
     return int(index)
 
 
-def _polar(
+def _check_polar(
     range_value: Any, bearing: Any, range_max: float, field_of_view: float, noise: float, what: str
 ) -> tuple[float, float]:
     """Validate one detection's range and bearing against its sensor model."""
-    max_range = range_max + DEVIATIONS * noise + MIN_NOISE
+    max_range = range_max + GATE_SIGMAS * noise + MIN_NOISE
     remedy = "give metres from the robot, as far as the sensor's range_max sees"
     metres = bounded(range_value, 0.0, max_range, f"{what}'s range", remedy)
     angle_remedy = "give radians in the robot's frame (degrees? use math.radians)"
     angle = bounded(bearing, -math.tau, math.tau, f"{what}'s bearing", angle_remedy)
     excess = abs(math.remainder(angle, math.tau)) - 0.5 * field_of_view
-    if metres * math.sin(min(max(excess, 0.0), 0.5 * math.pi)) > DEVIATIONS * noise + MIN_NOISE:
+    if metres * math.sin(min(max(excess, 0.0), 0.5 * math.pi)) > GATE_SIGMAS * noise + MIN_NOISE:
         raise ValueError(
             f"{what}'s bearing is {angle:g} rad, but the field of view of {field_of_view:g} rad "
             f"ends at {0.5 * field_of_view:g}: {angle_remedy}, or widen the sensor's field_of_view"
@@ -89,7 +89,7 @@ def _attribute_code(attributes: Any, what: str) -> int:
     return attribute_code(*attributes.values())
 
 
-def padded(count: int) -> int:
+def padded_size(count: int) -> int:
     """Return the smallest of ``SLOTS`` for a number of detections; ValueError if none suffices."""
     slots = next((slots for slots in SLOTS if count <= slots), None)
     if slots is None:
@@ -100,12 +100,12 @@ def padded(count: int) -> int:
     return slots
 
 
-def detected(
+def detection_arrays(
     detections: Iterable[Sequence[Any]], sensor: Sequence[np.float32], types: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """Validate detections against their sensor model, and pad them.
 
-    Args as of ``Observation.of``, but ``sensor`` is as returned by ``sensor_numbers``.
+    Args as of ``Observation.of``, but ``sensor`` is as returned by ``check_sensor``.
 
     Returns:
         Arrays of 8, 16, 32 or 64 slots on the host, by the fields of ``Observation``; the type is
@@ -114,27 +114,27 @@ def detected(
     Raises:
         ValueError: names the detection, the value, the limit and the remedy.
     """
-    range_max, field_of_view, _, noise, *_ = (float(one) for one in sensor)
+    range_max, field_of_view, _, noise, *_ = (float(value) for value in sensor)
     rows = _bounded_list(detections, SLOTS[-1] + 1)
     if rows is None:
         raise ValueError(
             f"detections is {quote(detections)}, but must be a list of (type, range, bearing)"
         )
-    slots = padded(len(rows))
+    slots = padded_size(len(rows))
     table = np.tile([-1.0, 0.0, 0.0, 0.0], (slots, 1))
     for slot, row in enumerate(rows):
-        label = f"detection {slot + 1}"
+        what = f"detection {slot + 1}"
         is_array = isinstance(row, np.ndarray) and row.ndim == 1
         is_row = is_array or (isinstance(row, Sequence) and not isinstance(row, str | bytes))
         if not is_row or len(row) not in (3, 4):
             raise ValueError(
-                f"{label} is {quote(row, 60)}, but must be (type, range, bearing), or with how it "
+                f"{what} is {quote(row, 60)}, but must be (type, range, bearing), or with how it "
                 'looks (type, range, bearing, {"colour": "red"})'
             )
         object_type, metres, bearing, attributes = [*row, None][:4]
-        index = _type_index(object_type, types, label)
-        polar = _polar(metres, bearing, range_max, field_of_view, noise, label)
-        table[slot] = index, *polar, _attribute_code(attributes, label)
+        index = _type_index(object_type, types, what)
+        polar = _check_polar(metres, bearing, range_max, field_of_view, noise, what)
+        table[slot] = index, *polar, _attribute_code(attributes, what)
     return {
         "detection_type": table[:, 0].astype(np.int32),
         "detection_range": table[:, 1].astype(np.float32),
@@ -145,16 +145,16 @@ def detected(
 
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
-"""The object types of the shipped lexicon, by type index."""
+"""Object types of the shipped lexicon, by type index."""
 MAX_ANGLE = 4.0 * np.pi
 """Limit of angles, radians, either way; more than half a turn, for unwrapped headings."""
-DEVIATIONS = 6.0
-"""Gate in standard deviations of the noise for detections out of range or out of view."""
+GATE_SIGMAS = 6.0
+"""Gate, in standard deviations of the noise, for detections beyond the range or field of view."""
 MIN_NOISE = 0.01
 """Metres; lower bound of the sensor noise, which prevents division by zero."""
 
 
-def sensor_numbers(
+def check_sensor(
     range_max: Any,
     field_of_view: Any,
     detection_probability: Any,
@@ -173,7 +173,7 @@ def sensor_numbers(
     remedy = "give a share, 0.95 for 95 percent"
     max_range = bounded(range_max, *RANGES, "range_max", "give metres")
     angle_remedy = "give radians, math.radians(90) for 90 degrees"
-    fov = bounded(field_of_view, *VIEWS, "field_of_view", angle_remedy)
+    fov = bounded(field_of_view, *FOV_SPAN, "field_of_view", angle_remedy)
     p_detect = bounded(detection_probability, 0.0, 1.0, "detection_probability", remedy)
     if p_detect == 0.0:
         raise ValueError(
@@ -207,7 +207,7 @@ def _fixed_list(values: Any, count: int, what: str, remedy: str) -> list[Any]:
     return items
 
 
-def pose_numbers(pose: Sequence[Any]) -> np.ndarray:
+def check_pose(pose: Sequence[Any]) -> np.ndarray:
     """Validate a pose (x, y, heading), metres and radians, map frame: f32[3].
 
     Raises:
@@ -222,7 +222,7 @@ def pose_numbers(pose: Sequence[Any]) -> np.ndarray:
     return np.array([x, y, heading], np.float32)
 
 
-def area_numbers(area: Sequence[Any]) -> np.ndarray:
+def check_area(area: Sequence[Any]) -> np.ndarray:
     """Validate an operating area, x_min, x_max, y_min, y_max, metres, map frame: f32[4].
 
     Raises:

@@ -43,6 +43,6 @@ class _MovedFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         vars(module).update({name: names[to] for name, to in RENAMED.get(old, {}).items()})
 
 
-def know_old_names() -> None:
+def install_old_names() -> None:
     """Register the import hook, after all other finders."""
     sys.meta_path.append(_MovedFinder())

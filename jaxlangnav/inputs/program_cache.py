@@ -27,7 +27,7 @@ import jax.core
 import jaxlib.version
 
 from jaxlangnav.inputs.program_serialization import Call, compile_program, load_program
-from jaxlangnav.inputs.whole_files import own_folder, read_own_file, write_own_file
+from jaxlangnav.inputs.whole_files import read_user_file, user_folder, write_user_file
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -64,7 +64,7 @@ def set_cache_dir(folder: Path | None, *, say: Callable[[str], None] = warnings.
     """
     global _folder, _warn, _has_warned
     _folder, _warn, _has_warned = None, say, False
-    _folder = None if folder is None else own_folder(folder)
+    _folder = None if folder is None else user_folder(folder)
 
 
 def _warn_once(text: str) -> None:
@@ -181,7 +181,7 @@ def _fingerprint() -> tuple[str, ...]:
 def _load(path: Path, leaves: list[Any]) -> Call | None:
     """Load a cached program; None if it is missing or invalid."""
     try:
-        call = load_program(read_own_file(path, at_most=_MAX_BYTES), name=path.name)
+        call = load_program(read_user_file(path, max_bytes=_MAX_BYTES), name=path.name)
         # Run it once: XLA reports some faults only at run time.
         jax.block_until_ready(call(leaves))
         os.utime(path)
@@ -199,7 +199,7 @@ def _compile(path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Call:
     call, content = compile_program(flat, leaves, name=path.name)
     if content is not None:
         try:
-            write_own_file(path, content)
+            write_user_file(path, content)
             # Least recently used files are deleted, maybe by another process at the same time.
             with contextlib.suppress(FileNotFoundError):
                 cached = path.parent.glob(f"*{_SUFFIX}")

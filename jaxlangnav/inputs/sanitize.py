@@ -63,34 +63,34 @@ def as_text(value: Any) -> str:
     return shorten(" ".join(representation.split()))
 
 
-def quote(value: Any, most: int = 40) -> str:
-    """Format any value in one line for an error, texts quoted; ``most`` characters at most."""
+def quote(value: Any, max_length: int = 40) -> str:
+    """Format any value in one line for an error, texts quoted and shortened to ``max_length``."""
     if isinstance(value, str):  # shortened before escaping: it may be of any length
-        return f"'{shorten(sanitize(' '.join(value[: 2 * most].split())), most)}'"
+        return f"'{shorten(sanitize(' '.join(value[: 2 * max_length].split())), max_length)}'"
     try:
         text = str(value)
     except Exception:  # an object may fail to write itself, as numbers of 5,000 digits do
         text = as_text(value)
-    return shorten(sanitize(" ".join(text.split())), most)
+    return shorten(sanitize(" ".join(text.split())), max_length)
 
 
-def shorten(text: str, most: int = _MAX_SHOWN) -> str:
-    """Shorten a text to ``most`` characters, of which the last is an ellipsis."""
-    return text if len(text) <= most else text[: most - 1] + "…"
+def shorten(text: str, max_length: int = _MAX_SHOWN) -> str:
+    """Shorten a text to ``max_length`` characters, of which the last is an ellipsis."""
+    return text if len(text) <= max_length else text[: max_length - 1] + "…"
 
 
-def name_fault(text: str, *, longest: int = MAX_NAME) -> str | None:
+def name_fault(text: str, *, max_length: int = MAX_NAME) -> str | None:
     """Describe why a text is invalid as a name or sentence, and the remedy; or None."""
-    if len(text) > longest:
-        return f"has {len(text)} characters but must have at most {longest}: shorten it"
+    if len(text) > max_length:
+        return f"has {len(text)} characters but must have at most {max_length}: shorten it"
     index = next((i for i, char in enumerate(text) if not is_plain(char)), None)
     if index is None:
         return None
     return f"has the control character U+{ord(text[index]):04X} at place {index + 1}: remove it"
 
 
-def check_names(names: Iterable[str], what: str, *, at_most: int) -> tuple[str, ...]:
-    """Validate names, of which at most ``at_most`` are read; ``ValueError`` if one is invalid."""
+def check_names(names: Iterable[str], what: str, *, max_count: int) -> tuple[str, ...]:
+    """Validate names, of which at most ``max_count`` are read; ``ValueError`` if one is invalid."""
     try:
         items = None if isinstance(names, str | bytes) else iter(names)
     except TypeError:
@@ -98,7 +98,7 @@ def check_names(names: Iterable[str], what: str, *, at_most: int) -> tuple[str, 
     if items is None:
         raise ValueError(f"{what} is {quote(names)}, but must be a list of names")
     checked: list[str] = []
-    for i, name in enumerate(itertools.islice(items, at_most)):
+    for i, name in enumerate(itertools.islice(items, max_count)):
         if not isinstance(name, str):
             raise ValueError(f"{what}[{i}] is {quote(name)}, but must be a name (a text)")
         if fault := name_fault(name):

@@ -50,7 +50,7 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True):
         for name in self.__struct_fields__:
             value = getattr(self, name)
             for text in value if isinstance(value, list) else [value]:
-                if isinstance(text, str) and (fault := name_fault(text, longest=len(text))):
+                if isinstance(text, str) and (fault := name_fault(text, max_length=len(text))):
                     raise ValueError(f"{name} {fault}")
 
 
@@ -77,7 +77,7 @@ def _explain(message: str, value: Any, node: inspect.Type, where: str) -> str:
     """Build the message for a validation error, from the value at its path."""
     problem, _, path = message.partition(" - at `$")
     path = path[:-1]
-    node = _intended(node, value)
+    node = _intended_type(node, value)
     for name, index in _PATH_PART.findall(path):
         value = value[name or int(index)]
         if isinstance(node, inspect.StructType):
@@ -86,7 +86,7 @@ def _explain(message: str, value: Any, node: inspect.Type, where: str) -> str:
             child = node.item_types[int(index)]
         else:
             child = node.item_type if isinstance(node, inspect.ListType) else inspect.AnyType()
-        node = _intended(child, value)
+        node = _intended_type(child, value)
     key = f"{where}{path}".removeprefix(".")
     prefix = f"{key}." if key else ""
     start, _, rest = problem.partition(" field `")
@@ -101,7 +101,7 @@ def _explain(message: str, value: Any, node: inspect.Type, where: str) -> str:
     return f"{key or 'the file'} {_describe(value, node)}"
 
 
-def _intended(node: inspect.Type, value: Any) -> inspect.Type:
+def _intended_type(node: inspect.Type, value: Any) -> inspect.Type:
     """Select the member of a union that a value was probably meant for."""
     if isinstance(node, inspect.Metadata):
         node = node.type
@@ -120,8 +120,8 @@ def _describe(value: Any, node: inspect.Type) -> str:
         return f"has {len(value)} entries, but must have {limits}: add or remove"
     if isinstance(value, list) and isinstance(node, inspect.TupleType):
         return f"has {len(value)} entries, but must have {len(node.item_types)}: add or remove"
-    bounds = ((words, getattr(node, name, None)) for words, name in _LIMITS)
-    limits = " and ".join(f"{words} {limit:.10g}" for words, limit in bounds if limit is not None)
+    bounds = ((phrase, getattr(node, name, None)) for phrase, name in _LIMITS)
+    limits = " and ".join(f"{phrase} {limit:.10g}" for phrase, limit in bounds if limit is not None)
     expected = _TYPE_NAMES.get(type(node), "something else")
     is_quoted = isinstance(value, str) and isinstance(node, inspect.FloatType | inspect.IntType)
     remedy = ": write it without quotes" if is_quoted else ""

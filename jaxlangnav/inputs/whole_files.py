@@ -1,15 +1,14 @@
-"""Atomic, durable writes of files, and files and folders that only their user can change.
+"""Atomic, durable file writes, and files and folders that only their user can modify.
 
 Content is written to a temporary file of unique name in the same folder, synced to disk (fsync) and
 moved to its path in one rename, which is synced too. Readers see the old file or the new one; a
 kill, a full disk or a power cut leaves at most a hidden temporary file, whose name begins with a
 dot.
 
-The user's own folders and files cannot have been changed by others, since whoever writes a file
-that is loaded as code runs programs as its reader. Ownership and permissions are checked on the
-whole real path from the root down, and links are rejected below it: where nobody else may write,
-nobody else can replace a file. Permissions are those of POSIX; on other systems (Windows) every
-check fails.
+A user's folders and files must not be modifiable by others, since whoever writes a file that is
+loaded as code runs programs as its reader. Ownership and permissions are checked on the whole real
+path from the root down, and links are rejected below it: where nobody else may write, nobody else
+can replace a file. Permissions are those of POSIX; on other systems (Windows) every check fails.
 """
 
 import contextlib
@@ -39,8 +38,8 @@ _OPEN_FLAGS = (
 """Flags of ``open``: do not block on a pipe, do not acquire a controlling terminal."""
 
 
-def read_file(path: str | Path, *, at_most: int) -> bytes:
-    """Read a whole regular file of ``at_most`` bytes; links are followed.
+def read_file(path: str | Path, *, max_bytes: int) -> bytes:
+    """Read a whole regular file of at most ``max_bytes`` bytes; links are followed.
 
     Time and memory are bounded for larger files too, whatever size they claim.
 
@@ -50,12 +49,12 @@ def read_file(path: str | Path, *, at_most: int) -> bytes:
     """
     descriptor = os.open(path, _OPEN_FLAGS)
     try:
-        return _read_descriptor(descriptor, path, at_most=at_most)
+        return _read_descriptor(descriptor, path, max_bytes=max_bytes)
     finally:
         os.close(descriptor)
 
 
-def _read_descriptor(descriptor: int, path: str | Path, *, at_most: int) -> bytes:
+def _read_descriptor(descriptor: int, path: str | Path, *, max_bytes: int) -> bytes:
     """Read an open descriptor as ``read_file`` does; it stays open."""
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode):
@@ -63,13 +62,13 @@ def _read_descriptor(descriptor: int, path: str | Path, *, at_most: int) -> byte
         raise ValueError(f"{path}: is {file_type}, not a regular file")
     content = bytearray()
     # Read one byte more to detect an excess: growing files and /proc report no true size.
-    while status.st_size <= at_most and len(content) <= at_most:
-        chunk = os.read(descriptor, min(_CHUNK, at_most + 1 - len(content)))
+    while status.st_size <= max_bytes and len(content) <= max_bytes:
+        chunk = os.read(descriptor, min(_CHUNK, max_bytes + 1 - len(content)))
         if not chunk:
             return bytes(content)
         content += chunk
     raise ValueError(
-        f"{path}: has more than {at_most:,} bytes, the most that such a file may have: shorten it"
+        f"{path}: has more than {max_bytes:,} bytes, the most that such a file may have: shorten it"
     )
 
 
@@ -127,14 +126,14 @@ def write_once(content: bytes, path: Path) -> bool:
 def _fsync(path: Path) -> None:
     """Sync a file or folder to disk (fsync)."""
     is_folder = path.is_dir()
-    handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR)
+    descriptor = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR)
     try:
-        os.fsync(handle)
+        os.fsync(descriptor)
     except OSError as error:
         if not is_folder or error.errno not in _SYNC_UNSUPPORTED:
             raise
     finally:
-        os.close(handle)
+        os.close(descriptor)
 
 
 def make_folder(folder: Path) -> None:
@@ -163,19 +162,19 @@ def _temporary_file(path: Path, *, is_private: bool = False) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-# ---------------------------------------------------------------- the user's own
+# ---------------------------------------------------------------- files of the user alone
 
 
-def own_folder(path: Path) -> Path:
+def user_folder(path: Path) -> Path:
     """Find or create a folder private to this user (0700), below folders nobody can replace.
 
-    Every folder above must belong to this user or to root and be writable by nobody else, but for
-    those in which one may rename only what one owns (sticky, as ``/tmp`` is). Folders that are
-    missing are made, 0700 whatever the umask. Returns the real path, free of links.
+    Every folder above must belong to this user or to root and be writable by nobody else, unless it
+    is sticky, as ``/tmp`` is. Missing folders are created, 0700 whatever the umask. Returns the
+    real path, free of links.
 
     Raises:
-        OSError: it cannot be made, or does not pass; the message says which folder, why and what
-            to do about it.
+        OSError: it cannot be created, or a check fails; the message names the folder, the reason
+            and the remedy.
     """
     if os.name != "posix":
         raise PermissionError(f"{path}: this system does not tell whose it is")
@@ -185,7 +184,7 @@ def own_folder(path: Path) -> Path:
             os.mkdir(folder, 0o700)
             os.chmod(folder, 0o700)
         except OSError:
-            # A root that cannot be written says so in place of saying that it exists.
+            # On a read-only root the error is another one than that the folder exists.
             if not os.path.lexists(folder):
                 raise
         status = os.lstat(folder)
@@ -200,10 +199,10 @@ def own_folder(path: Path) -> Path:
     return real
 
 
-def check_own_files(folder: Path) -> None:
-    """Raise ``OSError`` if a file in a folder from ``own_folder`` belongs to another user.
+def check_user_files(folder: Path) -> None:
+    """Raise ``OSError`` if a file in a folder from ``user_folder`` belongs to another user.
 
-    Whoever made the files may have let others write them, as many do with those of their group.
+    The owner of a file may have made it writable for others, such as for a group.
 
     Raises:
         OSError: a file belongs to another user; the message says which.
@@ -213,14 +212,14 @@ def check_own_files(folder: Path) -> None:
             raise PermissionError(f"{path}: belongs to another user; remedy: remove it")
 
 
-def read_own_file(path: Path, *, at_most: int) -> bytes:
-    """Read a file of ``at_most`` bytes that only this user may write; links are rejected.
+def read_user_file(path: Path, *, max_bytes: int) -> bytes:
+    """Read a file of at most ``max_bytes`` bytes that only this user may write; links are rejected.
 
-    Its folder is one from ``own_folder``.
+    Its folder is one from ``user_folder``.
 
     Raises:
         ValueError: it is no regular file, or has more bytes.
-        OSError: it does not pass, or cannot be read.
+        OSError: a check fails, or it cannot be read.
     """
     descriptor = os.open(path, _OPEN_FLAGS | os.O_NOFOLLOW)
     try:
@@ -229,12 +228,12 @@ def read_own_file(path: Path, *, at_most: int) -> bytes:
             raise PermissionError(f"{path}: belongs to another user")
         if status.st_mode & _OTHERS_WRITE:
             raise PermissionError(f"{path}: others can write it")
-        return _read_descriptor(descriptor, path, at_most=at_most)
+        return _read_descriptor(descriptor, path, max_bytes=max_bytes)
     finally:
         os.close(descriptor)
 
 
-def write_own_file(path: Path, content: bytes) -> None:
+def write_user_file(path: Path, content: bytes) -> None:
     """Write or replace a file atomically, with permissions 0600 whatever the umask.
 
     Raises:

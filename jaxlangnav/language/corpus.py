@@ -220,7 +220,7 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
     """
     path = Path(path)
     try:
-        lines = read_lines(path, at_most=MAX_CORPUS_BYTES)
+        lines = read_lines(path, max_bytes=MAX_CORPUS_BYTES)
     except ValueError as error:
         raise CorpusError(str(error)) from None
     examples: list[Example] = []

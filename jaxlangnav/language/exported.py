@@ -22,7 +22,7 @@ Notation = Literal["lark", "gbnf"]
 Rules = dict[str, list[tuple[str, ...]]]
 """Alternatives of each nonterminal; a part in double quotes is a word."""
 START = "start"
-_LEFT_OUT = frozenset({"one", "VP_after", "of_all"})
+_OMITTED = frozenset({"one", "VP_after", "of_all"})
 """Constructions that a rewriting does not need: "the one", "after going to", "of all the"."""
 _UNKNOWN_NOUN, _ADJECTIVE, _ADJECTIVES, _GROUP = "unknown_noun", "adj", "adjs", "noun_group"
 
@@ -43,8 +43,8 @@ def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
     rules = exported_rules(load_grammar(), nouns)
     names = {left: _name(left, form) for left in rules}
     arrow, bar, comment = {"lark": (": ", "\n  | ", "//"), "gbnf": (" ::= ", " | ", "#")}[form]
-    note = f"{comment} The controlled language of jaxlangnav. Every word has a space before it."
-    lines = [note]
+    header = f"{comment} The controlled language of jaxlangnav. Every word has a space before it."
+    lines = [header]
     for left, rights in rules.items():
         bodies = [" ".join(names.get(s) or _literal(s) for s in right) for right in rights]
         lines.append(names[left] + arrow + bar.join(bodies))
@@ -58,12 +58,12 @@ def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
         ValueError: a noun is none; one line.
     """
     rules: Rules = {}
-    for p in grammar.productions:
-        is_guess = p.entry is None and p.left in (_UNKNOWN_NOUN, _ADJECTIVE)
-        is_guess |= any(part.startswith(f'"{UNKNOWN}') for part in p.right)
-        is_compound = p.left == _GROUP and len(p.right) > 1
-        if not (is_guess or is_compound or p.left in _LEFT_OUT):
-            rules.setdefault(p.left, []).append(p.right)
+    for production in grammar.productions:
+        is_guess = production.entry is None and production.left in (_UNKNOWN_NOUN, _ADJECTIVE)
+        is_guess |= any(part.startswith(f'"{UNKNOWN}') for part in production.right)
+        is_compound = production.left == _GROUP and len(production.right) > 1
+        if not (is_guess or is_compound or production.left in _OMITTED):
+            rules.setdefault(production.left, []).append(production.right)
     # Attribute adjectives are unknown words to the parser: at most one is allowed before a noun.
     attributes = sorted(word for word in load_nouns().attributes if word.isalpha())
     rules.setdefault(_ADJECTIVES, []).extend((f'"{word}"',) for word in attributes)
@@ -108,9 +108,9 @@ def _reachable(rules: Rules) -> Rules:
 
 def _name(left: str, form: Notation) -> str:
     """Name a nonterminal in a notation: lower case in Lark, without underscores in GBNF."""
-    small = left.lower() + ("_phrase" if left[:1].isupper() else "")
-    gbnf = "root" if left == START else small.replace("_", "-")
-    return small if form == "lark" else gbnf
+    lower = left.lower() + ("_phrase" if left[:1].isupper() else "")
+    gbnf = "root" if left == START else lower.replace("_", "-")
+    return lower if form == "lark" else gbnf
 
 
 def _literal(part: str) -> str:

@@ -57,13 +57,13 @@ class Geometry:
         positions = np.array([[x, y] for _, x, y in world.objects], np.float32).reshape(-1, 2)
         viewer = np.array(world.robot[:2], np.float32)
         heading = world.robot[2]
-        where = jax.device_put((positions, viewer, np.float32(heading)))
-        self.holds = np.array(_all_relations(*where))
+        inputs = jax.device_put((positions, viewer, np.float32(heading)))
+        self.holds = np.array(_all_relations(*inputs))
         points = np.concatenate([positions, viewer[None]], 0)
         offset = positions[:, None] - points[None]
         distance = np.linalg.norm(offset, axis=-1)
         sides = np.ix_(SIDES, range(count), [count])
         self.holds[sides] &= distance[:, -1:] <= side_range
-        sideways = offset @ np.array([-np.sin(heading), np.cos(heading)])
+        lateral = offset @ np.array([-np.sin(heading), np.cos(heading)])
         # Degree of each relation, f64[6, N, N + 1]; larger is stronger.
-        self.strength = np.stack([degree(r, distance, sideways) for r in range(len(RELATIONS))])
+        self.strength = np.stack([degree(r, distance, lateral) for r in range(len(RELATIONS))])

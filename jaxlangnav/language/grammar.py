@@ -21,7 +21,7 @@ from jaxlangnav.language.lexicon import LexicalEntry, Lexicon, load_lexicon
 from jaxlangnav.language.tokens import MARKS
 from jaxlangnav.language.tree import (
     PUNCTUATION,
-    UNKNOWN_CLASSES,
+    UNKNOWN_WORD_CLASSES,
     Derivation,
     Production,
     read_forest,
@@ -90,7 +90,7 @@ def _lexical_rules(
     rules: list[tuple[str, tuple[str, ...], float, LexicalEntry | None]] = []
     for name, entries in lexicon.entries.items():
         rules += [(name, tuple(f'"{w}"' for w in key), 1.0, e) for key, e in entries.items()]
-    for name, (_, weights) in UNKNOWN_CLASSES.items():
+    for name, (_, weights) in UNKNOWN_WORD_CLASSES.items():
         size = max(1, len(lexicon.entries.get(name, {})))
         rules += [(name, (f'"{unk}"',), size * w, None) for unk, w in weights.items()]
     # Words known only from fixed expressions ("plant yourself") are nouns alone.
@@ -148,13 +148,13 @@ class Grammar:
         self._lock = threading.Lock()
         self._rules = lark.rules
         # Symbols that must be derivable before a rule is predicted: (only the first, all).
-        needed = [[str(symbol.name) for symbol in rule.expansion] for rule in lark.rules]
-        self._needed = ([set(right[:1]) for right in needed], [set(right) for right in needed])
-        self._users: tuple[dict[str, list[int]], ...] = ({}, {})
-        for users, rules in zip(self._users, self._needed, strict=True):
+        required = [[str(symbol.name) for symbol in rule.expansion] for rule in lark.rules]
+        self._required = ([set(it[:1]) for it in required], [set(it) for it in required])
+        self._dependents: tuple[dict[str, list[int]], ...] = ({}, {})
+        for dependents, rules in zip(self._dependents, self._required, strict=True):
             for index, symbols in enumerate(rules):
                 for symbol in symbols:
-                    users.setdefault(symbol, []).append(index)
+                    dependents.setdefault(symbol, []).append(index)
 
     def _predict_only(self, terminals: frozenset[str], is_whole: bool) -> None:
         """Restrict Earley's predictions to rules that the sentence's terminals can derive."""
@@ -162,20 +162,20 @@ class Grammar:
         # lexicon; without underivable ones, and one rule at a time, parsing is ten times faster.
         # ``is_whole``: all symbols of a rule must be derivable from the terminals; otherwise only
         # the first, which does not change where a parse fails.
-        users, num_missing = self._users[is_whole], [*map(len, self._needed[is_whole])]
-        derivable, agenda, chosen = set(terminals), list(terminals), []
+        dependents, num_missing = self._dependents[is_whole], [*map(len, self._required[is_whole])]
+        derivable, agenda, allowed = set(terminals), list(terminals), []
         while agenda:  # each derivable symbol decrements the missing counts of its rules
-            for index in users.get(agenda.pop(), ()):
+            for index in dependents.get(agenda.pop(), ()):
                 num_missing[index] -= 1
                 if not num_missing[index]:
-                    chosen.append(index)
+                    allowed.append(index)
                     name = str(self._rules[index].origin.name)
                     if name not in derivable:
                         derivable.add(name)
                         agenda.append(name)
         for rules in self._earley.predictions.values():
             rules.clear()
-        for index in sorted(chosen):
+        for index in sorted(allowed):
             self._earley.predictions[self._rules[index].origin].append(self._rules[index])
 
     def parse(self, tokens: list[str], *, is_end_found: bool = True) -> tuple[Derivation, float]:
@@ -189,9 +189,9 @@ class Grammar:
         Raises:
             NoParseError: there is none.
         """
-        known = [f'"{token}"' in self._symbols for token in tokens]
-        if not all(known):
-            raise NoParseError(known.index(False))
+        is_known = [f'"{token}"' in self._symbols for token in tokens]
+        if not all(is_known):
+            raise NoParseError(is_known.index(False))
         terminals = [self._symbols[f'"{token}"'] for token in tokens]
         with self._lock:  # the predictions are specific to one sentence
             try:

@@ -19,10 +19,10 @@ MAX_HALTING_CHARACTERS = 400
 """Length limit of utterances that only halt, resume or cancel."""
 _MAX_ALARM_CHARACTERS = 10_000
 """Length limit of sentences (``language.parser``)."""
-_KINDS = ("verb", "manner", "warning", "not", "denial", "place", "when", "and", "go")
+_CLASSES = ("verb", "manner", "warning", "not", "denial", "place", "when", "and", "go")
 _BREAK = re.compile(r"[^\w\s]+")
 _APOSTROPHES = re.compile(r"['\u2018\u2019`]")
-_RUN = re.compile(r"(.)\1+")
+_REPEATS = re.compile(r"(.)\1+")
 _VOWELS = "aeiou"
 _MIN_LETTERS = 4
 """Minimum length of a halting word whose misspellings are recognised."""
@@ -66,7 +66,7 @@ def opening_of(text: str) -> tuple[Act, str] | None:
     for size in range(len(words) - 1, 0, -1):
         start = spans[size][1]
         between = text[spans[size - 1][2] : start].replace("-", "")
-        is_split = words[size - 1] in _PARTING or words[size] in _table()["onward"]
+        is_split = words[size - 1] in _CONNECTIVES or words[size] in _table()["onward"]
         urgencies = _urgencies(words[:size]) if is_split or _BREAK.search(between) else None
         if urgencies and _URGENCY[urgencies[0]] != Act.RESUME:
             return _URGENCY[urgencies[0]], text[start:]
@@ -88,19 +88,19 @@ def alarm_in(text: str, is_object: Callable[[str], bool]) -> str | None:
     Returns:
         The reason, for people: "'careful' may ask to halt"; None if there is none.
     """
-    parts = [[_repaired(word) for word in part] for part in _parts(text, _MAX_ALARM_CHARACTERS)]
-    line = " . ".join(" ".join(_tagged(part, is_object)) for part in parts)
-    unbound = _BOUND.sub("", line)
-    if -1 < _FORBIDDEN.sub("", line).find("go:") < line.rfind(" object:"):  # a command
+    parts = [[_correct(word) for word in part] for part in _parts(text, _MAX_ALARM_CHARACTERS)]
+    tagged = " . ".join(" ".join(_tag(part, is_object)) for part in parts)
+    unbound = _BOUND.sub("", tagged)
+    if -1 < _FORBIDDEN.sub("", tagged).find("go:") < tagged.rfind(" object:"):  # a command
         unbound = re.sub(r"manner:\S+", "", unbound)
-    if found := re.search(r"(?:verb|warning|manner):(\S+)", unbound):
-        return f"'{found[1].replace('_', ' ')}' may ask to halt"
+    if match := re.search(r"(?:verb|warning|manner):(\S+)", unbound):
+        return f"'{match[1].replace('_', ' ')}' may ask to halt"
     table, max_words = _alarms()
     prefixes = (tuple(parts[0][:size]) for size in range(max_words, 0, -1)) if parts else ()
-    if found := next((words for words in prefixes if words in table["denial"]), None):
-        return f"'{' '.join(found)}' may begin a correction"
-    if "object:" not in line and (found := re.search(r"not:(\S+)", unbound)):
-        return f"'{found[1].replace('_', ' ')}' may forbid what is being done"
+    if match := next((words for words in prefixes if words in table["denial"]), None):
+        return f"'{' '.join(match)}' may begin a correction"
+    if "object:" not in tagged and (match := re.search(r"not:(\S+)", unbound)):
+        return f"'{match[1].replace('_', ' ')}' may forbid what is being done"
     return None
 
 
@@ -116,18 +116,18 @@ _BOUND = re.compile(
 _FORBIDDEN = re.compile(r"not:\S+ go:\S+")
 
 
-def _tagged(words: list[str], is_object: Callable[[str], bool]) -> Iterator[str]:
+def _tag(words: list[str], is_object: Callable[[str], bool]) -> Iterator[str]:
     """Tag the longest known expressions of a part with their class, as ``verb:hang_on``."""
     table, max_words = _alarms()
-    kinds = [kind for kind in table if kind != "denial"]
+    classes = [tag for tag in table if tag != "denial"]
     start = 0
     while start < len(words):
         for size in range(min(max_words, len(words) - start), 0, -1):
             expression = tuple(words[start : start + size])
-            is_thing = is_object(" ".join(expression))
-            kind = "object" if is_thing else next((k for k in kinds if expression in table[k]), "")
-            if kind or size == 1:
-                yield f"{kind}:{'_'.join(expression)}"
+            is_known = is_object(" ".join(expression))
+            tag = "object" if is_known else next((k for k in classes if expression in table[k]), "")
+            if tag or size == 1:
+                yield f"{tag}:{'_'.join(expression)}"
                 start += size
                 break
 
@@ -138,7 +138,7 @@ def halts_alone(words: str) -> bool:
 
 
 _URGENCY = (Act.HALT, Act.CANCEL, Act.RESUME)
-_PARTING = frozenset({"and", "then"})
+_CONNECTIVES = frozenset({"and", "then"})
 
 
 def _parts(text: str, limit: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
@@ -152,7 +152,7 @@ def _parts(text: str, limit: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
 def _urgencies(words: list[str]) -> tuple[int, ...] | None:
     """Segment a part into wordings of the table: indices into ``_URGENCY``, most urgent reading."""
     wordings, max_words = _wordings()
-    words = [_repaired(word) for word in words]
+    words = [_correct(word) for word in words]
     best: dict[int, tuple[int, ...]] = {0: ()}
     for end in range(1, len(words) + 1):
         for start in range(max(0, end - max_words), end):
@@ -164,11 +164,11 @@ def _urgencies(words: list[str]) -> tuple[int, ...] | None:
     return best.get(len(words))
 
 
-def _repaired(word: str) -> str:
+def _correct(word: str) -> str:
     """Correct a misspelled halting word: letters swapped or repeated, or a vowel missing."""
     # Halting wrongly costs least, so "stoop" is read as "stop" too.
     known, typos = _misspellings()
-    return word if word in known else typos.get(word) or typos.get(_RUN.sub(r"\1", word), word)
+    return word if word in known else typos.get(word) or typos.get(_REPEATS.sub(r"\1", word), word)
 
 
 @cache
@@ -179,8 +179,8 @@ def _misspellings() -> tuple[frozenset[str], dict[str, str]]:
     typos: dict[str, str] = {}
     halt = (_URGENCY.index(Act.HALT),)
     halts = [words[0] for words, act in wordings.items() if act == halt and len(words) == 1]
-    for word in (one for one in halts if len(one) >= _MIN_LETTERS):
-        typos[_RUN.sub(r"\1", word)] = word
+    for word in (word for word in halts if len(word) >= _MIN_LETTERS):
+        typos[_REPEATS.sub(r"\1", word)] = word
         for i in range(1, len(word)):
             if word[i] in _VOWELS:
                 typos[word[:i] + word[i + 1 :]] = word
@@ -192,13 +192,13 @@ def _misspellings() -> tuple[frozenset[str], dict[str, str]]:
 @cache
 def _alarms() -> tuple[dict[str, set[tuple[str, ...]]], int]:
     """Load the alarm expressions by class, and the length of the longest in words."""
-    table = {kind: {tuple(one.split()) for one in _table()["alarm"][kind]} for kind in _KINDS}
+    table = {name: {tuple(entry.split()) for entry in _table()["alarm"][name]} for name in _CLASSES}
     # Inflect verbs: with s, ed and ing, with the last letter doubled or dropped before them.
     for words in (table["verb"], table["manner"], table["warning"]):
-        for (word,) in [one for one in words if len(one) == 1]:
+        for (word,) in [entry for entry in words if len(entry) == 1]:
             stems = (word, word + word[-1], word.removesuffix("e"))
             words |= {(stem + end,) for stem in stems for end in ("s", "ed", "ing")}
-    return table, max(len(words) for one in table.values() for words in one)
+    return table, max(len(words) for entry in table.values() for words in entry)
 
 
 @cache

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
-from jaxlangnav.inputs.documents import naming, parse_toml, read_shipped, read_text
+from jaxlangnav.inputs.documents import error_prefix, parse_toml, read_shipped, read_text
 from jaxlangnav.language.phrase import Word
 
 USER_LEXICON = "JAXLANGNAV_LEXICON"
@@ -26,7 +26,7 @@ LITERAL_TAGS: dict[str, str] = _WORDS["literals"]
 REASONS: dict[str, str] = _WORDS["reasons"]
 """Explanations for refused words, by the name of the reason."""
 _PLURALS: dict[str, str] = _WORDS["plurals"]
-SINGULARS = {many: one for one, many in _PLURALS.items()}
+SINGULARS = {plural: singular for singular, plural in _PLURALS.items()}
 """Irregular plural → singular noun."""
 
 
@@ -54,9 +54,9 @@ class Lexicon:
 
 def plural(noun: str) -> str:
     """Form the plural of a noun: boxes, benches, cones, book shelves."""
-    prefix, space, last = noun.rpartition(" ")
-    if last in _PLURALS:
-        return prefix + space + _PLURALS[last]
+    prefix, space, last_word = noun.rpartition(" ")
+    if last_word in _PLURALS:
+        return prefix + space + _PLURALS[last_word]
     if noun.endswith(("s", "x", "ch", "sh")):
         return noun + "es"
     if noun.endswith("y") and noun[-2:-1] not in "aeiou":
@@ -123,21 +123,21 @@ def load_lexicon() -> Lexicon:
         ValueError: a file is missing, is no TOML, or what it adds is refused (``own_words``).
     """
     text = read_shipped("language", "lexicon.toml")
-    own = os.environ.get(USER_LEXICON)
-    if not own:
+    user_file = os.environ.get(USER_LEXICON)
+    if not user_file:
         return read_lexicon(text)
-    with naming(USER_LEXICON):
-        added = read_text(own, at_most=_MAX_FILE_BYTES)
-    with naming(own):
-        return read_lexicon(text, added)
+    with error_prefix(USER_LEXICON):
+        user_text = read_text(user_file, max_bytes=_MAX_FILE_BYTES)
+    with error_prefix(user_file):
+        return read_lexicon(text, user_text)
 
 
-def read_lexicon(text: str, own: str | None = None) -> Lexicon:
+def read_lexicon(text: str, user_text: str | None = None) -> Lexicon:
     """Parse a lexicon from TOML; its format is described in ``lexicon.toml``.
 
     Args:
         text: contents of the file.
-        own: contents of a user file to merge.
+        user_text: contents of a user file to merge.
 
     Raises:
         ValueError: a table is missing, a reason for refusal is unknown, or what is added is
@@ -147,10 +147,10 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
     for table in ("types", "class", "tags", "refused"):
         if table not in document:
             raise ValueError(f"lexicon: table [{table}] is missing")
-    if own is not None:
-        from jaxlangnav.language.own_words import extend  # imports this module
+    if user_text is not None:
+        from jaxlangnav.language.own_words import merge_user_lexicon  # imports this module
 
-        extend(document, parse_toml(own))
+        merge_user_lexicon(document, parse_toml(user_text))
     unknown = set(document["refused"]) - set(REASONS)
     if unknown:
         raise ValueError(f"lexicon: [refused] has unknown reasons {sorted(unknown)}")

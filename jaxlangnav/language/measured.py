@@ -19,7 +19,7 @@ from itertools import pairwise
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, load_lexicon
 from jaxlangnav.language.phrase import LanguageError, Measure, Phrase
-from jaxlangnav.language.tokens import MARKS, SpokenToken
+from jaxlangnav.language.tokens import MARKS, RawToken
 
 TURN_DISTANCE = 0.5
 """Metres of the motion that realises a turn: twice the tolerance for reaching a goal."""
@@ -28,7 +28,7 @@ MEASURE_MIN, MEASURE_MAX = 0.3, 200.0
 _PLACEHOLDER = re.compile(r"#(\d+)")
 _SET = re.compile(r"<([A-Z]+)>")
 _ABOUT = "for|by|about|around|roughly|approximately|another|some|like|exactly|just|a distance of"
-_JOINTS = frozenset({*MARKS, "and", "then"})
+_BREAKS = frozenset({*MARKS, "and", "then"})
 _UNKNOWN_POSE = "where the robot will stand then is not known yet: say it when it is there"
 _DIRECTIONS = {0: "in front of you", 90: "to your left", 180: "behind you", 270: "to your right"}
 
@@ -52,7 +52,7 @@ class _Dist:
 
 @dataclass(frozen=True)
 class PlacedMeasure:
-    """A measure, and the position of a word that identifies its command."""
+    """A measure, and the position of a word of its command."""
 
     measure: Measure
     position: int
@@ -60,7 +60,7 @@ class PlacedMeasure:
 
 
 _TABLE = parse_toml(read_shipped("language", "measures.toml"))
-_UNITS, _NUMBERS, _PLACES = _TABLE["units"], _TABLE["numbers"], _TABLE["places"]
+_UNITS, _NUMBERS, _OFFSETS = _TABLE["units"], _TABLE["numbers"], _TABLE["places"]
 
 
 def _alternatives(texts: Iterable[str]) -> str:
@@ -76,12 +76,12 @@ _DISTANCE = re.compile(
     rf"(?:(?P<and>and a half) )?(?P<unit>{_alternatives(_UNITS)})(?P<later> and a half)?(?![^ ])"
 )
 _ANGLE = re.compile(rf"(?<![^ ])({_NUMBER}) ?(?:degrees?|deg)(?![^ ])")
-_FROM_THING = re.compile(rf"(?:(?:{_ABOUT}) )*#(\d+) ({_alternatives(_PLACES)})(?= )")
+_FROM_LANDMARK = re.compile(rf"(?:(?:{_ABOUT}) )*#(\d+) ({_alternatives(_OFFSETS)})(?= )")
 """A placeholder, and the relation between it and a landmark."""
 
 
 @cache
-def _motions() -> tuple[_Motion, ...]:
+def _load_motions() -> tuple[_Motion, ...]:
     """Compile the patterns of motions, with named sets of alternatives expanded."""
     sets = {"N": _NUMBER, "HOW": rf"(?:(?:{_ABOUT}) )*#\d+"}
 
@@ -96,23 +96,23 @@ def _motions() -> tuple[_Motion, ...]:
     )
 
 
-def _number(text: str) -> float:
+def _value(text: str) -> float:
     if text[0].isdigit():
         return float(text)
     return float(sum(_NUMBERS[word] for word in re.split("[ -]", text)))
 
 
-def _text(tokens: Sequence[SpokenToken]) -> str:
+def _text(tokens: Sequence[RawToken]) -> str:
     return " ".join(token.text for token in tokens)
 
 
 def _span(text: str, match: re.Match[str], group: int = 0) -> tuple[int, int]:
     """Convert a match to a range of word indices: first, and one after the last."""
-    first = len(text[: match.start(group)].split())
-    return first, first + len(match[group].split())
+    start = len(text[: match.start(group)].split())
+    return start, start + len(match[group].split())
 
 
-def split_measures(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[PlacedMeasure]]:
+def split_measures(tokens: Sequence[RawToken]) -> tuple[list[RawToken], list[PlacedMeasure]]:
     """Extract turns and distances from a sentence.
 
     Returns:
@@ -131,48 +131,48 @@ def split_measures(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], li
     return rest, measures
 
 
-def _error(tokens: Sequence[SpokenToken], dists: Sequence[_Dist], reason: str) -> LanguageError:
+def _error(tokens: Sequence[RawToken], dists: Sequence[_Dist], reason: str) -> LanguageError:
     """Build the error for a part of the sentence, quoted with its original words."""
     words = _PLACEHOLDER.sub(lambda match: dists[int(match[1])].words, _text(tokens))
     return LanguageError.at(words, tokens[0].position, reason)
 
 
-def _replace_distances(tokens: list[SpokenToken]) -> list[_Dist]:
+def _replace_distances(tokens: list[RawToken]) -> list[_Dist]:
     """Replace each distance by one placeholder token, in place."""
     dists: list[_Dist] = []
     while (match := _DISTANCE.search(text := _text(tokens))) is not None:
-        first, last = _span(text, match)
-        value = 0.5 if match["half"] else _number(match["number"] or match["word"])
+        start, stop = _span(text, match)
+        value = 0.5 if match["half"] else _value(match["number"] or match["word"])
         if not match["half"] and (match["and"] or match["later"]):
             value += 0.5
         metres = value * _UNITS[match["unit"]]
         if not MEASURE_MIN <= metres <= MEASURE_MAX:
             limits = f"{metres:.3g} m: distances of {MEASURE_MIN:g} m to {MEASURE_MAX:g} m"
             reason = f"{limits} are measured; say one of them"
-            raise LanguageError.at(match[0], tokens[first].position, reason)
-        tokens[first:last] = [replace(tokens[first], text=f"#{len(dists)}")]
+            raise LanguageError.at(match[0], tokens[start].position, reason)
+        tokens[start:stop] = [replace(tokens[start], text=f"#{len(dists)}")]
         dists.append(_Dist(metres, match[0]))
     return dists
 
 
-def _from_landmarks(tokens: list[SpokenToken], dists: list[_Dist]) -> list[PlacedMeasure]:
+def _from_landmarks(tokens: list[RawToken], dists: list[_Dist]) -> list[PlacedMeasure]:
     """Extract distances from landmarks, such as "10 feet past the cone", in place."""
     measures: list[PlacedMeasure] = []
-    while (match := _FROM_THING.search(text := _text(tokens))) is not None:
-        first, last = _span(text, match)
-        after = tokens[last].text if last < len(tokens) else ""
-        if after in ("you", "your") or after in MARKS:
+    while (match := _FROM_LANDMARK.search(text := _text(tokens))) is not None:
+        start, stop = _span(text, match)
+        following = tokens[stop].text if stop < len(tokens) else ""
+        if following in ("you", "your") or following in MARKS:
             break
         begin = _span(text, match, 2)[0]
         d = dists[int(match[1])]
         measures.append(PlacedMeasure(Measure(metres=d.metres), tokens[begin].position, d.words))
-        tokens[first:last] = _reworded(_PLACES[match[2]], tokens[begin:last])
+        tokens[start:stop] = _reword(_OFFSETS[match[2]], tokens[begin:stop])
     return measures
 
 
-def _reworded(words: str, old: Sequence[SpokenToken]) -> list[SpokenToken]:
+def _reword(words: str, old: Sequence[RawToken]) -> list[RawToken]:
     return [
-        SpokenToken(text=word, position=old[min(index, len(old) - 1)].position)
+        RawToken(text=word, position=old[min(index, len(old) - 1)].position)
         for index, word in enumerate(words.split())
     ]
 
@@ -188,59 +188,59 @@ def _fillers() -> frozenset[tuple[str, ...]]:
     return frozenset(key for name in names for key in entries[name]) | {("to",), ("so",)}
 
 
-def _motion_of(words: Sequence[str]) -> _Motion | None:
+def _match_motion(words: Sequence[str]) -> _Motion | None:
     """Find the motion whose pattern matches all words."""
     text = " ".join(words)
-    matching = (m for m in _motions() if m.pattern.fullmatch(text))
+    matching = (m for m in _load_motions() if m.pattern.fullmatch(text))
     return next(matching, None) if len(_PLACEHOLDER.findall(text)) < 2 else None
 
 
-def _parts(tokens: Sequence[SpokenToken]) -> Iterator[tuple[slice, _Motion | None]]:
+def _segments(tokens: Sequence[RawToken]) -> Iterator[tuple[slice, _Motion | None]]:
     """Split a sentence at marks and conjunctions into parts, each with its motion or None."""
-    ends = [i for i, token in enumerate(tokens) if token.text in _JOINTS]
+    ends = [i for i, token in enumerate(tokens) if token.text in _BREAKS]
     words = tuple(token.text for token in tokens)
-    for before, last in pairwise([-1, *ends, len(tokens)]):
-        first = before + 1
-        while (motion := _motion_of(words[first:last])) is None:
-            sizes = range(min(6, last - first), 0, -1)
-            if size := next((n for n in sizes if words[first : first + n] in _fillers()), 0):
-                first += size
-            elif size := next((n for n in sizes if words[last - n : last] in _fillers()), 0):
-                last -= size
+    for before, stop in pairwise([-1, *ends, len(tokens)]):
+        start = before + 1
+        while (motion := _match_motion(words[start:stop])) is None:
+            sizes = range(min(6, stop - start), 0, -1)
+            if size := next((n for n in sizes if words[start : start + n] in _fillers()), 0):
+                start += size
+            elif size := next((n for n in sizes if words[stop - n : stop] in _fillers()), 0):
+                stop -= size
             else:
                 break
-        if first < last:
-            yield slice(first, last), motion
+        if start < stop:
+            yield slice(start, stop), motion
 
 
 def _robot_motions(
-    tokens: list[SpokenToken], dists: list[_Dist], measures: list[PlacedMeasure]
-) -> list[SpokenToken]:
+    tokens: list[RawToken], dists: list[_Dist], measures: list[PlacedMeasure]
+) -> list[RawToken]:
     """Extract motions relative to the robot's current pose; their measures are appended."""
-    parts = list(_parts(tokens))
-    motions = [(part, motion) for part, motion in parts if motion is not None]
+    segments = list(_segments(tokens))
+    motions = [(segment, motion) for segment, motion in segments if motion is not None]
     if len(motions) < 2 and not any(
-        motion.is_turn or _PLACEHOLDER.search(_text(tokens[part])) for part, motion in motions
+        motion.is_turn or _PLACEHOLDER.search(_text(tokens[segment])) for segment, motion in motions
     ):
         return tokens
-    before = next((i for i, (_, motion) in enumerate(parts) if motion is None), len(parts))
-    if late := [part for part, motion in parts[before:] if motion is not None]:
+    before = next((i for i, (_, motion) in enumerate(segments) if motion is None), len(segments))
+    if late := [segment for segment, motion in segments[before:] if motion is not None]:
         raise _error(tokens[late[0]], dists, _UNKNOWN_POSE)
     rest = list(tokens)
     for goal in reversed(_dead_reckon(tokens, dists, motions)):
         old = tokens[goal.words]
         manner = [token for token in old if (token.text,) in load_lexicon().entries["adv"]]
-        rest[goal.words] = [*_reworded(f"go {_DIRECTIONS[goal.angle]}", old), *manner]
+        rest[goal.words] = [*_reword(f"go {_DIRECTIONS[goal.angle]}", old), *manner]
         measures.append(PlacedMeasure(goal.measure, old[0].position))
-        joint = [i for i in range(goal.since, goal.words.start) if tokens[i].text in _JOINTS]
-        if joint and goal.since:
-            rest[joint[0] : joint[-1] + 1] = [replace(tokens[joint[0]], text="then")]
+        breaks = [i for i in range(goal.since, goal.words.start) if tokens[i].text in _BREAKS]
+        if breaks and goal.since:
+            rest[breaks[0] : breaks[-1] + 1] = [replace(tokens[breaks[0]], text="then")]
     return rest
 
 
 @dataclass(frozen=True)
 class _MotionGoal:
-    """The goal of a motion: its words in the sentence, direction and measure."""
+    """Goal of a motion: its words in the sentence, direction and measure."""
 
     since: int  # one after the last word of the previous motion; 0: it is the first
     words: slice
@@ -249,43 +249,43 @@ class _MotionGoal:
 
 
 def _dead_reckon(
-    tokens: Sequence[SpokenToken], dists: Sequence[_Dist], motions: Sequence[tuple[slice, _Motion]]
+    tokens: Sequence[RawToken], dists: Sequence[_Dist], motions: Sequence[tuple[slice, _Motion]]
 ) -> list[_MotionGoal]:
     """Compute the goals of successive motions by dead reckoning from the robot's pose."""
     goals: list[_MotionGoal] = []
     x = y = 0.0  # metres, robot's frame
     heading = turned = since = 0  # degrees counterclockwise; ``turned``: pending turns
-    first, fault = None, ""
-    for index, (part, motion) in enumerate(motions):
-        text = _text(tokens[part])
-        if fault:
-            raise _error(tokens[part], dists, fault)
-        first = part.start if first is None else first
+    start, error = None, ""
+    for index, (segment, motion) in enumerate(motions):
+        text = _text(tokens[segment])
+        if error:
+            raise _error(tokens[segment], dists, error)
+        start = segment.start if start is None else start
         if motion.is_turn:
             angle = None if abs(motion.degrees) == 180 else _ANGLE.search(text)
             degrees = motion.degrees
-            turned += degrees if angle is None else round(math.copysign(_number(angle[1]), degrees))
+            turned += degrees if angle is None else round(math.copysign(_value(angle[1]), degrees))
             if index + 1 < len(motions):
                 continue
             if turned % 360 == 0:
                 reason = "the robot would look where it looks now; say where to look"
-                raise _error(tokens[part], dists, reason)
-            toward, metres = 0, TURN_DISTANCE
+                raise _error(tokens[segment], dists, reason)
+            offset, metres = 0, TURN_DISTANCE
         else:
             match = _PLACEHOLDER.search(text)
-            toward, metres = motion.degrees, dists[int(match[1])].metres if match else 0.0
-        relative = (turned + toward) % 360
+            offset, metres = motion.degrees, dists[int(match[1])].metres if match else 0.0
+        relative = (turned + offset) % 360
         base, relative = (heading, relative) if relative in _DIRECTIONS else (heading + relative, 0)
         frame = (x, y, math.remainder(math.radians(base), 2.0 * math.pi))
         direction = math.radians(base + relative)
         x, y = x + metres * math.cos(direction), y + metres * math.sin(direction)
         measure = Measure(metres=metres, frame=frame, end=(x, y))
-        goals.append(_MotionGoal(since, slice(first, part.stop), relative, measure))
+        goals.append(_MotionGoal(since, slice(start, segment.stop), relative, measure))
         if not metres:
-            fault = "how far to go before is not said; say it, as in 'go forward 2 metres'"
-        elif toward in (90, -90):
-            fault = "where the robot looks then is not clear; say 'turn left', not 'go left'"
-        heading, turned, first, since = heading + turned, 0, None, part.stop
+            error = "how far to go before is not said; say it, as in 'go forward 2 metres'"
+        elif offset in (90, -90):
+            error = "where the robot looks then is not clear; say 'turn left', not 'go left'"
+        heading, turned, start, since = heading + turned, 0, None, segment.stop
     return goals
 
 

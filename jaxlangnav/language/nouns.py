@@ -22,11 +22,11 @@ class Nouns:
     synonyms: tuple[frozenset[str], ...]
     compounds: frozenset[tuple[str, ...]]
     rooms: frozenset[str]  # places that a robot can drive into
-    also: frozenset[str]  # words of other classes that can also be nouns
-    broader: Mapping[str, str]  # hyponym → hypernym
+    ambiguous: frozenset[str]  # words of other classes that can also be nouns
+    hypernyms: Mapping[str, str]  # hyponym → hypernym
     attributes: Mapping[str, str]  # adjective → attribute value
 
-    def alike(self, noun: str) -> frozenset[str]:
+    def synonyms_of(self, noun: str) -> frozenset[str]:
         """List the synonyms of a noun, including itself."""
         groups = (names for names in reversed(self.synonyms) if noun in names)
         return next(groups, frozenset({noun}))
@@ -42,8 +42,8 @@ def load_nouns() -> Nouns:
         synonyms=tuple(frozenset(group) for group in document["synonyms"]),
         compounds=frozenset(tuple(name.split()) for name in names | foreign if " " in name),
         rooms=frozenset(document["rooms"]),
-        also=frozenset(document["also_nouns"]),
-        broader={noun: kind for kind, nouns in document["broader"].items() for noun in nouns},
+        ambiguous=frozenset(document["also_nouns"]),
+        hypernyms={noun: kind for kind, nouns in document["broader"].items() for noun in nouns},
         attributes=document["attributes"],
     )
 
@@ -86,7 +86,7 @@ def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]
     The labels are lower-case; a merged token has the position of its first word.
     """
     names = load_nouns().compounds | {tuple(label.split()) for label in labels}
-    names |= {(noun,) for noun in load_nouns().also}
+    names |= {(noun,) for noun in load_nouns().ambiguous}
     # Types of the lexicon are not changed.
     names -= load_lexicon().entries[TYPE_CLASS].keys()
     max_words = max(map(len, names), default=1)
@@ -108,12 +108,12 @@ def _name_length(
     for size in range(len(words), 0, -1):
         name, stem = words[:size], singular(" ".join(words[:size]))
         # "The tree that stands by …" is no plural of "stand".
-        is_plural = tuple(stem.split()) in names and stem not in load_nouns().also
+        is_plural = tuple(stem.split()) in names and stem not in load_nouns().ambiguous
         if "" in name or not (name in names or is_plural):
             continue
         if size > 1 or tokens[index].terminal.startswith("?") or must_be_noun(tokens, index):
             return size
-        if words[0] in load_nouns().also and _is_head(tokens, index):
+        if words[0] in load_nouns().ambiguous and _is_head(tokens, index):
             return size
     following = tokens[index + 1 : index + 2]
     is_verbal = words[0] in _single_verbs() and _is_after_determiner(tokens, index)
@@ -122,17 +122,17 @@ def _name_length(
 
 def _is_after_determiner(tokens: list[Token], index: int) -> bool:
     """Check whether a token is preceded by a determiner, or by one and adjectives."""
-    qualifying = words_in_classes("adj", "sup_adj", "ordinal")
-    before = (t.text for t in reversed(tokens[:index]) if t.text not in qualifying)
-    return next(before, None) in words_in_classes("det")
+    adjectives = words_in_classes("adj", "sup_adj", "ordinal")
+    preceding = (t.text for t in reversed(tokens[:index]) if t.text not in adjectives)
+    return next(preceding, None) in words_in_classes("det")
 
 
 def _is_head(tokens: list[Token], index: int) -> bool:
     """Check whether a word, not "left" or "right", is the noun of its phrase: "close to the _"."""
-    after = [token.text for token in tokens[index + 1 : index + 3]]
-    is_last = not after or after[0] not in words_in_classes(*WORDS["before_nouns"]) | {"of"}
-    is_before_place = len(after) > 1 and after[1] in words_in_classes("det")  # "near the"
-    is_unknown = bool(after) and tokens[index + 1].terminal.startswith("?")
+    following = [token.text for token in tokens[index + 1 : index + 3]]
+    is_last = not following or following[0] not in words_in_classes(*WORDS["before_nouns"]) | {"of"}
+    is_before_place = len(following) > 1 and following[1] in words_in_classes("det")  # "near the"
+    is_unknown = bool(following) and tokens[index + 1].terminal.startswith("?")
     return (is_last or is_before_place) and not is_unknown and _is_after_determiner(tokens, index)
 
 
@@ -164,21 +164,21 @@ def name_nouns(phrase: Phrase) -> Phrase:
     last = max((i for i, word in enumerate(words) if word.tag in ("NN", "NNS")), default=None)
     if phrase.label != "NP" or last is None or words[last].senses:
         return replace(phrase, children=children)
-    first = last
-    while first and words[first - 1].tag == "NN" and not words[first - 1].senses:
-        first -= 1
+    start = last
+    while start and words[start - 1].tag == "NN" and not words[start - 1].senses:
+        start -= 1
     head = words[last]
     lemma = singular(head.lemma) if head.tag == "NN" else head.lemma
-    before = [word.text for word in words[first:last]]
-    name = " ".join([*before, lemma])
+    modifiers = [word.text for word in words[start:last]]
+    name = " ".join([*modifiers, lemma])
     noun = Word(
-        text=" ".join([*before, head.text]),
+        text=" ".join([*modifiers, head.text]),
         tag="NNS" if singular(head.text) != head.text else "NN",
         lemma=name,
         senses=(f"type:{name}",),
-        position=words[first].position,
+        position=words[start].position,
     )
-    return replace(phrase, words=(*words[:first], noun, *words[last + 1 :]), children=children)
+    return replace(phrase, words=(*words[:start], noun, *words[last + 1 :]), children=children)
 
 
 def attributes_of(phrase: Phrase) -> tuple[list[tuple[Word, str]], list[Word]]:

@@ -24,18 +24,18 @@ _RESERVED = frozenset({"comma", "fullstop", "robot"})
 """Names with a special meaning in the grammar and the labels."""
 
 
-def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
+def merge_user_lexicon(document: dict[str, Any], user_lexicon: dict[str, Any]) -> None:
     """Merge the entries of a user lexicon into the package's lexicon, in place.
 
     Raises:
         ValueError: a table is none, a class or sense does not exist, a word could not be read or
             has another meaning already; one line.
     """
-    unknown = set(own) - {"types", "class"}
+    unknown = set(user_lexicon) - {"types", "class"}
     if unknown:
         listed = shorten(", ".join(sorted(map(as_text, unknown))))
         raise ValueError(f"only [types] and [class.X] may be added to, not {listed}")
-    types, classes = own.get("types", {}), own.get("class", {})
+    types, classes = user_lexicon.get("types", {}), user_lexicon.get("class", {})
     tables = [types, classes, *(classes.values() if isinstance(classes, dict) else [])]
     if not all(isinstance(table, dict) for table in tables):
         raise ValueError("[types] and [class.X] must be tables of lists of words")
@@ -43,12 +43,12 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
     count = len(types) + sum(len(words) for words in lists if isinstance(words, list))
     if count > MAX_EXPRESSIONS:
         raise ValueError(f"has {count} expressions: at most {MAX_EXPRESSIONS} may be added")
-    index = _SenseIndex(document)
+    senses_index = _SenseIndex(document)
     for kind, words in types.items():
         where = f"[types] {shorten(sanitize(kind))}"
         name = _expression(kind, where)
         for expression in [name, *_expressions(words, where)]:
-            index.check_name(expression, name, where)
+            senses_index.check_name(expression, name, where)
             listed = document["types"].setdefault(name, [])
             if expression not in listed:
                 listed.append(expression)
@@ -58,7 +58,7 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
         for senses, words in table.items():
             where = f"[class.{name}] {shorten(sanitize(senses))}"
             for expression in _expressions(words, where):
-                index.check_sense(expression, name, senses, where)
+                senses_index.check_sense(expression, name, senses, where)
                 document["class"][name].setdefault(senses, []).append(expression)
 
 
@@ -72,7 +72,7 @@ def _expression(text: str, where: str) -> str:
     """Validate an expression and normalize it as the tokenizer does."""
     if not text.split():
         raise ValueError(f"{where} must be a list of words, none of them empty")
-    if fault := name_fault(text, longest=MAX_EXPRESSION_WORDS * MAX_LETTERS):
+    if fault := name_fault(text, max_length=MAX_EXPRESSION_WORDS * MAX_LETTERS):
         raise ValueError(f"{where}: {as_text(text)} {fault}")
     words = normalize(text).split()
     if len(words) > MAX_EXPRESSION_WORDS:
@@ -112,7 +112,7 @@ class _SenseIndex:
                 for text in table[senses]:
                     self._senses.setdefault(text.replace("*", ""), set()).add((name, senses))
         self._all_senses = {senses for uses in self._senses.values() for _, senses in uses}
-        self._refused = {w: why for why, words in document["refused"].items() for w in words}
+        self._refused = {w: reason for reason, words in document["refused"].items() for w in words}
         self._tags = set(document["tags"])
         # Literal words in the rules of the grammar.
         rules = read_shipped("language", "grammar.txt")

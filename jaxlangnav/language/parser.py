@@ -25,7 +25,7 @@ from jaxlangnav.language.tokens import (
     FULLSTOP_MARK,
     MARKS,
     TOKEN,
-    SpokenToken,
+    RawToken,
     join_contractions,
     normalize,
     strip_marks,
@@ -37,21 +37,21 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # unknown words; more have very many trees
 MIN_OVERRULE = 0.7
 """Minimum probability of a rewriting to replace the verbatim reading of a sentence."""
-_IGNORED = set("\"'[]*`“”")
+_IGNORED_SIGNS = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
 _REPEATED = re.compile(r"([a-z])\1{2,}")
 """A repeated letter: "pleeease"."""
 
-_CARRIED = re.compile(
+_CARRY_REQUEST = re.compile(
     r"(?:deliver|take|bring|carry|get|run|haul|ferry|transport) "
     r"(?:it|that|them|those|these)\b"
 )
 """Requests to carry an object mentioned before, which no robot here can do."""
 
 
-class _TokenizedText:
-    """A tokenized text with corrected spelling."""
+class _Sentence:
+    """A sentence text with corrected spelling."""
 
     def __init__(
         self, text: str, labels: Collection[str], earlier: Antecedent | None = None
@@ -64,17 +64,17 @@ class _TokenizedText:
             raise LanguageError(
                 f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
             )
-        tokens: list[SpokenToken] = []
+        tokens: list[RawToken] = []
         num_words = 0
         for match in TOKEN.finditer(plain):
             piece = match.group()
             if piece[0] in ".!?;" or piece in _COMMAS:
                 mark = COMMA_MARK if piece in _COMMAS else FULLSTOP_MARK
-                tokens.append(SpokenToken(text=mark, position=num_words))
-            elif piece not in _IGNORED:
+                tokens.append(RawToken(text=mark, position=num_words))
+            elif piece not in _IGNORED_SIGNS:
                 for word in self._split(_SIGNS.get(piece, piece)):
                     num_words += 1
-                    tokens.append(SpokenToken(text=word, position=num_words))
+                    tokens.append(RawToken(text=word, position=num_words))
         if num_words > MAX_WORDS:
             raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
         self.tokens = strip_marks(tokens)
@@ -113,7 +113,7 @@ class _TokenizedText:
         return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
 
 
-def _to_token(spoken: SpokenToken) -> Token:
+def _to_token(spoken: RawToken) -> Token:
     """Build the grammar token of a word or mark, with its terminal."""
     text = terminal = spoken.text
     if text in MARKS:
@@ -131,7 +131,7 @@ def _compounds() -> dict[str, tuple[str, ...]]:
     return {"".join(words): words for words in entries if len(words) > 1}
 
 
-def _check_symbols(spoken: list[SpokenToken]) -> None:
+def _check_symbols(spoken: list[RawToken]) -> None:
     for index, (text, position) in enumerate((token.text, token.position) for token in spoken):
         if text in MARKS or text[0].isalpha() or text in load_lexicon().vocabulary:
             continue
@@ -145,13 +145,13 @@ def _check_symbols(spoken: list[SpokenToken]) -> None:
         raise LanguageError.at(text[:30], position, reason)
 
 
-def split_text(text: str, labels: Collection[str] = ()) -> list[SpokenToken]:
+def split_text(text: str, labels: Collection[str] = ()) -> list[RawToken]:
     """Tokenize a text into words and marks, with spelling corrected; ``labels`` as in ``parse``.
 
     Raises:
         LanguageError: it has too many words or characters.
     """
-    return _TokenizedText(text, labels).tokens
+    return _Sentence(text, labels).tokens
 
 
 def parse(
@@ -182,65 +182,65 @@ def parse(
         raise LanguageError(f"the instruction is of type {type(text).__name__}, but must be a text")
     if len(text) > MAX_CHARACTERS:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
-    reader = _TokenizedText(text, labels, earlier)
-    if not reader.tokens:
+    sentence = _Sentence(text, labels, earlier)
+    if not sentence.tokens:
         raise LanguageError("the instruction is empty")
     if not is_rewritten:
-        return _read(reader, reader.tokens, is_measured=False)
+        return _parse_tokens(sentence, sentence.tokens, is_measured=False)
     try:
-        verbatim = _read(reader, reader.tokens)
+        verbatim = _parse_tokens(sentence, sentence.tokens)
     except LanguageError as error:
         if error.position is None:
             raise
-        rewritten = _read_rewritten(reader, None, least_probability)
+        rewritten = _parse_rewriting(sentence, None, least_probability)
         if rewritten is None:
             raise
         return rewritten
-    return _read_rewritten(reader, verbatim, MIN_OVERRULE) or verbatim
+    return _parse_rewriting(sentence, verbatim, MIN_OVERRULE) or verbatim
 
 
-def _read_rewritten(reader: _TokenizedText, verbatim: Parse | None, least: float) -> Parse | None:
-    """Parse the likeliest rewriting if its probability is at least ``least``, else ``verbatim``."""
+def _parse_rewriting(sentence: _Sentence, verbatim: Parse | None, min_prob: float) -> Parse | None:
+    """Parse the likeliest rewriting; ``verbatim`` if its probability is below ``min_prob``."""
     # Probabilities of rewritings with equal meanings are summed.
     meanings: dict[object, tuple[float, Parse]] = {}
-    proposals = propose_readings(reader.tokens, reader.labels, is_readable=verbatim is not None)
-    probability, best, unread = 0.0, None, sum(p.probability for p in proposals)
+    proposals = propose_readings(sentence.tokens, sentence.labels, is_readable=verbatim is not None)
+    probability, best, remaining = 0.0, None, sum(p.probability for p in proposals)
     for proposal in proposals:
-        others = [prob for prob, read in meanings.values() if read is not best]
-        if probability + unread < least or (
-            probability >= least and probability > max(others, default=0.0) + unread
+        others = [prob for prob, parsed in meanings.values() if parsed is not best]
+        if probability + remaining < min_prob or (
+            probability >= min_prob and probability > max(others, default=0.0) + remaining
         ):
             break  # the remaining rewritings cannot change the result
-        unread -= proposal.probability
+        remaining -= proposal.probability
         changes = proposal.changes
-        if reader.earlier is not None and any(_CARRIED.search(old) for old, _ in changes):
+        if sentence.earlier is not None and any(_CARRY_REQUEST.search(old) for old, _ in changes):
             continue
-        if list(proposal.tokens) == reader.tokens and verbatim is not None:
-            read = verbatim
+        if list(proposal.tokens) == sentence.tokens and verbatim is not None:
+            parsed = verbatim
         else:
             try:
-                read = _read(reader, list(proposal.tokens), is_blame_sought=False)
+                parsed = _parse_tokens(sentence, list(proposal.tokens), is_located=False)
             except LanguageError:
                 continue
-            read = replace(read, rewrites=changes, unread=proposal.left_out)
-        meaning = (*map(str, read.clauses), read.kinds, read.measures)
-        prob, first = meanings.get(meaning, (0.0, read))
+            parsed = replace(parsed, rewrites=changes, unread=proposal.left_out)
+        meaning = (*map(str, parsed.clauses), parsed.kinds, parsed.measures)
+        prob, first = meanings.get(meaning, (0.0, parsed))
         meanings[meaning] = (prob + proposal.probability, first)
         probability, best = max(meanings.values(), key=lambda pair: pair[0])
-    return best if probability >= least else verbatim
+    return best if probability >= min_prob else verbatim
 
 
-def _read(
-    reader: _TokenizedText,
-    words: list[SpokenToken],
+def _parse_tokens(
+    sentence: _Sentence,
+    words: list[RawToken],
     *,
     is_measured: bool = True,
-    is_blame_sought: bool = True,
+    is_located: bool = True,
 ) -> Parse:
-    """Parse the tokens of an instruction; ``is_blame_sought``: locate the cause of a failure."""
+    """Parse the tokens of an instruction; ``is_located``: locate the cause of a failure."""
     spoken, measures = split_measures(words) if is_measured else (words, [])
     _check_symbols(spoken)
-    tokens = join_nouns([_to_token(token) for token in spoken], reader.labels)
+    tokens = join_nouns([_to_token(token) for token in spoken], sentence.labels)
     tokens = [
         replace(token, terminal=UNKNOWN)  # "the lily"
         if token.terminal == UNKNOWN_ADVERB and must_be_noun(tokens, index)
@@ -255,20 +255,20 @@ def _read(
         )
     try:
         derivation, probability = load_grammar().parse(
-            [token.terminal for token in tokens], is_end_found=is_blame_sought
+            [token.terminal for token in tokens], is_end_found=is_located
         )
     except NoParseError as error:
         raise explain(tokens, error.index) from None
-    phrases, guessed = build_phrases(derivation, tokens)
-    clauses = resolve([*map(name_nouns, phrases)], reader.earlier)
-    refuse_guesses(clauses, {position for _, position in guessed})
+    phrases, guesses = build_phrases(derivation, tokens)
+    clauses = resolve([*map(name_nouns, phrases)], sentence.earlier)
+    refuse_guesses(clauses, {position for _, position in guesses})
     clauses = join_constraints(clauses)
     return Parse(
-        instruction=reader.text,
+        instruction=sentence.text,
         clauses=tuple(clauses),
         kinds=tuple(STATEMENT if clause.label == "S" else COMMAND for clause in clauses),
-        unknown_words=tuple(guessed),
-        repairs=tuple(reader.repairs),
+        unknown_words=tuple(guesses),
+        repairs=tuple(sentence.repairs),
         probability=probability,
         measures=measures_of(clauses, measures),
     )

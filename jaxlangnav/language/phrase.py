@@ -64,7 +64,7 @@ class Phrase:
         """The phrase without its children: ``PP[behind]``."""
         return f"{self.label}[{' '.join(word.text for word in self.words)}]"
 
-    def says(self, *senses: str) -> bool:
+    def has_sense(self, *senses: str) -> bool:
         """Check whether one of the phrase's own words has one of the senses."""
         return any(sense in word.senses for word in self.words for sense in senses)
 

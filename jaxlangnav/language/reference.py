@@ -26,7 +26,7 @@ def type_sense(phrase: Phrase) -> str | None:
 def is_untyped(phrase: Phrase) -> bool:
     """Check whether a noun phrase is untyped: "the thing", "the one"."""
     is_bare = phrase.label == "NP" and not phrase.children and type_sense(phrase) is None
-    return is_bare and phrase.says("anaphor") and not phrase.says("other")
+    return is_bare and phrase.has_sense("anaphor") and not phrase.has_sense("other")
 
 
 def leaves(phrase: Phrase) -> list[Phrase]:
@@ -47,7 +47,7 @@ def head_of(phrase: Phrase) -> Phrase | None:
     return head_of(inner[0]) if inner else None
 
 
-def _refuse(word: Word, reason: str) -> LanguageError:
+def _error(word: Word, reason: str) -> LanguageError:
     return LanguageError.at(word.text, word.position, f"{reason}; name the object")
 
 
@@ -71,60 +71,60 @@ class _Resolver:
     def __init__(
         self, before: Phrase | None, *, is_statement: bool, earlier: Antecedent | None = None
     ) -> None:
-        self.is_far = before is None and earlier is not None
+        self.is_earlier = before is None and earlier is not None
         self.is_at = earlier is None or earlier.is_at
-        self.before = earlier.clause if before is None and earlier is not None else before
+        self.previous = earlier.clause if before is None and earlier is not None else before
         self.is_statement = is_statement
-        self.head = None if self.before is None else head_of(self.before)
-        self.kind = None if self.head is None else type_sense(self.head)
+        self.head = None if self.previous is None else head_of(self.previous)
+        self.type_sense = None if self.head is None else type_sense(self.head)
 
     def resolve(self, phrase: Phrase, *, is_landmark: bool = False) -> Phrase:
         """Replace the senses of every pronoun below a phrase by those of its antecedent."""
         if phrase.label == "NP" and _has(phrase, PRONOUN):
-            return self._meant(phrase, is_landmark)
+            return self._resolve_pronoun(phrase, is_landmark)
         if phrase.label == "NP" and not phrase.children:
-            return self._again(phrase)
+            return self._corefer(phrase)
         has_landmarks = _has(phrase, "relation") or _has(phrase, "constraint")
-        deeper = is_landmark or phrase.label == "NP" or has_landmarks
+        below_landmark = is_landmark or phrase.label == "NP" or has_landmarks
         children = []
         for index, child in enumerate(phrase.children):
             is_figure = phrase.label == "NP" and index == 0
             # "The cone near the car" is not the previous cone: its modifier distinguishes it.
             if is_figure and len(phrase.children) > 1 and not _has(child, PRONOUN):
-                children.append(self._again(child) if _has(child, "anaphor") else child)
+                children.append(self._corefer(child) if _has(child, "anaphor") else child)
             else:
-                children.append(self.resolve(child, is_landmark=deeper and not is_figure))
+                children.append(self.resolve(child, is_landmark=below_landmark and not is_figure))
         return replace(phrase, children=tuple(children))
 
-    def _meant(self, pronoun: Phrase, is_landmark: bool) -> Phrase:
+    def _resolve_pronoun(self, pronoun: Phrase, is_landmark: bool) -> Phrase:
         """Give a pronoun the type of its antecedent."""
         word = next(w for w in pronoun.words if PRONOUN in w.senses)
-        before, kind = self.before, self.kind
+        before, sense = self.previous, self.type_sense
         if before is None or self.head is None:
-            raise _refuse(word, "nothing said before that it could stand for")
-        if kind is None or self.head.words[-1].tag == "NNS":
-            raise _refuse(word, "what it stands for is not clear")
-        others = [str(type_sense(leaf)) for leaf in leaves(before)]
-        if is_landmark and before.label == "VP" and len(others) > 1:
-            names = " or ".join(dict.fromkeys(f"the {sense[5:]}" for sense in others))
-            raise _refuse(word, f"is it {names}?")
+            raise _error(word, "nothing said before that it could stand for")
+        if sense is None or self.head.words[-1].tag == "NNS":
+            raise _error(word, "what it stands for is not clear")
+        senses = [str(type_sense(leaf)) for leaf in leaves(before)]
+        if is_landmark and before.label == "VP" and len(senses) > 1:
+            names = " or ".join(dict.fromkeys(f"the {sense[5:]}" for sense in senses))
+            raise _error(word, f"is it {names}?")
         is_command = before.label == "VP" and not self.is_statement
-        is_very = is_command and (self.is_at or not self.is_far)
-        resolved = _with_senses(pronoun, word, (kind, SAME) if is_very else (kind,))
+        is_very = is_command and (self.is_at or not self.is_earlier)
+        resolved = _with_senses(pronoun, word, (sense, SAME) if is_very else (sense,))
         modifiers = _modifiers(before) if before.label == "S" else ()
-        return _modified(resolved, modifiers) if modifiers else resolved
+        return _modify(resolved, modifiers) if modifiers else resolved
 
-    def _again(self, leaf: Phrase) -> Phrase:
+    def _corefer(self, leaf: Phrase) -> Phrase:
         """Mark "the cone" as coreferent with the goal of the previous command."""
-        one = next((w for w in leaf.words if w.text == "one" and "anaphor" in w.senses), None)
-        if one is not None and self.kind is not None and not _has(leaf, "other"):
-            return _with_senses(leaf, one, (self.kind,))
+        pronoun = next((w for w in leaf.words if w.text == "one" and "anaphor" in w.senses), None)
+        if pronoun is not None and self.type_sense is not None and not _has(leaf, "other"):
+            return _with_senses(leaf, pronoun, (self.type_sense,))
         # "The cone" of an earlier utterance may be a different cone.
-        is_goal = self.before is not None and self.before.label == "VP" and not self.is_far
-        is_same_type = self.kind is not None and self.kind == type_sense(leaf)
+        is_goal = self.previous is not None and self.previous.label == "VP" and not self.is_earlier
+        is_same_type = self.type_sense is not None and self.type_sense == type_sense(leaf)
         if self.is_statement or not is_goal or not is_same_type or not _is_definite(leaf):
             return leaf
-        named = next(word for word in leaf.words if self.kind in word.senses)
+        named = next(word for word in leaf.words if self.type_sense in word.senses)
         return _with_senses(leaf, named, (*named.senses, SAME))
 
 
@@ -136,7 +136,7 @@ def _with_senses(phrase: Phrase, word: Word, senses: tuple[str, ...]) -> Phrase:
 def _is_definite(leaf: Phrase) -> bool:
     """Check for a definite singular noun phrase ("the cone") without "other"."""
     is_definite = any(word.text in ("the", "that", "this") for word in leaf.words)
-    is_other = leaf.says("other", "anaphor", "place", SAME)
+    is_other = leaf.has_sense("other", "anaphor", "place", SAME)
     return is_definite and leaf.words[-1].tag == "NN" and not is_other
 
 
@@ -147,28 +147,28 @@ def _modifiers(statement: Phrase) -> tuple[Phrase, ...]:
     return (*inner, *(child for child in statement.children if child.label != "NP"))
 
 
-def _modified(leaf: Phrase, modifiers: tuple[Phrase, ...]) -> Phrase:
+def _modify(leaf: Phrase, modifiers: tuple[Phrase, ...]) -> Phrase:
     return Phrase(label="NP", words=(), children=(leaf, *modifiers))
 
 
-def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
+def _add_modifiers(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
     """Add a statement's modifiers to the unmodified goal of a command about the same object."""
     # "Find a cone. It is behind the car": right after a command, "it" is its goal.
-    figure, modifiers = head_of(statement), _modifiers(statement)
-    kind = None if figure is None else type_sense(figure)
-    first = next((i for i, c in enumerate(command.children) if c.label != "VP"), None)
-    if figure is None or kind is None or not modifiers or first is None:
+    subject, modifiers = head_of(statement), _modifiers(statement)
+    sense = None if subject is None else type_sense(subject)
+    goal_index = next((i for i, c in enumerate(command.children) if c.label != "VP"), None)
+    if subject is None or sense is None or not modifiers or goal_index is None:
         return command
-    is_it = is_next and any(word.text == "it" for word in figure.words)
+    is_it = is_next and any(word.text == "it" for word in subject.words)
 
-    def put(phrase: Phrase) -> Phrase:
+    def rewrite(phrase: Phrase) -> Phrase:
         if phrase.label != "NP":
-            return replace(phrase, children=tuple(map(put, phrase.children)))
-        is_leaf = not phrase.children and type_sense(phrase) == kind
+            return replace(phrase, children=tuple(map(rewrite, phrase.children)))
+        is_leaf = not phrase.children and type_sense(phrase) == sense
         is_same = is_leaf and (is_it or _is_definite(phrase))
-        return _modified(phrase, modifiers) if is_same else phrase
+        return _modify(phrase, modifiers) if is_same else phrase
 
-    children = [put(c) if i == first else c for i, c in enumerate(command.children)]
+    children = [rewrite(c) if i == goal_index else c for i, c in enumerate(command.children)]
     return replace(command, children=tuple(children))
 
 
@@ -182,13 +182,13 @@ def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Ph
     """
     resolved: list[Phrase] = []
     for clause in clauses:
-        before = resolved[-1] if resolved else None
-        resolver = _Resolver(before, is_statement=clause.label == "S", earlier=earlier)
+        previous = resolved[-1] if resolved else None
+        resolver = _Resolver(previous, is_statement=clause.label == "S", earlier=earlier)
         resolved.append(resolver.resolve(clause))
     statements = [(i, clause) for i, clause in enumerate(resolved) if clause.label == "S"]
     for index, clause in enumerate(resolved):
         for position, statement in statements if clause.label == "VP" else ():
-            clause = _inform(clause, statement, is_next=position == index + 1)
+            clause = _add_modifiers(clause, statement, is_next=position == index + 1)
         resolved[index] = clause
     return resolved
 
@@ -213,13 +213,13 @@ def join_constraints(clauses: Sequence[Phrase]) -> list[Phrase]:
         one on the very goal of the command before ("go to the car, then stay away from it").
     """
     commands = [i for i, c in enumerate(clauses) if c.label == "VP" and not is_constraint(c)]
-    joined, done = list(clauses), set()
+    joined, joined_indices = list(clauses), set()
     for index, clause in enumerate(clauses):
         is_same = any(SAME in word.senses for word in clause.all_words())
         if not commands or not is_constraint(clause) or is_same:
             continue
-        done.add(index)
+        joined_indices.add(index)
         for command in [i for i in commands if i > index] or commands[-1:]:
-            whole = joined[command]
-            joined[command] = replace(whole, children=(*whole.children, clause))
-    return [clause for index, clause in enumerate(joined) if index not in done]
+            tree = joined[command]
+            joined[command] = replace(tree, children=(*tree.children, clause))
+    return [clause for index, clause in enumerate(joined) if index not in joined_indices]

@@ -11,9 +11,9 @@ from jaxlangnav.language.reference import is_untyped
 NOUN = "?noun"
 """Terminal of a token that can only be a noun."""
 UNKNOWN_HERE = "unknown word, and no reading fits it; say it in other words"
-_NO_PLACE = "cannot be read here; say it in plainer words, or in commands joined by 'then'"
-_STRONG = (REASONS["negation"], REASONS["condition"])
-_SMALL, _ARTICLES = WORDS["small"], WORDS["pointing_articles"]
+_NO_READING = "cannot be read here; say it in plainer words, or in commands joined by 'then'"
+_STRONG_REASONS = (REASONS["negation"], REASONS["condition"])
+_FUNCTION, _ARTICLES = WORDS["small"], WORDS["pointing_articles"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,32 +40,32 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     refused = load_lexicon().refused
     read = [token for token in tokens[: index + 1] if token.text]
     reasons = {token.position: refused.get(token.text) for token in read}
-    strong = [t for t in read if refused.get(t.text) in _STRONG]
+    strong_tokens = [t for t in read if refused.get(t.text) in _STRONG_REASONS]
     negated = [t for t in tokens if refused.get(t.text) == REASONS["negation"] and _explains(t)]
-    first = min([*strong[:1], *negated[:1]], key=lambda token: token.position, default=None)
+    first = min([*strong_tokens[:1], *negated[:1]], key=lambda token: token.position, default=None)
     if first is not None:
         reasons[first.position] = refused[first.text]
     stuck = None if index >= len(tokens) or not tokens[index].text else read[-1]
-    unread = [t for t in read if _is_unknown(t) and not _is_parsed_noun(t, tokens, index)]
-    suspects = [t for t in reversed(read) if _explains(t) or t in unread]
-    recent_small = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
-    if first is None and stuck is not None and stuck.text not in _SMALL and _explains(stuck):
+    unknown = [t for t in read if _is_unknown(t) and not _is_parsed_noun(t, tokens, index)]
+    suspects = [t for t in reversed(read) if _explains(t) or t in unknown]
+    recent = [t for t in read[-4:] if t.text in _FUNCTION and reasons[t.position]]
+    if first is None and stuck is not None and stuck.text not in _FUNCTION and _explains(stuck):
         first = stuck
-    blamed = [first] if first is not None else [*suspects[:1], *recent_small[-1:]]
-    if blamed:
-        position = blamed[0].position
-        after = next((t.text for t in tokens if t.position == position + 1), "")
-        is_distance = refused.get(after) == REASONS["a distance"]  # "two metres"
-        reason = refused[after] if is_distance else reasons[position] or UNKNOWN_HERE
-        return _refusal(blamed[:1], reason)
-    later = [t for t in tokens[index + 1 : index + 3] if _is_unknown(t)]
-    if stuck is not None and later:
-        return _refusal(later[:1], UNKNOWN_HERE)
+    culprits = [first] if first is not None else [*suspects[:1], *recent[-1:]]
+    if culprits:
+        position = culprits[0].position
+        following = next((t.text for t in tokens if t.position == position + 1), "")
+        is_distance = refused.get(following) == REASONS["a distance"]  # "two metres"
+        reason = refused[following] if is_distance else reasons[position] or UNKNOWN_HERE
+        return _refusal(culprits[:1], reason)
+    upcoming = [t for t in tokens[index + 1 : index + 3] if _is_unknown(t)]
+    if stuck is not None and upcoming:
+        return _refusal(upcoming[:1], UNKNOWN_HERE)
     if stuck is None:
         where = f"'{read[-1].text[:30]}' (word {read[-1].position})"
         line = f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'"
         return LanguageError(line, position=read[-1].position)
-    return _refusal([stuck], _NO_PLACE)
+    return _refusal([stuck], _NO_READING)
 
 
 def _refusal(words: Sequence[Token | Word], reason: str) -> LanguageError:
@@ -89,7 +89,7 @@ def _is_parsed_noun(token: Token, tokens: list[Token], index: int) -> bool:
 
 def _explains(token: Token) -> bool:
     """Check whether a refused word explains a failure at any position."""
-    return token.text in load_lexicon().refused and token.text not in _SMALL | WORDS["silent"]
+    return token.text in load_lexicon().refused and token.text not in _FUNCTION | WORDS["silent"]
 
 
 # -------------------------------------------------- grammatical but doubtful readings
@@ -104,7 +104,7 @@ _OF_WHAT = "of what kind? name the object"
 def _check_compound(phrase: Phrase) -> None:
     """Refuse a noun phrase whose modifier is itself an object type."""
     nouns = [word for word in phrase.words if word.tag.startswith("NN")]
-    if phrase.says("foreign"):
+    if phrase.has_sense("foreign"):
         raise _refusal(nouns, "is no object I know; name another")
     for word, following in pairwise(nouns):
         if word.type_sense:
@@ -142,35 +142,35 @@ def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
 
 def _check_one(phrase: Phrase) -> None:
     """Refuse "the nearest one" without a type; "the one behind it" may be of any type."""
-    leaf, *others = phrase.children if phrase.label == "NP" else (phrase.children[0],)
+    leaf, *modifiers = phrase.children if phrase.label == "NP" else (phrase.children[0],)
     if leaf.label != "NP" or leaf.children:
         return
-    is_known = leaf.says("other") or any(word.type_sense for word in leaf.words)
-    words = [word for other in others for word in other.all_words()]
+    is_known = leaf.has_sense("other") or any(word.type_sense for word in leaf.words)
+    words = [word for other in modifiers for word in other.all_words()]
     is_ranked = any("superlative" in word.senses for word in words)
-    is_modified = bool(others) and (not is_ranked or any(word.type_sense for word in words))
-    if leaf.says("anaphor") and not is_known and not is_modified:
+    is_modified = bool(modifiers) and (not is_ranked or any(word.type_sense for word in words))
+    if leaf.has_sense("anaphor") and not is_known and not is_modified:
         raise _refusal(leaf.words[-1:], _OF_WHAT)
 
 
 def _check_landmark(phrase: Phrase) -> None:
     """Refuse "the hydrant behind the thing on your left": a landmark has a type."""
-    figure, *others = phrase.children
+    figure, *modifiers = phrase.children
     if phrase.label != "NP" or is_untyped(figure):
         return
-    for np in (inner for other in others for inner in other.walk()):
+    for np in (inner for other in modifiers for inner in other.walk()):
         if np.label == "NP" and np.children and is_untyped(np.children[0]):
             raise _refusal(np.children[0].words[-1:], _OF_WHAT)
 
 
 def _check_between(phrase: Phrase) -> None:
     """Refuse "between" with one landmark, and two uses of "between" for one figure."""
-    parts = [part for child in phrase.children[1:] for part in (child, *child.children)]
-    between = [part for part in parts if part.says("between")]
+    phrases = [part for child in phrase.children[1:] for part in (child, *child.children)]
+    between = [part for part in phrases if part.has_sense("between")]
     if len(between) > 1:
         raise _refusal(_head(between[1]), "said of one thing twice; say one of them")
     nouns = [word for word in phrase.children[0].all_words() if word.tag.startswith("NN")]
-    if phrase.says("between") and len(phrase.children) == 1 and nouns[0].tag != "NNS":
+    if phrase.has_sense("between") and len(phrase.children) == 1 and nouns[0].tag != "NNS":
         raise _refusal(_head(phrase), "between that and what? name both")
 
 
@@ -181,11 +181,11 @@ def _head(phrase: Phrase) -> list[Word]:
 
 def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
     """Refuse doubtful readings with a LanguageError; ``unknown`` are positions of words."""
-    for first in (clause.words[0] for clause in clauses[1:] if clause.words):
+    for word in (clause.words[0] for clause in clauses[1:] if clause.words):
         # No connective precedes it.
-        if first.tag == "VB" and first.position in unknown:
+        if word.tag == "VB" and word.position in unknown:
             reason = "unknown word; it may be a verb or a mistyped relation: say it in other words"
-            raise _refusal([first], reason)
+            raise _refusal([word], reason)
     for clause in clauses:
         for phrase in clause.walk():
             if phrase.label == "NP":

@@ -19,7 +19,7 @@ _SPLIT_NEGATION = re.compile(r"\b(do|does|did|ca|wo|is|are|was|could|would|shoul
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpokenToken:
+class RawToken:
     """A word or mark of a sentence, before lookup in the lexicon."""
 
     text: str  # lower case, spelling corrected; or one of ``MARKS``
@@ -52,9 +52,9 @@ def is_word(text: str) -> bool:
     return text[:1].isalnum() and TOKEN.fullmatch(text) is not None and not text.endswith("'s")
 
 
-def strip_marks(tokens: Iterable[SpokenToken]) -> list[SpokenToken]:
+def strip_marks(tokens: Iterable[RawToken]) -> list[RawToken]:
     """Remove marks at both ends, and all but the last of consecutive marks."""
-    stripped: list[SpokenToken] = []
+    stripped: list[RawToken] = []
     for token in tokens:
         if token.text in MARKS and stripped and stripped[-1].text in MARKS:
             stripped.pop()

@@ -86,8 +86,8 @@ def read_forest(
         stack.pop()
         scores = [score(node, packed) for packed in node.children]
         best = max(scores, key=lambda s: s.log_best)
-        top = max(s.log_sum for s in scores)
-        log_sum = top + math.log(sum(math.exp(s.log_sum - top) for s in scores))
+        max_log_sum = max(s.log_sum for s in scores)
+        log_sum = max_log_sum + math.log(sum(math.exp(s.log_sum - max_log_sum) for s in scores))
         memo.setdefault(id(node), _NodeScore(best.log_best, log_sum, best.children))
     best = memo[id(root)]
     derivation: Any = best.children[0]
@@ -98,7 +98,7 @@ def read_forest(
 
 
 UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "?", "?ly", "?ing"
-UNKNOWN_CLASSES = {
+UNKNOWN_WORD_CLASSES = {
     "unknown_noun": ("NN", {UNKNOWN: 1.0, UNKNOWN_ING: 0.1, NOUN: 0.01}),
     "adj": ("JJ", {UNKNOWN: 0.3, UNKNOWN_ING: 0.05}),
     "v_to": ("VB", {UNKNOWN: 0.05}),
@@ -128,8 +128,8 @@ def build_phrases(
         if entry is not None:
             return replace(entry[index], text=text, position=position)
         left = node.production.left
-        if left in UNKNOWN_CLASSES:
-            tag, _ = UNKNOWN_CLASSES[left]
+        if left in UNKNOWN_WORD_CLASSES:
+            tag, _ = UNKNOWN_WORD_CLASSES[left]
             if node.production.right != (f'"{NOUN}"',):
                 unknown.append((text, position))
             is_plural = tag == "NN" and text.endswith("s") and plural(text[:-1]) == text
@@ -151,7 +151,7 @@ def build_phrases(
     return parts(root)[1], unknown
 
 
-def _sorted(words: Iterable[Word]) -> tuple[Word, ...]:
+def _in_order(words: Iterable[Word]) -> tuple[Word, ...]:
     return tuple(sorted(words, key=lambda word: word.position))
 
 
@@ -160,12 +160,12 @@ def _phrase(left: str, words: list[Word], phrases: list[Phrase]) -> Phrase:
     label = left.split("_")[0]
     if left == SPLIT_NP:
         # NPX[the cone]{ADJP[nearest], PP[to]{X}} becomes NP[]{NP[the cone], PP[nearest to]{X}}.
-        base = Phrase(label="NP", words=_sorted(words))
+        base = Phrase(label="NP", words=_in_order(words))
         modifier, *rest = phrases
         if rest:
-            joined = _sorted(modifier.words + rest[0].words)
+            joined = _in_order(modifier.words + rest[0].words)
             modifier = Phrase(label="PP", words=joined, children=rest[0].children)
         return Phrase(label="NP", words=(), children=(base, modifier))
     if label == "NP" and not words and not phrases[0].words:
         return Phrase(label=label, words=(), children=phrases[0].children + tuple(phrases[1:]))
-    return Phrase(label=label, words=_sorted(words), children=tuple(phrases))
+    return Phrase(label=label, words=_in_order(words), children=tuple(phrases))

@@ -56,7 +56,7 @@ class Utterance:
     kind: Kind | None  # None: undecided until the rest is parsed
     wording: Wording | None = None  # if it is the whole utterance
     rest: str = ""  # remainder to parse
-    is_not_that: bool = False  # the current goal is rejected
+    rejects_goal: bool = False  # the current goal is rejected
 
 
 def classify(text: str, *, is_asked: bool = False) -> Utterance:
@@ -88,8 +88,8 @@ def _classify_opening(text: str) -> Utterance:
     rest = inner_rest or rest
     if _match_whole(rest, is_asked=False) == Wording.OTHER:
         return Utterance(kind=Kind.CORRECTION, wording=Wording.OTHER)
-    is_not_that = "not_that" in (opening, inner)
-    return Utterance(kind=Kind.CORRECTION, rest=rest, is_not_that=is_not_that)
+    rejects_goal = "not_that" in (opening, inner)
+    return Utterance(kind=Kind.CORRECTION, rest=rest, rejects_goal=rejects_goal)
 
 
 def _match_whole(text: str, *, is_asked: bool) -> Wording | None:
@@ -115,8 +115,8 @@ def _match_opening(text: str, allowed: Collection[str]) -> tuple[str | None, str
     _, openings, around = _wordings()
     spans = words_of(text)
     words = tuple(word for word, _, _ in spans)
-    first = next((i for i in range(len(words)) if words[i : i + 1] not in around), len(words))
-    for start in sorted({0, first}):
+    skipped = next((i for i in range(len(words)) if words[i : i + 1] not in around), len(words))
+    for start in sorted({0, skipped}):
         for end in range(min(len(words), start + 6), start, -1):
             name = openings.get(words[start:end])
             if name in allowed:
@@ -131,5 +131,5 @@ def _wordings() -> tuple[
     """Load wordings of whole utterances, openings, and polite words around them."""
     table = parse_toml(read_shipped("language", "utterances.toml"))
     whole = {tuple(text.split()): w for w in Wording for text in table["whole"][w.value]}
-    begin = {tuple(text.split()): name for name, row in table["begin"].items() for text in row}
-    return whole, begin, frozenset(tuple(text.split()) for text in table["around"])
+    openings = {tuple(text.split()): name for name, row in table["begin"].items() for text in row}
+    return whole, openings, frozenset(tuple(text.split()) for text in table["around"])

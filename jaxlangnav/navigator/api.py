@@ -20,14 +20,14 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav import navigator
-from jaxlangnav.dialogue import first_words
+from jaxlangnav.dialogue import discourse_of
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import come_here
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.limits import bounded
 from jaxlangnav.inputs.object_types import is_anything, name_of
-from jaxlangnav.inputs.observations import SLOTS, area_numbers, pose_numbers
+from jaxlangnav.inputs.observations import SLOTS, check_area, check_pose
 from jaxlangnav.inputs.sanitize import quote, shorten
 from jaxlangnav.language.halting import act_of
 from jaxlangnav.messages import Action, Observation, SensorParams, Status, default_sensor
@@ -169,9 +169,9 @@ class Navigator:
         sensor_model: SensorModel = RANGING,
     ) -> NavigatorState:
         """Build the initial state of a grounded instruction, padded to the dialogue's capacity."""
-        start = pose_numbers(pose).tolist()
+        start = check_pose(pose).tolist()
         default = np.add(np.repeat(start[:2], 2), DEFAULT_EXTENT * np.array([-1, 1, -1, 1]))
-        bounds = default.tolist() if area is None else area_numbers(area).tolist()
+        bounds = default.tolist() if area is None else check_area(area).tolist()
         check_start(start, bounds)
         check_metric_goals(grounded.spoken, start, bounds)
         readings = widen(grounded.instruction.readings, self.capacity)
@@ -184,7 +184,7 @@ class Navigator:
             num_types=len(self.type_names),
             terrain=terrain,
             sensor_model=sensor_model,
-            words=first_words(instruction, grounded.spoken),
+            words=discourse_of(instruction, grounded.spoken),
         )
         return self._checked(state)
 

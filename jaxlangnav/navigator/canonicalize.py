@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxlangnav.inputs.limits import is_complex
-from jaxlangnav.inputs.observations import SLOTS, padded
+from jaxlangnav.inputs.observations import SLOTS, padded_size
 from jaxlangnav.inputs.sanitize import quote, shorten
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.navigator.records import NavigatorState
@@ -78,7 +78,7 @@ def canonicalize(observation: Observation) -> Observation:
         raise _shape_error("detection_type", shape, "(D,), a row of detections")
     if observation.detection_attribute is None:
         observation = replace(observation, detection_attribute=np.zeros(shape, np.int32))
-    padding = padded(shape[0]) - shape[0]
+    padding = padded_size(shape[0]) - shape[0]
     fields, sensor = dict[str, np.ndarray](), dict[str, np.ndarray]()
     for name, (dtype, fill_value) in _PADDING.items():
         values = _cast(getattr(observation, name), name, dtype, shape)

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import dialogue
-from jaxlangnav.dialogue import Words
+from jaxlangnav.dialogue import DiscourseInfo
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.object_types import MAX_LABELS, is_anything, label_of
-from jaxlangnav.inputs.observations import DEVIATIONS
+from jaxlangnav.inputs.observations import GATE_SIGMAS
 from jaxlangnav.messages import (
     ACTIONS,
     NONE,
@@ -72,7 +72,7 @@ def start(
     num_types: int = MAX_LABELS,
     terrain: Terrain = OPEN,
     sensor_model: SensorModel = RANGING,
-    words: Words | None = None,
+    words: DiscourseInfo | None = None,
 ) -> NavigatorState:
     """Build the initial state of a robot with an instruction.
 
@@ -184,7 +184,7 @@ def _observe(
     motion = params.map.motion
     # The longest step of a cycle, with the error of odometry.
     max_travel = jnp.max(params.mode_speed) * motion.step_length
-    max_travel = max_travel * (1.0 + DEVIATIONS * motion.odometry_noise) + _ROUNDING
+    max_travel = max_travel * (1.0 + GATE_SIGMAS * motion.odometry_noise) + _ROUNDING
     # Relations of a command are relative to the pose at which it was heard.
     viewer = select_row(state.talk.viewer, state.clause)
     belief, info = semantic_filter.step(
@@ -224,10 +224,12 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     readings, relations = state.instruction.readings, params.map.relations
     behavior = infer_clause_behaviors(particles, state.instruction, clause, state.previous_goal)
     behavior = filter_untyped_goals(behavior, particles, readings, talk.context, relations)
-    behavior = dialogue.as_answered(behavior, particles, talk)
-    behavior = dialogue.pinned(behavior, particles, readings.mention_type, talk.words, clause)
-    behavior = dialogue.avoided(behavior, particles, readings.mention_type, talk.words)
-    belief = align_on_robot(replace(state.belief, particles=dialogue.focus(particles, talk.words)))
+    behavior = dialogue.apply_answers(behavior, particles, talk)
+    behavior = dialogue.pin_goals(behavior, particles, readings.mention_type, talk.words, clause)
+    behavior = dialogue.add_avoidance(behavior, particles, readings.mention_type, talk.words)
+    belief = align_on_robot(
+        replace(state.belief, particles=dialogue.task_mentions(particles, talk.words))
+    )
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot = robot_position(belief)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.inputs.limits import LENGTH, MAX_FALSE, MAX_WRONG, SHARE, VIEWS, Quantity, number
+from jaxlangnav.inputs.limits import FOV_SPAN, LENGTH, MAX_FALSE, MAX_WRONG, SHARE, Quantity, number
 from jaxlangnav.messages import MotionParams, SensorParams, is_drifting
 from jaxlangnav.navigator.records import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
@@ -39,7 +39,7 @@ _QUANTITIES = (
         "detection_probability discount stop_probability frontier_miss",
     ),
     (Quantity(kind="angle"), "heading_bias heading_noise turn_noise"),
-    (Quantity(kind="angle", low=VIEWS[0], high=2.0 * math.pi + 1e-6), "field_of_view"),
+    (Quantity(kind="angle", low=FOV_SPAN[0], high=2.0 * math.pi + 1e-6), "field_of_view"),
     (Quantity(kind="length"), "noise"),
     (Quantity(kind="share", high=MAX_WRONG), "mislabelled"),
     (Quantity(high=MAX_FALSE), "false_detections"),

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.dialogue import Merged, join, seen_from
+from jaxlangnav.dialogue import Merged, compose_poses, merge_utterance
 from jaxlangnav.grounding import Context, Grounded, Grounder
 from jaxlangnav.grounding.annotated import come_here
 from jaxlangnav.grounding.grounder import names_of
-from jaxlangnav.grounding.instruction import Spoken
+from jaxlangnav.grounding.instruction import Referents
 from jaxlangnav.inputs.object_types import is_anything, label_of, noun_of
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.language.halting import Act, alarm_in, opening_of
@@ -155,7 +155,7 @@ class Listener:
         about = NONE if is_anything(topic) else topic
         context = Context(is_under_way=True, about=about, is_at=is_at)
         grounded = self.grounder.ground(utterance.rest, context)
-        spoken = grounded.spoken or Spoken()
+        spoken = grounded.spoken or Referents()
         pose, notes = state.belief.last_pose, grounded.notes
         if int(grounded.instruction.num_clauses) == 0:
             kind = Kind.CONSTRAINT if spoken.avoided else Kind.STATEMENT
@@ -182,7 +182,7 @@ class Listener:
         area = state.belief.coverage.area
         check_metric_goals(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
         label, goals = label_of(topic), spoken.goals
-        is_answer = is_asked and len(goals) == 1 and label in spoken.may_be(goals[0])
+        is_answer = is_asked and len(goals) == 1 and label in spoken.types_of(goals[0])
         is_new, is_loose = effect is Effect.REPLACE, is_answer or utterance.kind == Kind.CORRECTION
         excluded = self._excluded_slot(state, utterance, grounded, text) if is_new else NONE
         merged = self._join(state, grounded, effect=effect, is_loose=is_loose or not is_new)
@@ -204,7 +204,7 @@ class Listener:
         is_loose: bool = True,
     ) -> Merged:
         """Merge the new interpretation with the dialogue state."""
-        return join(
+        return merge_utterance(
             state.instruction.readings,
             state.talk.words,
             grounded.instruction,
@@ -229,11 +229,11 @@ class Listener:
         self, state: NavigatorState, utterance: Utterance, grounded: Grounded, text: str
     ) -> int:
         """Find the observed slot that a new task excludes ("the other one"); NONE if none."""
-        spoken = grounded.spoken or Spoken()
+        spoken = grounded.spoken or Referents()
         goal = spoken.goals[0] if spoken.goals else NONE
         approached, last = int(state.talk.approached), int(state.previous_goal)
         slots = [slot for slot in (approached, last) if slot != NONE]
-        slots = [slot for slot in slots if label_of(type_at(state, slot)) in spoken.may_be(goal)]
+        slots = [slot for slot in slots if label_of(type_at(state, slot)) in spoken.types_of(goal)]
         if len(spoken.goals) == 1 and goal in spoken.others:
             if not slots:
                 name = noun_of(goal, names_of(self.grounder))
@@ -242,7 +242,7 @@ class Listener:
                     f"say which, as in 'the {name} by the cone'"
                 )
             return slots[0]
-        return approached if utterance.is_not_that and approached in slots else NONE
+        return approached if utterance.rejects_goal and approached in slots else NONE
 
     def warm_up(self, state: NavigatorState) -> None:
         """Compile all state updates by utterances in advance."""
@@ -263,10 +263,12 @@ def _apply_act(state: NavigatorState, outcome: UtteranceOutcome, act: Act) -> _U
     return speech_acts.apply_act(state, act), dataclasses.replace(outcome, kind=_KIND_OF[act])
 
 
-def check_metric_goals(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:
+def check_metric_goals(
+    spoken: Referents | None, pose: Sequence[float], area: Sequence[float]
+) -> None:
     """Raise a ValueError for a metric goal outside the operating area (host only)."""
     for end in () if spoken is None else spoken.steps:
-        x, y, _ = seen_from(np.array(pose), np.array([[*end, 0.0]]))[0]
+        x, y, _ = compose_poses(np.array(pose), np.array([[*end, 0.0]]))[0]
         if not (area[0] <= x <= area[1] and area[2] <= y <= area[3]):
             limits = ", ".join(f"{float(edge):g}" for edge in area)
             raise ValueError(

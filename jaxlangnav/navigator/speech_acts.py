@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.dialogue import Merged, excluding, seen_from
+from jaxlangnav.dialogue import Merged, compose_poses, exclude_slots
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import NONE, Status, UtteranceContext
 from jaxlangnav.navigator import NavigatorState
@@ -138,7 +138,7 @@ def _enqueue(state: NavigatorState, merged: Merged, pose: Array, num_old: Array)
         metres=arrange(old.metres, new.metres),
         frame=arrange(old.frame, new.frame),
     )
-    viewer = arrange(talk.viewer, seen_from(pose, new.frame))
+    viewer = arrange(talk.viewer, compose_poses(pose, new.frame))
     talk = replace(talk, words=replace(words, goal=goal, is_pinned=pinned), viewer=viewer)
     return replace(state, instruction=instruction, clause=jnp.int32(0), talk=talk)
 
@@ -155,7 +155,7 @@ def _resume_search(state: NavigatorState) -> NavigatorState:
 
 def rule_out(state: NavigatorState, slots: Array) -> NavigatorState:
     """Exclude observed slots, a bit set i32[], as goals, and resume the search."""
-    talk = excluding(state.talk, state.clause, slots)
+    talk = exclude_slots(state.talk, state.clause, slots)
     belief = replace(state.belief, must_ground=jnp.asarray(True))
     is_out = (talk.ruled_out & _slot_bit(talk.approached)) != 0
     approached = jnp.where(is_out, NONE, talk.approached)

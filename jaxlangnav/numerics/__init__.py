@@ -1,1 +1,1 @@
-"""Atomic numerics without robot words: small Gaussians, log-domain draws, resampling."""
+"""Numerics without robot terms: small Gaussians, sampling from log-weights, resampling, L-BFGS."""

@@ -1,6 +1,6 @@
 """Batching helpers for fast XLA programs on CPU; the mathematics elsewhere is for one item.
 
-The engine runs the same few hundred small loops for every particle of every lane at every step.
+The engine runs the same few hundred small loops for every particle of every batch member and step.
 XLA on CPU is good at long elementwise loops and at little else, so what counts is which axis is
 last, what is computed again, and how many loops there are to compile: 70 % of the compilation of a
 cycle is spent loop by loop. ``benchmarks/batching.py`` measures each trick against plain JAX; one
@@ -80,9 +80,9 @@ def lookup(values: Array, index: Array) -> Array:
     size = values.shape[0]
     table = jnp.broadcast_to(insert_axes(values, index.ndim + 1), (size, *index.shape))
     rows = *jnp.unstack(table), jnp.zeros(index.shape, values.dtype)
-    within = jnp.minimum(index.astype(jnp.uint32), size).astype(jnp.int32)  # −1 is very large
+    clipped = jnp.minimum(index.astype(jnp.uint32), size).astype(jnp.int32)  # −1 is very large
     # One operation to trace; it becomes a tree of selects.
-    return jax.lax.select_n(within, *rows)
+    return jax.lax.select_n(clipped, *rows)
 
 
 def materialize(values: T) -> T:
@@ -90,15 +90,15 @@ def materialize(values: T) -> T:
 
     Under ``vmap`` they are kept for the whole batch.
     """
-    return _once(values)
+    return _materialize(values)
 
 
-def skip_unless_any(is_meant: Array, weigh: Callable[[T], Array], records: T) -> Array:
-    """Evaluate ``weigh`` only if any batch member needs it, also under ``vmap``; else return zeros.
+def skip_unless_any(is_needed: Array, evaluate: Callable[[T], Array], records: T) -> Array:
+    """Call ``evaluate`` only if any batch member needs it, also under ``vmap``; else return zeros.
 
     Args:
-        is_meant: bool[...], which members ask; 0 where one does not.
-        weigh: gives f32[n, ...] of ``records``.
+        is_needed: bool[...], by batch member; the result is 0 where false.
+        evaluate: computes f32[n, ...] from ``records``.
         records: leaves [n, ...].
     """
     dtypes = dict.fromkeys(leaf.dtype for leaf in jax.tree.leaves(records))
@@ -106,32 +106,32 @@ def skip_unless_any(is_meant: Array, weigh: Callable[[T], Array], records: T) ->
     # The index, always 0, enters all that is read, or XLA would hoist what it can.
     def body(index: Array, _: Array) -> Array:
         zero = {dtype: index.astype(dtype) for dtype in dtypes}
-        return weigh(jax.tree.map(lambda leaf: leaf + zero[leaf.dtype], records))
+        return evaluate(jax.tree.map(lambda leaf: leaf + zero[leaf.dtype], records))
 
-    rounds = jnp.any(is_meant).astype(jnp.int32)
+    num_rounds = jnp.any(is_needed).astype(jnp.int32)
     zeros = jnp.zeros_like(jax.tree.leaves(records)[0])
-    result = jax.lax.fori_loop(0, rounds, body, zeros)
-    return jnp.where(is_meant[None], result, 0.0)
+    result = jax.lax.fori_loop(0, num_rounds, body, zeros)
+    return jnp.where(is_needed[None], result, 0.0)
 
 
 @jax.custom_jvp
-def _once(values: Any) -> Any:
-    return _keep(values)
+def _materialize(values: Any) -> Any:
+    return _barrier(values)
 
 
-@_once.defjvp
-def _once_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
-    return _once(*primals), *tangents
+@_materialize.defjvp
+def _materialize_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+    return _materialize(*primals), *tangents
 
 
 @custom_vmap
-def _keep(values: Any) -> Any:
+def _barrier(values: Any) -> Any:
     return jax.lax.platform_dependent(values, cpu=_conditionally, default=lambda same: same)
 
 
-@_keep.def_vmap
+@_barrier.def_vmap
 def _keep_batch(axis_size: int, in_batched: list[Any], values: Any) -> tuple[Any, Any]:
-    return _keep(values), in_batched[0]
+    return _barrier(values), in_batched[0]
 
 
 def _conditionally(values: Any) -> Any:
@@ -155,31 +155,31 @@ def take(particles: T, ancestors: Array) -> T:
 
 
 def pack(particles: Any) -> Array:
-    """Pack records into one table, f32[rows, P], from leaves [..., P] of the types of ``take``."""
+    """Pack records into one table, f32[rows, P], from leaves [..., P] exact in float32."""
     leaves = jax.tree.leaves(particles)
     return jnp.concatenate(
         [leaf.astype(jnp.float32).reshape(-1, leaf.shape[-1]) for leaf in leaves]
     )
 
 
-def unpack(table: Array, form: T) -> T:
+def unpack(table: Array, template: T) -> T:
     """Unpack records from a table, f32[rows, n], of ``pack``, with any selection of columns.
 
-    ``form`` are the records that were packed, or others of their shapes and types, [..., P]; the
-    leaves are [..., n].
+    ``template``: the packed records, or others of their shapes and types, leaves [..., P]; leaves
+    of the result are [..., n].
     """
-    leaves, tree = jax.tree.flatten(form)
-    taken, start = [], 0
+    leaves, tree = jax.tree.flatten(template)
+    unpacked, start = [], 0
     for leaf in leaves:
         size = math.prod(leaf.shape[:-1])
         part = jax.lax.slice_in_dim(table, start, start + size)
-        taken.append(part.reshape(*leaf.shape[:-1], table.shape[-1]).astype(leaf.dtype))
+        unpacked.append(part.reshape(*leaf.shape[:-1], table.shape[-1]).astype(leaf.dtype))
         start += size
-    return jax.tree.unflatten(tree, taken)
+    return jax.tree.unflatten(tree, unpacked)
 
 
 def uniforms(keys: Array, size: int) -> Array:
-    """Draw from the unit interval for each key[n]: rows as ``jax.random.uniform(key, (size,))``.
+    """Draw uniform numbers for each key[n]: rows as ``jax.random.uniform(key, (size,))``.
 
     The first numbers do not depend on ``size`` (``jax_threefry_partitionable``, JAX's default), so
     keys that need fewer share the draw of the one that needs most.
@@ -188,7 +188,7 @@ def uniforms(keys: Array, size: int) -> Array:
     return jax.vmap(lambda key: jax.random.uniform(key, (size,)))(keys)
 
 
-def between(uniform: Array, low: float, high: float) -> Array:
+def to_interval(uniform: Array, low: float, high: float) -> Array:
     """Scale uniform numbers in [0, 1) to [low, high), as ``jax.random.uniform`` does."""
     lower, upper = np.float32(low), np.float32(high)
     return jnp.maximum(lower, uniform * (upper - lower) + lower)
@@ -197,4 +197,4 @@ def between(uniform: Array, low: float, high: float) -> Array:
 def normal(uniform: Array) -> Array:
     """Transform uniform numbers in [0, 1) to standard normals, as ``jax.random.normal`` does."""
     low = np.nextafter(np.float32(-1.0), np.float32(0.0))
-    return np.float32(np.sqrt(2)) * jax.lax.erf_inv(between(uniform, float(low), 1.0))
+    return np.float32(np.sqrt(2)) * jax.lax.erf_inv(to_interval(uniform, float(low), 1.0))

@@ -14,7 +14,7 @@ _LOG_MIN, _LOG_MAX = -80.0, 80.0  # inside the range of exp in float32
 def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
     """Draw one index in proportion to exp(log_weight), by inverting the cumulative sum.
 
-    Two levels of about √n: the group first, then the place in it. XLA's own cumulative sum takes
+    Two levels of about √n: the group first, then the offset in it. XLA's own cumulative sum takes
     log n passes over memory, which for all particles costs more than all the weights before it.
     Limits: one finite weight is always drawn; all −∞ gives index 0 and a total of −∞.
 
@@ -57,7 +57,7 @@ def log_normalize(log_weight: Array) -> tuple[Array, Array, Array]:
 
     Returns:
         Weights f32[..., n] that sum to one (uniform where nothing has weight), the log of the
-        total f32[...], and bool[...]: whether the weights had died and were made uniform.
+        total f32[...], and bool[...]: whether all weights were zero and became uniform.
     """
     clean = jnp.where(jnp.isnan(log_weight), -jnp.inf, log_weight)
     top = jnp.max(clean, axis=-1, keepdims=True)

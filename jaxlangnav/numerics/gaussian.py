@@ -1,12 +1,12 @@
 """Small Gaussians in moment form, conditioned on one relative position at a time (section 3.2).
 
-A Gaussian over n coordinates is held as its mean and its covariance Σ. Both axes of the plane
+A Gaussian over n coordinates is stored as its mean and its covariance Σ. Both axes of the plane
 share one Σ, because every noise in the map is isotropic; x and y have a mean each. The design asks
 for the information form Λ = Σ⁻¹, sparse in hundreds of poses. Here the old poses are marginalised
 out and n is nine, so Λ would be dense, and the covariance of robot and object, which association
 needs at every step, would cost an inversion. A measurement is a rank-one downdate of Σ.
 
-n is small and known at trace time, so what follows is unrolled: with the batch axes last ("…") it
+n is small and known at trace time, so the code is unrolled: with the batch axes last ("…") it
 becomes a few fused elementwise loops, many times faster than batched LAPACK calls.
 """
 
@@ -29,7 +29,7 @@ class Moments(NamedTuple):
     mean_y: Array  # f32[n, ...]
 
 
-def enter(
+def add_coordinates(
     moments: Moments,
     origin: int,
     is_new: Array,
@@ -41,12 +41,12 @@ def enter(
 
         Σ'_ij = Σ_{o(i) o(j)} + R δ_ij,   o(i) the origin where i is new and i itself elsewhere
 
-    This is the limit of a flat prior conditioned on z; whatever the coordinate held is overwritten.
+    This is the limit of a flat prior conditioned on z; the old coordinate is overwritten.
 
     Args:
         moments: joint Gaussian.
         origin: coordinate that is not new.
-        is_new: bool[n, ...], coordinates to be placed.
+        is_new: bool[n, ...], coordinates to add.
         offset_x: f32[n, ...], z, metres.
         offset_y: f32[n, ...].
         variance: f32[n, ...] or f32[n, 1, ...], R, square metres per axis.
@@ -88,7 +88,7 @@ def condition_offsets(
         variance: f32[k, ...], R > 0, square metres per axis.
     """
     size = moments.covariance.shape[0]
-    # The means ride along as two more columns: Σ' and μ' are then one and the same downdate.
+    # The means are two more columns: Σ' and μ' are then one and the same downdate.
     table = jnp.concatenate(
         [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]], axis=1
     )

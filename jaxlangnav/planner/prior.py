@@ -34,7 +34,7 @@ def load_table() -> np.ndarray:
     Raises a ValueError if the file has no finite, non-negative table.
     """
     try:
-        density = parse_floats(read_file(TABLE_FILE, at_most=_MAX_BYTES))
+        density = parse_floats(read_file(TABLE_FILE, max_bytes=_MAX_BYTES))
         if density.shape != (RANGE_BINS, BEARING_BINS) or (density < 0.0).any():
             raise ValueError(f"shape {density.shape}, or a negative density")
     except (OSError, ValueError) as error:

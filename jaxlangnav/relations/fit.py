@@ -127,7 +127,7 @@ def _maximise(
         total = jnp.sum(jax.nn.logsumexp(_log_joint(free, pairs), axis=1))
         return -(total + _log_prior(free, start, prior)) / num_pairs
 
-    optimum = descend(loss, init, slope_length=_GRADIENT_TOL, max_steps=max_steps)
+    optimum = descend(loss, init, gradient_norm=_GRADIENT_TOL, max_steps=max_steps)
     # Row by row: a third of the compilation time of ``jax.hessian``.
     curvature = jax.lax.map(
         lambda unit: jax.jvp(jax.grad(loss), (optimum.point,), (unit,))[1], jnp.eye(len(init))

@@ -1,6 +1,6 @@
-"""Libraries of the extra ``robot``, loaded when they are needed, and what to install if they lack.
+"""Lazy loading of the libraries of the extra ``robot``; errors name what to install.
 
-Rendering off screen goes through EGL, which is the system's, not pip's.
+Offscreen rendering needs EGL, a system library that pip cannot install.
 """
 
 import importlib
@@ -11,14 +11,14 @@ from typing import Any
 
 from jaxlangnav.viz.style import MissingExtraError, require
 
-NO_WHEELS = ("apriltag_msgs", "tf2_msgs", "vision_msgs")
-"""Packages of messages that a ROS 2 installation has and PyPI has not."""
+ROS_ONLY_PACKAGES = ("apriltag_msgs", "tf2_msgs", "vision_msgs")
+"""Message packages that are part of ROS 2 installations, but not on PyPI."""
 
 
-def ros(module: str) -> Any:
+def load_ros(module: str) -> Any:
     """Load a module of ROS 2, such as "nav_msgs.msg", or raise a ``MissingExtraError``."""
     package = module.split(".")[0]
-    if package in NO_WHEELS and importlib.util.find_spec(package) is None:
+    if package in ROS_ONLY_PACKAGES and importlib.util.find_spec(package) is None:
         raise MissingExtraError(
             f"{package} is not installed, and no wheel: source a ROS 2 installation that has it "
             f"(apt-get install ros-$ROS_DISTRO-{package.replace('_', '-')})"
@@ -27,23 +27,23 @@ def ros(module: str) -> Any:
     return importlib.import_module(module)
 
 
-def ros_message(name: str) -> Any:
-    """Load the class of a message of ROS 2, such as "nav_msgs/msg/Odometry"."""
-    package, _, kind = name.partition("/msg/")
-    return getattr(ros(f"{package}.msg"), kind)
+def ros_class(name: str) -> Any:
+    """Load a ROS 2 message class, such as "nav_msgs/msg/Odometry"."""
+    package, _, class_name = name.partition("/msg/")
+    return getattr(load_ros(f"{package}.msg"), class_name)
 
 
 SYSTEM_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
-"""Debian and Ubuntu packages that rendering off screen needs."""
-_BACKEND = "MUJOCO_GL"  # environment variable: how to render; read as MuJoCo is imported
+"""Debian and Ubuntu packages that offscreen rendering needs."""
+_BACKEND = "MUJOCO_GL"  # environment variable of the rendering backend; read on import of MuJoCo
 
 
 class MissingSystemLibraryError(ValueError):
-    """Rendering off screen does not work here; says what to install."""
+    """Offscreen rendering does not work here; the message says what to install."""
 
 
 def mujoco() -> Any:
-    """Load MuJoCo, set up to render off screen; a missing extra or library raises."""
+    """Load MuJoCo for offscreen rendering; a missing extra or library raises."""
     if "mujoco" in sys.modules and os.environ.get(_BACKEND) is None:
         raise MissingSystemLibraryError(
             f"mujoco was imported before jaxlangnav.robots could ask it to render off screen: set "
@@ -53,7 +53,7 @@ def mujoco() -> Any:
     try:
         return require("mujoco", extra="robot")
     except (ImportError, AttributeError, OSError) as error:
-        raise _no_rendering(error) from error
+        raise _rendering_error(error) from error
 
 
 def renderer(model: Any, height: int, width: int) -> Any:
@@ -61,7 +61,7 @@ def renderer(model: Any, height: int, width: int) -> Any:
     try:
         return mujoco().Renderer(model, height, width)
     except Exception as error:  # PyOpenGL raises whatever it meets first
-        raise _no_rendering(error) from error
+        raise _rendering_error(error) from error
 
 
 def opencv() -> Any:
@@ -70,16 +70,16 @@ def opencv() -> Any:
 
 
 def apriltags() -> Any:
-    """Load the detector of AprilTags, or raise a ``MissingExtraError``."""
+    """Load the AprilTag detector, or raise a ``MissingExtraError``."""
     return require("pupil_apriltags", extra="robot")
 
 
 def check_libraries() -> None:
-    """Make sure that everything for physics, cameras and tags is there, before anything is run.
+    """Check that the libraries for physics, cameras and tags are installed and work.
 
     Raises:
         MissingExtraError: a Python library is not installed.
-        MissingSystemLibraryError: rendering off screen does not work.
+        MissingSystemLibraryError: offscreen rendering does not work.
     """
     opencv()
     apriltags()
@@ -87,10 +87,10 @@ def check_libraries() -> None:
     renderer(model, 8, 8).close()
 
 
-def _no_rendering(error: BaseException) -> MissingSystemLibraryError:
-    """Say what rendering off screen needs."""
-    why = " ".join(str(error).split()) or type(error).__name__
+def _rendering_error(error: BaseException) -> MissingSystemLibraryError:
+    """Build the error that says what offscreen rendering needs."""
+    reason = " ".join(str(error).split()) or type(error).__name__
     return MissingSystemLibraryError(
-        f"rendering off screen needs EGL, which does not work here ({why[:120]}): "
+        f"rendering off screen needs EGL, which does not work here ({reason[:120]}): "
         f"apt-get install {SYSTEM_PACKAGES}"
     )

@@ -1,6 +1,6 @@
-"""A robot's drive as a recording: pages, stories and figures show it as they show an episode.
+"""Record a robot's drive in the format of an episode, for pages, narratives and figures.
 
-The truth is taken at each look, with the pictures of a robot that has cameras.
+The ground truth is sampled at each detector query, with images of a robot that has cameras.
 """
 
 import dataclasses
@@ -28,98 +28,98 @@ _frame_of = jax.jit(make_frame)
 
 
 class DriveRecorder:
-    """Keeps a drive, step by step: ``drive(..., on_step=recorder.on_step)``."""
+    """Recorder of a drive, step by step: ``drive(..., on_step=recorder.on_step)``."""
 
     def __init__(
         self, robot: PhysicsRobot | KinematicRobot, navigator: Navigator, text: str
     ) -> None:
-        """Begin with a robot at its start; ``robot.on_look`` is taken for it."""
+        """Set up for a robot at its start; takes over ``robot.on_detection``."""
         self._robot, self._navigator, self._text = robot, navigator, text
         self._scenario = robot.scenario
         has_camera = isinstance(robot, PhysicsRobot)
         self._views = Views(robot, navigator.type_names) if has_camera else None
         self._world = robot.world_state
-        self._taken: Mapping[str, bytes] = {}
+        self._images: Mapping[str, bytes] = {}
         self._frames: list[Snapshot] = []
-        self._pictures: list[Mapping[str, bytes]] = []
+        self._step_images: list[Mapping[str, bytes]] = []
         self._clause, self._contradictions = np.int32(0), 0
-        robot.on_look = self._on_look
+        robot.on_detection = self._on_detection
 
-    def _on_look(self, robot: SimulatedRobot) -> None:
+    def _on_detection(self, robot: SimulatedRobot) -> None:
         self._world = robot.world_state
         if self._views is not None:
-            self._taken = self._views.jpegs()
+            self._images = self._views.jpegs()
 
     def on_step(self, step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
-        """Keep a decision; one without a picture shows the belief as it was."""
+        """Record a decision; without a picture the previous belief is repeated."""
         if info is None:
             if not self._frames:
                 return
-            # The last step without anything seen, from where the robot is now.
-            last, world = self._frames[-1], self._world
+            # Repeat the last frame without detections, at the robot's present pose.
+            last_frame, world = self._frames[-1], self._world
             frame = replace(
-                last,
+                last_frame,
                 position=world.position,
                 heading=world.heading,
                 odometry=world.odometry[:2],
                 distance=world.distance,
-                is_detection=np.zeros_like(last.is_detection),
-                is_news=np.zeros_like(last.is_news),
+                is_detection=np.zeros_like(last_frame.is_detection),
+                is_news=np.zeros_like(last_frame.is_news),
             )
         else:
             clause = np.minimum(self._clause, np.asarray(state.instruction.num_clauses) - 1)
             before = replace(state, clause=np.maximum(clause, 0))
-            seen = observe(np.array(step.pose), step.detections or (), self._robot.sensor)
-            frame = jax.device_get(_frame_of(self._world, before, state, info, seen))
+            observation = observe(np.array(step.pose), step.detections or (), self._robot.sensor)
+            frame = jax.device_get(_frame_of(self._world, before, state, info, observation))
             self._contradictions += int(info.filter.is_contradiction)
         self._clause = np.asarray(state.clause)
         self._frames.append(frame)
-        self._pictures.append(self._taken)
+        self._step_images.append(self._images)
 
-    def recording(self, ended: NavigationRun) -> Recording:
-        """Put the recording of a drive together; a ValueError where no decision was kept."""
+    def recording(self, run: NavigationRun) -> Recording:
+        """Assemble the recording of a drive; a ValueError where no decision was recorded."""
         if not self._frames:
             raise ValueError("nothing was recorded: give drive on_step=recorder.on_step")
         navigator = self._navigator
         scene = make_scene(
             self._scenario,
             self._robot.sensor,
-            ended.state.instruction,
+            run.state.instruction,
             text=self._text,
             params=navigator.params,
             config=navigator.config,
             type_names=navigator.type_names,
         )
-        told = stack_frames(scene, self._frames, self._result(ended))
-        why = "" if ended.ending is Ending.ARRIVED else f"{ended.ending.value}: {ended.why}"
-        pictures = tuple(self._pictures) if self._views is not None else ()
-        return dataclasses.replace(told, pictures=pictures, end_reason=why)
+        recording = stack_frames(scene, self._frames, self._result(run))
+        why = "" if run.ending is Ending.ARRIVED else f"{run.ending.value}: {run.why}"
+        pictures = tuple(self._step_images) if self._views is not None else ()
+        return dataclasses.replace(recording, pictures=pictures, end_reason=why)
 
-    def _result(self, ended: NavigationRun) -> EpisodeResult:
-        """Judge the drive by where the robot truly is."""
-        place = self._robot.true_pose[:2]
-        away = float(np.hypot(*(place - np.asarray(self._scenario.goal))))
+    def _result(self, run: NavigationRun) -> EpisodeResult:
+        """Evaluate the drive by the robot's ground-truth position."""
+        position = self._robot.true_pose[:2]
+        distance = float(np.hypot(*(position - np.asarray(self._scenario.goal))))
         faults = np.array([int(frame.fault) for frame in self._frames])
-        samples = [float(frame.effective_sample_size) for frame in self._frames]
-        is_success = ended.ending is Ending.ARRIVED and away <= SUCCESS_RADIUS
-        # Of some endings no status tells.
-        status = Status.__members__.get(ended.ending.name, int(ended.state.status))
-        numbers = {
+        sample_sizes = [float(frame.effective_sample_size) for frame in self._frames]
+        is_success = run.ending is Ending.ARRIVED and distance <= SUCCESS_RADIUS
+        # Some endings correspond to no status.
+        status = Status.__members__.get(run.ending.name, int(run.state.status))
+        fields = {
             "is_success": is_success,
-            "is_stopped": ended.ending is not Ending.OUT_OF_TIME,
+            "is_stopped": run.ending is not Ending.OUT_OF_TIME,
             "ending": int(status),
             "distance": self._robot.travelled,
             "steps": len(self._frames),
-            "final": place,
-            "goal_distance": away,
+            "final": position,
+            "goal_distance": distance,
             "overflow": sum(int(frame.overflow) for frame in self._frames),
             "degenerate": int(((faults & Fault.WEIGHTS) != 0).sum()),
             "contradictions": self._contradictions,
             "faults": int(((faults & ~Fault.WEIGHTS) != 0).sum()),
-            "mean_effective_sample_size": float(np.mean(samples)),
+            "mean_effective_sample_size": float(np.mean(sample_sizes)),
             "is_valid": bool(self._scenario.is_valid),
         }
-        return EpisodeResult(**jax.tree.map(np.asarray, numbers))
+        return EpisodeResult(**jax.tree.map(np.asarray, fields))
 
 
 def record_drive(
@@ -129,11 +129,11 @@ def record_drive(
     navigator: Navigator,
     key: Array,
 ) -> tuple[NavigationRun, Recording]:
-    """Let a robot, at its start, follow a sentence, and record it; see ``drive``.
+    """Drive a robot from its start by an instruction, and record the drive; see ``drive``.
 
     Returns:
-        How it ended, and the recording: ``viz.html.write_html`` makes a page of it.
+        The run and its recording: ``viz.html.write_html`` makes a page of it.
     """
-    kept = DriveRecorder(robot, navigator, text)
-    ended = drive(navigator, robot, text, key=key, on_step=kept.on_step)
-    return ended, kept.recording(ended)
+    recorder = DriveRecorder(robot, navigator, text)
+    run = drive(navigator, robot, text, key=key, on_step=recorder.on_step)
+    return run, recorder.recording(run)

@@ -1,8 +1,8 @@
-"""What a robot is to the navigator, and what its drives are told in (section 4.3).
+"""The ``Robot`` protocol, and the records of a drive (section 4.3).
 
-A robot has a pose, a look, waypoints and a halt; a drive has steps and an ending. Frames: the *map*
-frame is where the robot started, as its odometry has it ever since; the *robot* frame has x ahead
-and y to the left. Metres, radians, seconds.
+A robot reports pose and detections, follows waypoints and stops; a drive has steps and an ending.
+Frames: the *map* frame is that of the robot's odometry; the *robot* frame has x ahead and y to the
+left. Metres, radians, seconds.
 """
 
 import dataclasses
@@ -20,41 +20,41 @@ from jaxlangnav.world.sensor import NUM_DETECTIONS
 
 
 class WaypointStatus(enum.Enum):
-    """How far a robot has come with its waypoints."""
+    """Progress of a robot along its waypoints."""
 
     STANDING = "standing"
     """It has none."""
     UNDER_WAY = "under way"
-    THERE = "there"
-    """At the last of them, or as near to it as things allow, and facing it."""
-    GAVE_UP = "gave up"
-    """Its motion planner finds no way, or no longer comes any nearer."""
+    REACHED = "there"
+    """At the last waypoint, or as near as obstacles allow, and facing it."""
+    FAILED = "gave up"
+    """Its motion planner finds no path, or makes no progress."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Detection:
-    """One thing that the detector has found in the present look."""
+    """One detection of the present observation."""
 
     object_type: int
     """Index into the navigator's ``type_names``."""
     range: float
-    """Metres from the robot to the middle of the thing."""
+    """Metres from the robot to the center of the object."""
     bearing: float
     """Radians, robot frame, counter-clockwise from straight ahead."""
 
     def offset(self, heading: float = 0.0) -> np.ndarray:
-        """Place it to the robot, f64[2], metres, in the axes that a robot's heading is of."""
+        """Offset from the robot, f64[2], metres, in the frame in which ``heading`` is measured."""
         angle = heading + self.bearing
         return np.array([self.range * math.cos(angle), self.range * math.sin(angle)])
 
 
 @runtime_checkable
 class Robot(Protocol):
-    """A robot: simulated or real. It never tells where it truly is, as it does not know."""
+    """A robot, simulated or real; it reports odometry, never its ground-truth pose."""
 
     @property
     def sensor(self) -> SensorParams:
-        """What the belief is told of the detector: its gates, its rate and its error."""
+        """Sensor model that the belief assumes: gates, detection probability and noise."""
         ...
 
     @property
@@ -63,32 +63,32 @@ class Robot(Protocol):
         ...
 
     def pose(self) -> np.ndarray:
-        """Tell x, y, heading by dead reckoning, f64[3], map frame: slip and drift are in it."""
+        """Return x, y, heading by dead reckoning, f64[3], map frame, with slip and drift."""
         ...
 
     def detections(self) -> Sequence[Detection] | None:
-        """Look: things found now; None where the camera delivers no picture."""
+        """Return the present detections; None where the camera delivers no picture."""
 
     def go_to(
         self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
-        """Make for waypoints one after the other; returns at once, ``wait`` lets it happen.
+        """Set waypoints to follow in order; returns at once, motion happens during ``wait``.
 
         Args:
-            waypoints: f64[W, 2], map frame, metres. One that cannot be stood on, such as a thing,
-                is gone up to as near as the body allows.
+            waypoints: f64[W, 2], map frame, metres. An occupied one, such as an object, is
+                approached as near as the body allows.
             speed: factor on the robot's normal speed.
-            clearance: metres to keep between the body and things, but for what is gone up to.
-            facing: heading at the end, radians, map frame; towards a waypoint that could not be
-                reached, or any, if None.
+            clearance: metres to keep between body and obstacles, except an occupied waypoint.
+            facing: heading at the end, radians, map frame; None: any, or towards a waypoint that
+                could not be reached.
         """
 
     def wait(self, seconds: float) -> WaypointStatus:
-        """Let seconds pass, and tell how far it has come with the waypoints by then."""
+        """Drive for some seconds, and return the progress along the waypoints."""
         ...
 
     def stop(self) -> None:
-        """Stand still as soon as the body can, and forget the waypoints."""
+        """Brake to a stop, and drop the waypoints."""
 
 
 class Ending(enum.Enum):
@@ -97,23 +97,23 @@ class Ending(enum.Enum):
     ARRIVED = "arrived"
     NOT_FOUND = "not_found"
     IDLE = "idle"
-    """It was told to drop the task."""
+    """The task was cancelled by an utterance."""
     BLOCKED = "blocked"
-    """It cannot get where it would have to go."""
+    """No path leads to any waypoint that it would need."""
     WHICH_ONE = "which_one"
-    """Several things may be meant, and nothing is left to see that would tell."""
+    """Several objects may be meant, and no further observation would tell them apart."""
     BLIND = "blind"
-    """Its camera delivers no pictures."""
+    """The camera delivers no pictures."""
     LOST = "lost"
-    """What it reports of itself cannot be."""
+    """Its observations are persistently invalid."""
     HALTED = "halted"
-    """It was told to halt, and its time ran out before it was told to go on."""
+    """It was halted by an utterance, and time ran out before it was resumed."""
     OUT_OF_TIME = "out_of_time"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Step:
-    """One decision, as the robot knows of it."""
+    """Record of one decision, without ground truth."""
 
     seconds: float
     pose: tuple[float, float, float]
@@ -122,46 +122,46 @@ class Step:
     status: Status
     fault: Fault
     target: tuple[float, float] | None
-    """Where it was sent, in the frame of ``pose``, metres; None: it was told to stand."""
+    """Waypoint, in the frame of ``pose``, metres; None: the robot was to stand."""
     progress: WaypointStatus
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class NavigationRun:
-    """A drive that has ended."""
+    """Result of a drive."""
 
     ending: Ending
     why: str
-    """In one line, for people."""
+    """Reason for the ending, in one line."""
     steps: tuple[Step, ...]
     state: NavigatorState
 
 
 OnStep = Callable[[Step, NavigatorState, NavigatorInfo | None], None]
-"""Is told each decision; the info is None where there was no picture to decide by."""
+"""Callback after each decision; the info is None where there was no picture."""
 
 
 def wrap_heading(pose: np.ndarray) -> tuple[float, float, float]:
-    """Tell x, y, metres, and heading in [−π, π] of a pose f64[3] that may have turned often."""
+    """Convert a pose f64[3] to x, y, metres, and heading wrapped to [−π, π]."""
     x, y, heading = pose.tolist()
     return x, y, math.remainder(heading, math.tau)
 
 
-def observe(pose: np.ndarray, found: Sequence[Detection], sensor: SensorParams) -> Observation:
+def observe(pose: np.ndarray, detections: Sequence[Detection], sensor: SensorParams) -> Observation:
     """Build the navigator's observation from a robot's report.
 
     Args:
         pose: f64[3], x, y, heading by dead reckoning.
-        found: what has been detected; of more than ``NUM_DETECTIONS`` the nearest are kept.
+        detections: of more than ``NUM_DETECTIONS`` the nearest are kept.
         sensor: the detector's specification.
     """
-    kept = sorted(found, key=lambda one: one.range)[:NUM_DETECTIONS]
-    empty = NUM_DETECTIONS - len(kept)
+    nearest = sorted(detections, key=lambda it: it.range)[:NUM_DETECTIONS]
+    pad = NUM_DETECTIONS - len(nearest)
     return Observation(
         pose=jnp.asarray(pose, jnp.float32),
-        detection_type=jnp.array([one.object_type for one in kept] + [NONE] * empty, jnp.int32),
-        detection_range=jnp.array([one.range for one in kept] + [0.0] * empty, jnp.float32),
-        detection_bearing=jnp.array([one.bearing for one in kept] + [0.0] * empty, jnp.float32),
-        is_detection=jnp.arange(NUM_DETECTIONS) < len(kept),
+        detection_type=jnp.array([it.object_type for it in nearest] + [NONE] * pad, jnp.int32),
+        detection_range=jnp.array([it.range for it in nearest] + [0.0] * pad, jnp.float32),
+        detection_bearing=jnp.array([it.bearing for it in nearest] + [0.0] * pad, jnp.float32),
+        is_detection=jnp.arange(NUM_DETECTIONS) < len(nearest),
         sensor=sensor,
     )

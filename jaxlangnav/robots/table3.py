@@ -1,9 +1,9 @@
-"""Table 3 of the paper: robots with bodies, in physics with rendered cameras (section 4.3).
+"""Reproduce Table 3 of the paper in physics simulation with rendered cameras (section 4.3).
 
-A simulation, not a physical experiment. As in the paper each row is one environment, command and
-sensing range: a run with a completely known map, and trials that differ in all noise (wheels, gyro,
-pixels, decisions). The paper gives no geometry: environments are drawn by the law of
-``world.scenario`` so that the known run is as long as printed.
+Not a physical experiment. As in the paper each row is one environment, command and sensing range: a
+run with a completely known map, and trials that differ in all noise (wheels, gyro, pixels,
+decisions). The paper gives no geometry: environments are drawn from the distribution of
+``world.scenario`` such that the known run has the printed length.
 """
 
 import contextlib
@@ -27,22 +27,22 @@ from jaxlangnav.robots.physics.tags import Gates
 from jaxlangnav.robots.recorded import DriveRecorder
 from jaxlangnav.robots.robot import Ending, NavigationRun, Step, WaypointStatus
 from jaxlangnav.viz.html import write_html
-from jaxlangnav.world.scenario import draw_scenario, scenario_law
+from jaxlangnav.world.scenario import draw_scenario, scenario_params
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
-HALT = 1.1
-"""Metres from the middle of its goal at which the robot of the known map stops."""
+STOP_DISTANCE = 1.1
+"""Metres from the center of its goal at which the robot with the known map stops."""
 MAX_SECONDS = 400.0
-"""After which a trial is out of time, on the robot's clock."""
-_SPREAD = 0.19  # standard deviation of a hydrant's range over its mean: that of Table 2's first row
-_DRAWS = 64
-_WORLDS, _TRIALS = 3, 4  # folded into the seed, to keep environments and trials apart
+"""Time limit of a trial, on the robot's clock."""
+_RANGE_CV = 0.19  # coefficient of variation of a hydrant's range: that of Table 2's first row
+_NUM_DRAWS = 64
+_WORLD_STREAM, _TRIAL_STREAM = 3, 4  # folded into the seed: separate random streams
 
 
 @dataclasses.dataclass(frozen=True)
 class TrialRow:
-    """A row: what is run, and what the paper prints of it."""
+    """One row: its experiment, and the results printed in the paper."""
 
     robot: str
     world: str
@@ -55,7 +55,7 @@ class TrialRow:
 
     @property
     def name(self) -> str:
-        """Its name in files: "wheelchair-1H1C-2.5-behind"."""
+        """The row's name in files: "wheelchair-1H1C-2.5-behind"."""
         return f"{self.robot}-{self.world}-{self.range:g}-{self.relation}"
 
 
@@ -68,48 +68,48 @@ TABLE3 = (
     TrialRow("wheelchair", "2H1C", 3.0, "nearest", 50.0, 6.30, 7.05, 0.58),
     TrialRow("husky", "1H1C", 3.0, "behind", 83.3, None, None, None),
 )
-"""Table 3 as printed, and the Husky of the text: one hydrant, one cone, "behind", 83.3 %. Of the
-Husky neither range nor distances are printed; 3 m and the first row's geometry are ours."""
-_HUSKY_KNOWN = 4.69
+"""Table 3 as printed, and the Husky of the text: one hydrant, one cone, "behind", 83.3 %. The
+Husky's range and distances are not printed; 3 m and the first row's geometry are our choice."""
+_HUSKY_DISTANCE = 4.69
 
 
-def environment(row: TrialRow, seed: int) -> Scenario:
-    """Draw the environment of a row: of many, the one whose known run is nearest to the printed.
+def draw_environment(row: TrialRow, seed: int) -> Scenario:
+    """Draw a row's environment: of many, the one whose known run is nearest to the printed length.
 
-    Rows of one world and one printed distance share it, as in the paper. The leaves are NumPy's.
+    Rows of one world and one printed distance share it, as in the paper. Leaves are NumPy arrays.
     """
-    wanted = (row.known or _HUSKY_KNOWN) + HALT
-    # A null command is given where "behind" is, as in Table 2.
-    law = scenario_law(
-        template=row.world, relation="behind" if row.relation == "null" else row.relation
-    )
-    law = replace(law, range_mean=jnp.float32(wanted), range_sd=jnp.float32(_SPREAD * wanted))
-    key = jax.random.fold_in(jax.random.key(seed), _WORLDS)
-    drawn = jax.device_get(_draw_many(jax.random.split(key, _DRAWS), law))
-    off = np.abs(np.hypot(drawn.goal[:, 0], drawn.goal[:, 1]) - wanted)
-    best = int(np.argmin(np.where(drawn.is_valid, off, np.inf)))
-    return jax.tree.map(lambda leaf: leaf[best], drawn)
+    goal_range = (row.known or _HUSKY_DISTANCE) + STOP_DISTANCE
+    # A null command uses the environment of "behind", as in Table 2.
+    relation = "behind" if row.relation == "null" else row.relation
+    params = scenario_params(template=row.world, relation=relation)
+    spread = jnp.float32(_RANGE_CV * goal_range)
+    params = replace(params, range_mean=jnp.float32(goal_range), range_sd=spread)
+    key = jax.random.fold_in(jax.random.key(seed), _WORLD_STREAM)
+    scenarios = jax.device_get(_draw_scenarios(jax.random.split(key, _NUM_DRAWS), params))
+    error = np.abs(np.hypot(scenarios.goal[:, 0], scenarios.goal[:, 1]) - goal_range)
+    best = int(np.argmin(np.where(scenarios.is_valid, error, np.inf)))
+    return jax.tree.map(lambda leaf: leaf[best], scenarios)
 
 
-_draw_many = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)))
+_draw_scenarios = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)))
 
 
 def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
-    """Put a row's robot at the start of its environment; a trial's noise follows from the seed."""
-    noise = np.random.SeedSequence([seed, _TRIALS, TABLE3.index(row), trial + 1])
+    """Put a row's robot at the start of its environment; the seed determines a trial's noise."""
+    noise = np.random.SeedSequence([seed, _TRIAL_STREAM, TABLE3.index(row), trial + 1])
     return PhysicsRobot(
         row.robot,
-        environment(row, seed),
+        draw_environment(row, seed),
         seed=int(noise.generate_state(1)[0]),
         gates=Gates(range=row.range),
     )
 
 
 def navigator_of(robot: str, policy: str = "informed") -> Navigator:
-    """Build the navigator of "husky" or "wheelchair", told how far its odometry may be out.
+    """Build the navigator of "husky" or "wheelchair", with the odometry noise of that robot.
 
-    As in the tables of simulated worlds it takes what it is told of to be there, as it always is:
-    ``Navigator.pretrained`` alone leaves 5 % to its being nowhere, and ends its search for that.
+    As in the tables of simulated worlds it assumes that the goal exists, which is always true here:
+    ``Navigator.pretrained`` alone gives its absence 5 %, and then may end the search.
     """
     return Navigator.pretrained(policy, odometry_noise=ODOMETRY_NOISE[robot], absent=0.0)
 
@@ -117,83 +117,83 @@ def navigator_of(robot: str, policy: str = "informed") -> Navigator:
 def run_trial(
     row: TrialRow, trial: int, *, navigator: Navigator, seed: int = 0, page: Path | None = None
 ) -> dict[str, Any]:
-    """Run one trial, 0 or more, of a row; the robot knows of the environment but its edges.
+    """Run trial number 0 or more of a row; the robot knows only the environment's bounds.
 
-    ``page`` is a file for its recording. What came of it is in JSON's types: a row of the table,
-    and the whole drive as ``steps``.
+    ``page`` is a file for its recording. The result has JSON types: a row of the table, and the
+    whole drive as ``steps``.
     """
-    begin = time.perf_counter()
+    start_time = time.perf_counter()
     truth: list[list[float]] = []
     text = SENTENCES[row.relation]
     key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), TABLE3.index(row)), trial)
     with contextlib.closing(make_robot(row, seed, trial)) as robot:
-        kept = None if page is None else DriveRecorder(robot, navigator, text)
+        recorder = None if page is None else DriveRecorder(robot, navigator, text)
 
-        def keep(step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
+        def record(step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
             truth.append([round(float(one), 3) for one in robot.true_pose])
-            if kept is not None:
-                kept.on_step(step, state, info)
+            if recorder is not None:
+                recorder.on_step(step, state, info)
 
-        ended = drive(navigator, robot, text, key=key, max_seconds=MAX_SECONDS, on_step=keep)
-        if kept is not None and page is not None:
-            write_html(kept.recording(ended), page)
-        found = _judged(robot, ended.ending)
-    wall = time.perf_counter() - begin
-    head = {"row": row.name, "trial": trial, "seed": seed, "why": ended.why}
-    return {**head, **found, "wall_s": wall, "steps": _told(ended, truth)}
+        run = drive(navigator, robot, text, key=key, max_seconds=MAX_SECONDS, on_step=record)
+        if recorder is not None and page is not None:
+            write_html(recorder.recording(run), page)
+        outcome = _evaluate(robot, run.ending)
+    wall = time.perf_counter() - start_time
+    header = {"row": row.name, "trial": trial, "seed": seed, "why": run.why}
+    return {**header, **outcome, "wall_s": wall, "steps": _step_rows(run, truth)}
 
 
 def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
     """Run a row's robot with a completely known map: straight to the goal by its odometry.
 
-    Returns what came of it as ``run_trial`` does, without steps.
+    Returns the result as ``run_trial`` does, without steps.
     """
-    begin = time.perf_counter()
+    start_time = time.perf_counter()
     with contextlib.closing(make_robot(row, seed, -1)) as robot:
         goal = np.asarray(robot.scenario.goal, float)
         robot.go_to(goal[None], speed=1.0, clearance=0.3)
         progress = robot.wait(0.1)
         while progress is WaypointStatus.UNDER_WAY and robot.seconds < MAX_SECONDS:
-            if np.hypot(*(robot.pose()[:2] - goal)) <= HALT:
+            if np.hypot(*(robot.pose()[:2] - goal)) <= STOP_DISTANCE:
                 break
             progress = robot.wait(0.1)
         robot.stop()
         robot.wait(1.0)
-        is_there = np.hypot(*(robot.pose()[:2] - goal)) <= HALT + 0.2
-        found = _judged(robot, Ending.ARRIVED if is_there else Ending.BLOCKED)
-    wall = time.perf_counter() - begin
-    return {"row": row.name, "trial": "known", "seed": seed, "why": "", **found, "wall_s": wall}
+        is_reached = np.hypot(*(robot.pose()[:2] - goal)) <= STOP_DISTANCE + 0.2
+        outcome = _evaluate(robot, Ending.ARRIVED if is_reached else Ending.BLOCKED)
+    wall = time.perf_counter() - start_time
+    return {"row": row.name, "trial": "known", "seed": seed, "why": "", **outcome, "wall_s": wall}
 
 
-def _judged(robot: PhysicsRobot, ending: Ending) -> dict[str, Any]:
-    """Judge a run by where the robot truly is."""
+def _evaluate(robot: PhysicsRobot, ending: Ending) -> dict[str, Any]:
+    """Evaluate a run by the robot's ground-truth position."""
     goal = np.asarray(robot.scenario.goal, float)
-    away = float(np.hypot(*(robot.true_pose[:2] - goal)))
+    distance = float(np.hypot(*(robot.true_pose[:2] - goal)))
     off_x, off_y, off_heading = robot.pose() - robot.true_pose
     return {
         "ending": ending.value,
-        "success": ending is Ending.ARRIVED and away <= SUCCESS_RADIUS,
+        "success": ending is Ending.ARRIVED and distance <= SUCCESS_RADIUS,
         "distance": round(robot.travelled, 4),
-        "goal_distance": round(away, 4),
+        "goal_distance": round(distance, 4),
         "seconds": round(robot.seconds, 2),
         "odometry_error": round(float(np.hypot(off_x, off_y)), 4),
         "heading_error": round(abs(wrap(float(off_heading))), 4),
     }
 
 
-def _told(ended: NavigationRun, truth: list[list[float]]) -> list[dict[str, Any]]:
-    """Tell a drive step by step, so that a failure can be looked into."""
+def _step_rows(run: NavigationRun, truth: list[list[float]]) -> list[dict[str, Any]]:
+    """List the steps of a drive, to diagnose failures."""
     return [
         {
             "seconds": step.seconds,
-            "pose": [round(one, 3) for one in step.pose],
-            "true_pose_after": true,
+            "pose": [round(value, 3) for value in step.pose],
+            "true_pose_after": true_pose,
             "status": step.status.word,
             "fault": int(step.fault),
-            "target": step.target and [round(one, 3) for one in step.target],
+            "target": step.target and [round(value, 3) for value in step.target],
             "progress": step.progress.value,
             "detections": step.detections
             and [[d.object_type, round(d.range, 3), round(d.bearing, 3)] for d in step.detections],
         }
-        for step, true in zip(ended.steps, truth, strict=True)
+        for step, true_pose in zip(run.steps, truth, strict=True)
     ]

@@ -1,7 +1,6 @@
-"""Many trials of Table 3 in parallel processes, each kept as it ends, and the table they make.
+"""Run the trials of Table 3 in parallel processes, store each result, and build the table.
 
-A trial's result follows from its row, its number and the seed alone. One that has been kept is not
-run again.
+A trial's result is determined by its row, its number and the seed. Stored trials are not repeated.
 """
 
 import concurrent.futures
@@ -22,33 +21,33 @@ import numpy as np
 from jaxlangnav import __version__
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.table import Table, TableColumns
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.physics.robot import ODOMETRY_NOISE
 from jaxlangnav.robots.table3 import TABLE3, TrialRow, navigator_of, run_known, run_trial
 
-KNOWN = "known"
-"""In place of a trial's number: the run with a completely known map."""
-_CACHE = "jax_compilation_cache_dir"
+KNOWN_MAP = "known"
+"""Instead of a trial's number: the run with a completely known map."""
+_CACHE_OPTION = "jax_compilation_cache_dir"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrialPlan:
-    """What is run."""
+    """Trials to run, and where to store their results."""
 
     trials: int
-    """Of each row, besides the known run."""
+    """Trials of each row, besides the run with the known map."""
     seed: int = 0
     policy: str = "informed"
     out: Path | None = None
     """Folder for ``trials/``, one file for each, and ``recordings/``, a page of each row's first
-    trial and of each that fails; nothing is kept, or found again, without."""
+    trial and of each that fails; None: nothing is stored or reused."""
     processes: int = 2
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be run."""
-        refuse_below(1, trials=self.trials, processes=self.processes)
+        """Validate the counts."""
+        check_minimum(1, trials=self.trials, processes=self.processes)
 
     def path(self, row: TrialRow, trial: int | str) -> Path | None:
         """Name the file of a trial."""
@@ -63,7 +62,7 @@ class TrialPlan:
 
     @property
     def made(self) -> dict[str, Any]:
-        """What a kept trial must have been made with to be used again."""
+        """Settings that a stored trial must share to be reused."""
         return {
             "version": __version__,
             "seed": self.seed,
@@ -78,39 +77,39 @@ def reproduce_table3(
     rows: Sequence[TrialRow] = TABLE3,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> dict[str, Any]:
-    """Run Table 3.
+    """Reproduce Table 3.
 
     Args:
-        plan: how many trials, and where they are kept.
+        plan: how many trials, and where to store them.
         rows: all of the paper's by default.
-        on_progress: is told how many trials have just ended.
+        on_progress: called with the number of trials that have just ended.
 
     Returns:
-        The document: ``rows``, each beside the paper's; ``success`` over all trials; ``wall_s``.
+        The document: ``rows``, each with the paper's; ``success`` over all trials; ``wall_s``.
 
     Raises:
         MissingExtraError: a library of the extra ``robot`` is not installed.
-        MissingSystemLibraryError: rendering off screen does not work.
+        MissingSystemLibraryError: offscreen rendering does not work.
     """
-    begin = time.perf_counter()
+    start_time = time.perf_counter()
     check_libraries()
-    wanted = [(row, one) for row in rows for one in (KNOWN, *range(plan.trials))]
-    read = {(row, trial): _read(plan, row, trial) for row, trial in wanted}
-    found = {one: kept for one, kept in read.items() if kept is not None}
-    missing = [one for one in wanted if one not in found]
-    for _ in found:
+    trials = [(row, trial) for row in rows for trial in (KNOWN_MAP, *range(plan.trials))]
+    stored = {(row, trial): _read_result(plan, row, trial) for row, trial in trials}
+    results = {key: result for key, result in stored.items() if result is not None}
+    missing = [key for key in trials if key not in results]
+    for _ in results:
         on_progress(1)
-    for row, trial, result in _run(plan, missing):
+    for row, trial, result in _run_missing(plan, missing):
         path = plan.path(row, trial)
         if path is not None:
             write_text(json.dumps({**result, "made": plan.made}, indent=1) + "\n", path)
-        found[row, trial] = result
+        results[row, trial] = result
         on_progress(1)
     summaries = [
-        _summary(row, found[row, KNOWN], [found[row, n] for n in range(plan.trials)])
+        _summary(row, results[row, KNOWN_MAP], [results[row, n] for n in range(plan.trials)])
         for row in rows
     ]
-    successes = sum(one["successes"] for one in summaries)
+    successes = sum(row["successes"] for row in summaries)
     return {
         "experiment": "table3",
         **plan.made,
@@ -118,84 +117,84 @@ def reproduce_table3(
         "rows": summaries,
         "success": successes / (plan.trials * len(summaries)),
         "success_interval": wilson_interval(successes, plan.trials * len(summaries)),
-        "resumed": len(wanted) - len(missing),
-        "wall_s": time.perf_counter() - begin,
+        "resumed": len(trials) - len(missing),
+        "wall_s": time.perf_counter() - start_time,
     }
 
 
-def _read(plan: TrialPlan, row: TrialRow, trial: int | str) -> dict[str, Any] | None:
-    """Read a trial that has been kept; None if there is none that is whole and made alike."""
+def _read_result(plan: TrialPlan, row: TrialRow, trial: int | str) -> dict[str, Any] | None:
+    """Read a stored trial; None if there is none that is valid and has the plan's settings."""
     path = plan.path(row, trial)
     if path is None or not path.is_file():
         return None
     try:
-        kept = json.loads(path.read_text("utf-8"))
+        result = json.loads(path.read_text("utf-8"))
     except ValueError:
         return None
-    return kept if isinstance(kept, dict) and kept.get("made") == plan.made else None
+    return result if isinstance(result, dict) and result.get("made") == plan.made else None
 
 
-def _run(
+def _run_missing(
     plan: TrialPlan, missing: Sequence[tuple[TrialRow, int | str]]
 ) -> Iterator[tuple[TrialRow, int | str, dict[str, Any]]]:
-    """Run trials, and yield each as it ends."""
+    """Run trials in a process pool, and yield each as it ends."""
     if not missing:
         return
     # MuJoCo's and JAX's threads do not survive a fork.
     pool = concurrent.futures.ProcessPoolExecutor(
         max_workers=min(plan.processes, len(missing)),
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin,
-        initargs=(getattr(jax.config, _CACHE),),
+        initializer=_init_worker,
+        initargs=(getattr(jax.config, _CACHE_OPTION),),
     )
     with pool:
-        waiting = {pool.submit(_one, row, trial, plan): (row, trial) for row, trial in missing}
+        futures = {pool.submit(_run_one, row, trial, plan): (row, trial) for row, trial in missing}
         try:
-            for done in concurrent.futures.as_completed(waiting):
-                yield *waiting[done], done.result()
+            for future in concurrent.futures.as_completed(futures):
+                yield *futures[future], future.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _begin(cache: str | None) -> None:
-    """Set up a process: compiled programs are found where the first one keeps them."""
+def _init_worker(cache: str | None) -> None:
+    """Set up a worker process with the main process's cache of compiled programs."""
     if cache:
-        jax.config.update(_CACHE, cache)
+        jax.config.update(_CACHE_OPTION, cache)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 _navigator_of = functools.cache(navigator_of)
 
 
-def _one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]:
-    """Run one trial in its process; whatever goes wrong in it is a result, too."""
+def _run_one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]:
+    """Run one trial in a worker process; an exception becomes a failed result."""
     seed = plan.seed
     try:
         if isinstance(trial, str):
             return run_known(row, seed=seed)
         navigator, page = _navigator_of(row.robot, plan.policy), plan.page(row, trial)
         first = page if trial == 0 else None
-        found = run_trial(row, trial, navigator=navigator, seed=seed, page=first)
-        if not found["success"] and page != first:
-            # Once more, the same to the last decision, to be looked at.
+        result = run_trial(row, trial, navigator=navigator, seed=seed, page=first)
+        if not result["success"] and page != first:
+            # Repeat the same run, to record its page.
             run_trial(row, trial, navigator=navigator, seed=seed, page=page)
-        return found
+        return result
     except Exception as error:  # a lost trial must not lose the others
         if os.environ.get("JAXLANGNAV_DEBUG"):
             raise
-        why = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        nothing = {"distance": None, "goal_distance": None, "seconds": None}
-        failed = {"ending": "crashed", "why": why, "success": False, **nothing}
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        missing = {"distance": None, "goal_distance": None, "seconds": None}
+        failed = {"ending": "crashed", "why": reason, "success": False, **missing}
         return {"row": row.name, "trial": trial, "seed": seed, **failed}
 
 
 def _summary(
     row: TrialRow, known: dict[str, Any], trials: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Make a row of the table out of its trials."""
-    successes = sum(bool(one["success"]) for one in trials)
-    way = np.array([one["distance"] for one in trials if one["distance"] is not None])
-    seconds = [one["seconds"] for one in trials if one["seconds"] is not None]
+    """Summarize the trials of a row."""
+    successes = sum(bool(trial["success"]) for trial in trials)
+    distances = np.array([trial["distance"] for trial in trials if trial["distance"] is not None])
+    seconds = [trial["seconds"] for trial in trials if trial["seconds"] is not None]
     return {
         "robot": row.robot,
         "world": row.world,
@@ -205,16 +204,16 @@ def _summary(
         "successes": successes,
         "success": successes / len(trials),
         "success_interval": wilson_interval(successes, len(trials)),
-        "distance": float(way.mean()) if len(way) else None,
-        "distance_sd": float(way.std(ddof=1)) if len(way) > 1 else None,
+        "distance": float(distances.mean()) if len(distances) else None,
+        "distance_sd": float(distances.std(ddof=1)) if len(distances) > 1 else None,
         "seconds": float(np.mean(seconds)) if seconds else None,
         "known_success": bool(known["success"]),
         "known_distance": known["distance"],
-        "endings": dict(Counter(one["ending"] for one in trials)),
+        "endings": dict(Counter(trial["ending"] for trial in trials)),
         "failures": [
-            {key: one[key] for key in ("trial", "ending", "why", "goal_distance")}
-            for one in trials
-            if not one["success"]
+            {key: trial[key] for key in ("trial", "ending", "why", "goal_distance")}
+            for trial in trials
+            if not trial["success"]
         ],
         "paper": {
             "success": row.success,
@@ -226,7 +225,7 @@ def _summary(
 
 
 def trials_table(document: dict[str, Any], **rest: Any) -> Table:
-    """Lay out the document of ``reproduce_table3``, a line for each row, ours beside the paper's.
+    """Build the table of the document of ``reproduce_table3``, ours beside the paper's results.
 
     Distances are mean (sd), metres; ``rest`` are the table's title and caption.
     """
@@ -234,16 +233,16 @@ def trials_table(document: dict[str, Any], **rest: Any) -> Table:
 
 
 def _success(row: dict[str, Any]) -> str:
-    """Write a share with its interval, percent."""
-    low, high = (100 * one for one in row["success_interval"])
+    """Format a success rate with its interval, percent."""
+    low, high = (100 * bound for bound in row["success_interval"])
     return f"{100 * row['success']:.0f} [{low:.0f}, {high:.0f}]"
 
 
-def _metres(mean: float | None, spread: float | None = None) -> str:
-    """Write a distance, or a dash where there is none."""
-    if mean is None:
+def _metres(value: float | None, sd: float | None = None) -> str:
+    """Format a distance, or a dash for None."""
+    if value is None:
         return "–"
-    return f"{mean:.2f}" + ("" if spread is None else f" ({spread:.2f})")
+    return f"{value:.2f}" + ("" if sd is None else f" ({sd:.2f})")
 
 
 _COLUMNS: TableColumns = (

@@ -1,4 +1,4 @@
-"""Pictures of a robot in physics: from outside, and what its camera sees."""
+"""Rendered images of a physics robot: a chase view, and its camera image with detected tags."""
 
 from typing import Any
 
@@ -6,81 +6,81 @@ import numpy as np
 
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.physics.robot import PhysicsRobot
-from jaxlangnav.robots.physics.tags import TAGS_PER_TYPE, middle_of
+from jaxlangnav.robots.physics.tags import TAGS_PER_TYPE, object_center
 
-PANEL = (400, 300)
-"""Pixels, width and height of a picture."""
-DARK = (45, 45, 45)
-"""Blue, green, red, of a picture that there is none of."""
+PANEL_SIZE = (400, 300)
+"""Pixels, width and height of an image."""
+BACKGROUND = (45, 45, 45)
+"""Blue, green, red: fill color of a missing image, and background of labels."""
 _GREEN, _ORANGE = (60, 220, 60), (40, 160, 250)
-_CAMERA = "Through its camera: tags used (green), tags outside its gates (orange)"
+_CAMERA_TITLE = "Through its camera: tags used (green), tags outside its gates (orange)"
 _QUALITY = 75  # of a JPEG, in percent
 
 
 class Views:
-    """Takes pictures of a robot; each is u8[H, W, 3], blue, green, red, as OpenCV has them."""
+    """Renders images of a robot; each is u8[H, W, 3], blue, green, red, as in OpenCV."""
 
     def __init__(self, robot: PhysicsRobot, type_names: tuple[str, ...] = ()) -> None:
-        """Set up a camera that follows a robot; tags of types without a name are not named."""
+        """Set up a chase camera; tags of types without a name are not labelled."""
         self._robot, self._type_names = robot, type_names
         self._cv2 = libraries.opencv()
         self._view = libraries.mujoco().MjvCamera()
 
-    def from_outside(self) -> np.ndarray:
-        """Look at the robot from behind and above."""
+    def chase_view(self) -> np.ndarray:
+        """Render the robot from behind and above."""
         x, y, heading = self._robot.true_pose
         self._view.lookat[:] = x + 0.8 * np.cos(heading), y + 0.8 * np.sin(heading), 0.3
         self._view.distance, self._view.elevation = 4.5, -28.0
         self._view.azimuth = 35.0
-        return self._shrunk(self._robot.render(self._view)[..., ::-1])
+        return self._to_panel(self._robot.render(self._view)[..., ::-1])
 
-    def through_the_camera(self) -> np.ndarray:
-        """Show the last look and its tags, see ``_CAMERA``; dark without a picture."""
+    def camera_view(self) -> np.ndarray:
+        """Draw the last camera image with its tags, see ``_CAMERA_TITLE``; blank without one."""
         robot = self._robot
         if robot.last_picture is None or not robot.camera_works:
-            return np.full((*PANEL[::-1], 3), DARK, np.uint8)
-        picture = np.ascontiguousarray(robot.last_picture[..., ::-1])
-        named: set[int] = set()
-        for tag in sorted(robot.last_tags, key=lambda one: np.hypot(*one.position[[0, 2]])):
+            return np.full((*PANEL_SIZE[::-1], 3), BACKGROUND, np.uint8)
+        image = np.ascontiguousarray(robot.last_picture[..., ::-1])
+        labelled: set[int] = set()
+        for tag in sorted(robot.last_tags, key=lambda it: np.hypot(*it.position[[0, 2]])):
             corners = tag.corners.round().astype(np.int32)
-            colour = _GREEN if robot.is_used(tag) else _ORANGE
-            self._cv2.polylines(picture, [corners[:, None]], True, colour, 5)
-            kind = tag.number // TAGS_PER_TYPE
-            if kind < len(self._type_names) and tag.number not in named:
-                named.add(tag.number)
-                away = float(np.hypot(*middle_of(tag, robot.camera)))
-                left, top = corners.min(axis=0)
-                self._name(picture, f"{self._type_names[kind]} {away:.1f} m", left, top, colour)
-        return self._shrunk(picture)
+            color = _GREEN if robot.is_used(tag) else _ORANGE
+            self._cv2.polylines(image, [corners[:, None]], True, color, 5)
+            object_type = tag.tag_id // TAGS_PER_TYPE
+            if object_type < len(self._type_names) and tag.tag_id not in labelled:
+                labelled.add(tag.tag_id)
+                distance = np.hypot(*object_center(tag, robot.camera))
+                label = f"{self._type_names[object_type]} {distance:.1f} m"
+                self._draw_label(image, label, corners.min(axis=0), color)
+        return self._to_panel(image)
 
     def jpegs(self) -> dict[str, bytes]:
-        """Take both pictures, as JPEG by their titles."""
-        pictures = {"From outside": self.from_outside(), _CAMERA: self.through_the_camera()}
-        how = [self._cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+        """Render both images, as JPEG by their titles."""
+        images = {"From outside": self.chase_view(), _CAMERA_TITLE: self.camera_view()}
+        options = [self._cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
         return {
-            title: self._cv2.imencode(".jpg", one, how)[1].tobytes()
-            for title, one in pictures.items()
+            title: self._cv2.imencode(".jpg", image, options)[1].tobytes()
+            for title, image in images.items()
         }
 
-    def _name(self, picture: np.ndarray, words: str, left: int, top: int, colour: Any) -> None:
-        """Write a name on dark ground above a tag."""
+    def _draw_label(self, image: np.ndarray, label: str, corner: np.ndarray, color: Any) -> None:
+        """Draw a label on a dark background above a tag."""
         cv2, font = self._cv2, self._cv2.FONT_HERSHEY_SIMPLEX
-        (wide, high), low = cv2.getTextSize(words, font, 1.3, 3)
-        bottom, cut = max(int(top) - 14, high + low), _cut(picture)
-        left = min(max(int(left), cut.start), cut.stop - wide)
-        place, corner = (left, bottom), (left + wide, bottom + low)
-        cv2.rectangle(picture, (left, bottom - high - low), corner, DARK, -1)
-        cv2.putText(picture, words, place, font, 1.3, colour, 3, cv2.LINE_AA)
+        (width, height), baseline = cv2.getTextSize(label, font, 1.3, 3)
+        bottom, columns = max(int(corner[1]) - 14, height + baseline), _panel_columns(image)
+        left = min(max(int(corner[0]), columns.start), columns.stop - width)
+        end = left + width, bottom + baseline
+        cv2.rectangle(image, (left, bottom - height - baseline), end, BACKGROUND, -1)
+        cv2.putText(image, label, (left, bottom), font, 1.3, color, 3, cv2.LINE_AA)
 
-    def _shrunk(self, picture: np.ndarray) -> Any:
-        """Cut a picture to a panel's shape, and shrink it."""
-        cut = picture[:, _cut(picture)]
-        return self._cv2.resize(cut, PANEL, interpolation=self._cv2.INTER_AREA)
+    def _to_panel(self, image: np.ndarray) -> Any:
+        """Crop an image to the aspect ratio of a panel, and resize it."""
+        cropped = image[:, _panel_columns(image)]
+        return self._cv2.resize(cropped, PANEL_SIZE, interpolation=self._cv2.INTER_AREA)
 
 
-def _cut(picture: np.ndarray) -> slice:
-    """Find the columns of a picture that have a panel's shape."""
-    height, width = picture.shape[:2]
-    wide = height * PANEL[0] // PANEL[1]
-    left = (width - wide) // 2
-    return slice(left, left + wide)
+def _panel_columns(image: np.ndarray) -> slice:
+    """Find the central columns of an image that have the aspect ratio of a panel."""
+    height, width = image.shape[:2]
+    panel_width = height * PANEL_SIZE[0] // PANEL_SIZE[1]
+    left = (width - panel_width) // 2
+    return slice(left, left + panel_width)

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.inputs.limits import MAX_FALSE, MAX_METRES, MAX_WRONG, RANGES, VIEWS
+from jaxlangnav.inputs.limits import FOV_SPAN, MAX_FALSE, MAX_METRES, MAX_WRONG, RANGES
 from jaxlangnav.inputs.object_types import ATTRIBUTE_BITS
-from jaxlangnav.inputs.observations import DEVIATIONS, MAX_ANGLE, MIN_NOISE
+from jaxlangnav.inputs.observations import GATE_SIGMAS, MAX_ANGLE, MIN_NOISE
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -99,7 +99,7 @@ def _is_sensor(sensor: SensorParams) -> Array:
     """Test whether the detector's specification is valid, bool[]."""
     return (
         _is_between(sensor.range_max, *RANGES)
-        & _is_between(sensor.field_of_view, *VIEWS)
+        & _is_between(sensor.field_of_view, *FOV_SPAN)
         & _is_between(sensor.detection_probability, 0.0, 1.0)
         # Noise above the range would carry no information.
         & _is_between(sensor.noise, 0.0, sensor.range_max)
@@ -112,7 +112,7 @@ def _is_detectable(observation: Observation, num_types: Array) -> Array:
     """Test which detections are possible for this detector, bool[D]."""
     sensor, distance = observation.sensor, observation.detection_range
     bearing = observation.detection_bearing
-    slack = DEVIATIONS * sensor.noise + MIN_NOISE
+    slack = GATE_SIGMAS * sensor.noise + MIN_NOISE
     code = observation.detection_attribute
     return (
         _is_between(observation.detection_type, 0, num_types - 1)

@@ -4,7 +4,7 @@ import dataclasses
 
 from jax import Array
 
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.messages import MotionParams, default_motion
 from jaxlangnav.pytree import field, pytree
 from jaxlangnav.relations import RelationModel, default_params, prepare
@@ -57,7 +57,7 @@ class MapConfig:
         """Raise a ValueError for sizes below their minimum."""
         min_sizes = {"num_particles": 2, "num_objects": 1, "num_cells": 4, "num_bystanders": 0}
         for name, min_size in min_sizes.items():
-            refuse_below(min_size, **{name: getattr(self, name)})
+            check_minimum(min_size, **{name: getattr(self, name)})
 
 
 def default_map_params() -> MapParams:

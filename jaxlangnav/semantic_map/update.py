@@ -42,7 +42,7 @@ def condition(
     variance = model.variance(offset_x, offset_y, sensor)
     variance = _append_robot(jnp.broadcast_to(variance, offset_x.shape))
     joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
-    joint = gaussian.enter(
+    joint = gaussian.add_coordinates(
         joint, num_objects, is_new, _append_robot(offset_x), _append_robot(offset_y), variance
     )
     offset_pairs, is_known = [(o, num_objects) for o in range(num_objects)], ~association.is_new

@@ -27,7 +27,7 @@ from jaxlangnav.task.talk import YOU, Speech, add_talk, allow_questions, enlarge
 from jaxlangnav.viz.html import page_data
 from jaxlangnav.viz.sentences import percent
 from jaxlangnav.world.files import (
-    LARGEST_WORLD_FILE,
+    MAX_FILE_BYTES,
     WorldFile,
     open_world,
     shipped_worlds,
@@ -48,7 +48,7 @@ class Request(Struct, forbid_unknown_fields=True, kw_only=True):
 
     text: PlainText
     world: Annotated[str, Meta(max_length=64)] = "1H1C"
-    document: Annotated[str, Meta(max_length=LARGEST_WORLD_FILE)] = ""
+    document: Annotated[str, Meta(max_length=MAX_FILE_BYTES)] = ""
     """A world file, TOML or JSON, that replaces ``world`` unless empty."""
     range: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] | None = None
     policy: Literal["informed", "faithful"] = "informed"

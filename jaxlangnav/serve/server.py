@@ -31,9 +31,9 @@ from jaxlangnav.inputs.schema import convert
 from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.serve.live import LiveEpisode, Message, Request, read_world, warm_up, world_names
 from jaxlangnav.viz.html import fill_page, page_json, write_html
-from jaxlangnav.world.files import LARGEST_WORLD_FILE
+from jaxlangnav.world.files import MAX_FILE_BYTES
 
-MAX_BODY_SIZE = 2 * LARGEST_WORLD_FILE  # bytes of a request: an escaped world file
+MAX_BODY_SIZE = 2 * MAX_FILE_BYTES  # bytes of a request: an escaped world file
 MAX_MESSAGE_SIZE = 8 * 1024  # bytes of a WebSocket message
 MAX_EPISODES = 8  # open at once; the oldest is closed for a new one
 _MAX_RECORDING_SIZE = 1 << 30  # bytes
@@ -120,7 +120,7 @@ class Server:
     async def _read_world(self, request: HttpRequest) -> Response:
         """Parse a world file for the page's map editor."""
         with _error_response() as refusal:
-            text = (await _read_body(request, LARGEST_WORLD_FILE)).decode(errors="replace")
+            text = (await _read_body(request, MAX_FILE_BYTES)).decode(errors="replace")
             return _json_response(await run_in_threadpool(read_world, text))
         return refusal()
 
@@ -155,7 +155,7 @@ class Server:
             return _not_found()
         path = self._folder / f"{secrets.token_hex(8)}.html"
         await run_in_threadpool(write_html, recording, path)
-        content = read_file(path, at_most=_MAX_RECORDING_SIZE)
+        content = read_file(path, max_bytes=_MAX_RECORDING_SIZE)
         path.unlink()
         return _file_response(content, "episode.html", "text/html")
 

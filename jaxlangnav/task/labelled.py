@@ -24,12 +24,12 @@ import numpy as np
 from jax import Array
 from msgspec import Meta
 
-from jaxlangnav.dialogue import seen_from
+from jaxlangnav.dialogue import compose_poses
 from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.worlds import reading_world
-from jaxlangnav.inputs.documents import naming, parse_json, read_lines
+from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import find_type
@@ -78,7 +78,7 @@ def _best_goals(
     if best < MIN_MEANT_PROB:
         return []
     metres, frame = (np.asarray(field)[clause] for field in (parsed.metres, parsed.frame))
-    viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
+    viewer = np.asarray(compose_poses(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
     slots = np.flatnonzero(np.asarray(scenario.is_object))
     goals = []
     for region, slot in np.argwhere(behavior.goal >= TIE_RATIO * best).tolist():
@@ -157,7 +157,7 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
     Raises:
         ValueError: no such file, or a line cannot be; one line that names file, line and remedy.
     """
-    lines = read_lines(path, at_most=_MAX_BYTES)
+    lines = read_lines(path, max_bytes=_MAX_BYTES)
     if not lines:
         raise ValueError(f"{path}: holds no sentence: write one JSON object a line")
     if len(lines) > MAX_SENTENCES:
@@ -166,7 +166,7 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
         )
     sentences = []
     for line_number, line in lines:
-        with naming(f"{path}:{line_number}"):
+        with error_prefix(f"{path}:{line_number}"):
             sentences.append(_read_line(line_number, parse_json(line)))
     return sentences
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.dialogue import first_words
+from jaxlangnav.dialogue import discourse_of
 from jaxlangnav.episode import EpisodeState
 from jaxlangnav.episode.recording import Recording, Remark, StaticScene
 from jaxlangnav.experiments.dialogue import speak
@@ -32,7 +32,7 @@ from jaxlangnav.navigator import NavigatorParams, NavigatorState
 from jaxlangnav.navigator.candidates import Candidate, candidates, object_at
 from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
-from jaxlangnav.world.person import PERSONS, Person, PersonParams, Says, params_of, unspoken
+from jaxlangnav.world.person import PERSONS, Person, PersonParams, Says, new_person, params_of
 
 QUESTION_COST = 0.1
 """Default cost of a question, in probability of success, where questions are allowed."""
@@ -46,7 +46,7 @@ class SimulatedPerson:
     """A simulated person who watches the robot in one episode and may speak to it."""
 
     params: PersonParams
-    person: Person = dataclasses.field(default_factory=unspoken)
+    person: Person = dataclasses.field(default_factory=new_person)
     _step: int = -1
 
     @classmethod
@@ -138,7 +138,7 @@ class Speech:
 
     def begin(self, state: EpisodeState) -> EpisodeState:
         """Set the dialogue state to the first sentence, as later ones may refer to it."""
-        words = first_words(self.first.instruction, self.first.spoken)
+        words = discourse_of(self.first.instruction, self.first.spoken)
         navigator = state.navigator
         talk = replace(navigator.talk, words=words)
         return replace(state, navigator=replace(navigator, talk=talk))

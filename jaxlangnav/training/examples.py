@@ -37,8 +37,8 @@ class LabelledInstruction:
     """An instruction with gold groundings of every phrase."""
 
     parse: Parse
-    annotated: tuple[Labelled[None], ...]  # its clauses
-    behaving: tuple[tuple[Labelled[World], ...], ...]  # its commands in each world
+    annotations: tuple[Labelled[None], ...]  # trees of its clauses
+    behaviors: tuple[tuple[Labelled[World], ...], ...]  # trees of its commands in each world
     rank: Mapping[Path, int]  # of phrases: "nearest" 1, "second" 2; others 0
 
 
@@ -72,13 +72,13 @@ def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
 
 def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
     """Convert a corpus example to training data; statements have no behavior."""
-    roots, annotated, behaving, rank = example.parse.clauses, [], [], {}
+    roots, annotations, behaviors, rank = example.parse.clauses, [], [], {}
     for clause, (root, labels) in enumerate(zip(roots, example.clauses, strict=True)):
         expressed = [
             frozenset(read_annotation(text, type_names) for text in symbols)
             for symbols in labels.annotation
         ]
-        annotated.append(
+        annotations.append(
             Labelled(root=root, world=None, expressed=expressed, ranks=labels.rank, clause=clause)
         )
         paths = [node.path for node in post_order(root, clause)]
@@ -93,19 +93,19 @@ def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> Label
                 ]
                 tree = Labelled(root=root, world=world, expressed=expressed, clause=clause)
                 trees.append(tree)
-        behaving.append(tuple(trees))
-    return LabelledInstruction(example.parse, tuple(annotated), tuple(behaving), rank)
+        behaviors.append(tuple(trees))
+    return LabelledInstruction(example.parse, tuple(annotations), tuple(behaviors), rank)
 
 
-def read_examples(
+def labelled_instructions(
     examples: Sequence[Example], type_names: tuple[str, ...]
 ) -> list[LabelledInstruction]:
     """Convert a corpus to training data; see ``labelled_instruction``."""
     return [labelled_instruction(example, type_names) for example in examples]
 
 
-class Rows(NamedTuple):
-    """Features and labels of a phrase's symbols of one kind."""
+class FactorBlock(NamedTuple):
+    """Properties and labels of a phrase's symbols of one kind."""
 
     properties: np.ndarray  # f32[S, F]
     labels: np.ndarray  # bool[S]
@@ -116,7 +116,7 @@ class PhraseExample:
     """One phrase with the factors of its symbols."""
 
     phrase: Phrase
-    rows: Mapping[str, Rows]  # kind → factors
+    blocks: Mapping[str, FactorBlock]  # kind → factors
     instruction: int  # index of its instruction
 
 
@@ -139,36 +139,35 @@ def examples_of(
 
 
 def _tree_examples(
-    space: SymbolSpace[AnyWorld], ex: Labelled[AnyWorld], instruction: int
+    space: SymbolSpace[AnyWorld], tree: Labelled[AnyWorld], instruction: int
 ) -> Iterator[PhraseExample]:
-    nodes, symbols = post_order(ex.root, ex.clause), space.symbols_in(ex.world)
-    ranks = ex.ranks or [0] * len(nodes)
-    for labels in (ex.expressed, ranks):
+    nodes, symbols = post_order(tree.root, tree.clause), space.symbols_in(tree.world)
+    ranks = tree.ranks or [0] * len(nodes)
+    for labels in (tree.expressed, ranks):
         if len(labels) != len(nodes):
-            raise ValueError(
-                f"tree {instruction}: {len(labels)} labels, but {ex.root} has {len(nodes)} phrases"
-            )
-    unknown = sorted(set().union(*ex.expressed) - set(symbols.index))
+            size = f"{tree.root} has {len(nodes)} phrases"
+            raise ValueError(f"tree {instruction}: {len(labels)} labels, but {size}")
+    unknown = sorted(set().union(*tree.expressed) - set(symbols.index))
     if unknown:
         raise ValueError(f"tree {instruction}: {unknown[0]} is no symbol of its world")
-    gold = [symbols.mask(expressed) for expressed in ex.expressed]
+    gold = [symbols.mask(expressed) for expressed in tree.expressed]
     for node, expressed, rank in zip(nodes, gold, ranks, strict=True):
-        described = space.describe(node.phrase, node.path, ex.world)
-        blocks = described.given([gold[child] for child in node.children])
-        rows = {
-            kind: Rows(np.asarray(block.properties, np.float32), expressed[block.indices])
-            for kind, block in blocks.items()
+        node_features = space.describe(node.phrase, node.path, tree.world)
+        property_blocks = node_features.given([gold[child] for child in node.children])
+        blocks = {
+            kind: FactorBlock(np.asarray(block.properties, np.float32), expressed[block.indices])
+            for kind, block in property_blocks.items()
         }
-        if described.ranks is not None:
-            is_rank = np.arange(1, len(described.ranks) + 1) == rank
-            rows[RANKS] = Rows(np.asarray(described.ranks, np.float32), is_rank)
-        for kind, (properties, labels) in rows.items():
+        if node_features.ranks is not None:
+            is_rank = np.arange(1, len(node_features.ranks) + 1) == rank
+            blocks[RANKS] = FactorBlock(np.asarray(node_features.ranks, np.float32), is_rank)
+        for kind, (properties, labels) in blocks.items():
             expected = len(labels), len(space.columns[kind])
             if properties.shape != expected:
                 raise ValueError(
                     f"tree {instruction}: properties are {properties.shape}, but must be {expected}"
                 )
-        yield PhraseExample(node.phrase, rows, instruction)
+        yield PhraseExample(node.phrase, blocks, instruction)
 
 
 def annotation_examples(
@@ -179,7 +178,7 @@ def annotation_examples(
     return [
         example
         for index, labelled in enumerate(instructions)
-        for tree in labelled.annotated
+        for tree in labelled.annotations
         for example in _tree_examples(space, tree, index)
     ]
 
@@ -191,7 +190,7 @@ def behavior_examples(
     return [
         example
         for index, labelled in enumerate(instructions)
-        for trees in labelled.behaving
+        for trees in labelled.behaviors
         for tree in trees
         for example in _tree_examples(Behaviors(type_names, labelled.rank), tree, index)
     ]
@@ -200,19 +199,19 @@ def behavior_examples(
 # ---------------------------------------------------------------- counts of distinct factors
 
 
-def deduplicate(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Deduplicate rows of f32[N, F]: i[D] first index of each distinct row, i[N] inverse index.
 
     Rows are compared by their bytes, a hundred times faster than number by number.
     """
     row_type = np.dtype((np.void, rows.shape[1] * np.dtype(np.float32).itemsize))
     keys = np.ascontiguousarray(rows, np.float32).view(row_type)[:, 0]
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    return first, inverse.ravel()
+    _, first_index, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return first_index, inverse.ravel()
 
 
 class Factors(NamedTuple):
-    """Factors before equal ones are merged, as flat arrays.
+    """Factors as flat arrays, before equal ones are merged.
 
     The minimal input of training, for data without ``PhraseExample``.
     """
@@ -222,7 +221,7 @@ class Factors(NamedTuple):
     label: np.ndarray  # bool[N] whether the phrase expresses it
     phrase: np.ndarray  # i[N] row of ``words``
     instruction: np.ndarray  # i[N] index of the factor's instruction
-    times: np.ndarray | None = None  # f32[N] count of each factor; 1 by default
+    repeats: np.ndarray | None = None  # f32[N] count of each factor; 1 by default
 
 
 @dataclasses.dataclass(frozen=True)
@@ -238,47 +237,47 @@ class Design:
     columns: dict[str, slice]  # kind → its properties
     cell: np.ndarray  # i[C] flat index into [U, G, 2]: words, symbol, φ
     instruction: np.ndarray  # i[C]
-    times: np.ndarray  # f32[C]
+    repeats: np.ndarray  # f32[C]
     num_instructions: int
 
     def counts(self, instruction_weights: np.ndarray) -> np.ndarray:
         """Count factors with φ = 0 and 1, given f32[K, I] instruction weights: f32[K, U, G, 2]."""
         shape = (*self.properties.shape[:2], 2)
         rows = [
-            np.bincount(self.cell, weights * self.times, minlength=math.prod(shape))
+            np.bincount(self.cell, weights * self.repeats, minlength=math.prod(shape))
             for weights in instruction_weights[:, self.instruction]
         ]
         return np.stack(rows).astype(np.float32).reshape(-1, *shape)
 
 
-def pool(factors: Factors, columns: dict[str, slice], num_instructions: int) -> Design:
+def tabulate(factors: Factors, columns: dict[str, slice], num_instructions: int) -> Design:
     """Merge equal factors of I instructions and count them; ``columns`` are by kind."""
-    first_words, words = deduplicate(factors.words)
-    first_rows, rows = deduplicate(factors.properties)
-    pair = words[factors.phrase] * len(first_rows) + rows
-    distinct, inverse = np.unique(pair, return_inverse=True)
-    owner, row = distinct // len(first_rows), distinct % len(first_rows)
-    begin = np.searchsorted(owner, np.arange(len(first_words)))
-    slot = np.arange(len(distinct)) - begin[owner]
-    depth = int(slot.max()) + 1
-    properties = np.zeros((len(first_words), depth, factors.properties.shape[1]), np.float32)
-    properties[owner, slot] = factors.properties[first_rows[row]]
-    cell = (owner * depth + slot)[inverse.ravel()] * 2 + factors.label
-    size = len(first_words) * depth * 2
-    occurrence, which = np.unique(factors.instruction * size + cell, return_inverse=True)
-    times = np.bincount(which.ravel(), factors.times)
+    first_word, word_index = unique_rows(factors.words)
+    first_row, property_index = unique_rows(factors.properties)
+    pair = word_index[factors.phrase] * len(first_row) + property_index
+    pairs, inverse = np.unique(pair, return_inverse=True)
+    word_row, symbol_row = pairs // len(first_row), pairs % len(first_row)
+    start = np.searchsorted(word_row, np.arange(len(first_word)))
+    slot = np.arange(len(pairs)) - start[word_row]
+    num_slots = int(slot.max()) + 1
+    properties = np.zeros((len(first_word), num_slots, factors.properties.shape[1]), np.float32)
+    properties[word_row, slot] = factors.properties[first_row[symbol_row]]
+    cell = (word_row * num_slots + slot)[inverse.ravel()] * 2 + factors.label
+    num_cells = len(first_word) * num_slots * 2
+    occurrence, entry = np.unique(factors.instruction * num_cells + cell, return_inverse=True)
+    counts = np.bincount(entry.ravel(), factors.repeats)
     return Design(
-        words=factors.words[first_words],
+        words=factors.words[first_word],
         properties=properties,
         columns=columns,
-        cell=occurrence % size,
-        instruction=occurrence // size,
-        times=times.astype(np.float32),
+        cell=occurrence % num_cells,
+        instruction=occurrence // num_cells,
+        repeats=counts.astype(np.float32),
         num_instructions=num_instructions,
     )
 
 
-def flatten(
+def factors_of(
     examples: Sequence[PhraseExample], kinds: Sequence[str], vocabulary: Vocabulary
 ) -> tuple[Factors, dict[str, slice]]:
     """Stack the factors of all kinds of symbols, and list the columns of each kind.
@@ -290,38 +289,38 @@ def flatten(
     """
     columns, end = {}, 0
     for kind in kinds:
-        widths = (e.rows[kind].properties.shape[1] for e in examples if kind in e.rows)
+        widths = (it.blocks[kind].properties.shape[1] for it in examples if kind in it.blocks)
         width = next(widths, None)
         if width is None:
             raise ValueError(f"no example has a symbol of kind '{kind}' to learn from")
         columns[kind] = slice(end, end + width)
         end += width
     parts = [
-        (index, kind, *_distinct(example.rows[kind]))
+        (index, kind, *_count_factors(example.blocks[kind]))
         for index, example in enumerate(examples)
         for kind in kinds
-        if kind in example.rows
+        if kind in example.blocks
     ]
     sizes = [len(label) for _, _, _, label, _ in parts]
-    properties, begin = np.zeros((sum(sizes), end), np.float32), 0
-    for size, (_, kind, rows, _, _) in zip(sizes, parts, strict=True):
-        properties[begin : begin + size, columns[kind]] = rows
-        begin += size
+    properties, offset = np.zeros((sum(sizes), end), np.float32), 0
+    for size, (_, kind, block, _, _) in zip(sizes, parts, strict=True):
+        properties[offset : offset + size, columns[kind]] = block
+        offset += size
     phrase = np.repeat([index for index, *_ in parts], sizes)
-    owner = np.array([example.instruction for example in examples])
+    instruction = np.array([example.instruction for example in examples])
     factors = Factors(
         words=np.stack([vocabulary.vector(example.phrase) for example in examples]),
         properties=properties,
         label=np.concatenate([label for _, _, _, label, _ in parts]),
         phrase=phrase,
-        instruction=owner[phrase],
-        times=np.concatenate([times for *_, times in parts]),
+        instruction=instruction[phrase],
+        repeats=np.concatenate([counts for *_, counts in parts]),
     )
     return factors, columns
 
 
-def _distinct(rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _count_factors(block: FactorBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Merge equal factors of one phrase: distinct features, labels and counts."""
-    first, which = deduplicate(rows.properties)
-    pair, times = np.unique(2 * which + rows.labels, return_counts=True)
-    return rows.properties[first[pair // 2]], pair % 2 == 1, times
+    first_index, distinct = unique_rows(block.properties)
+    pair, counts = np.unique(2 * distinct + block.labels, return_counts=True)
+    return block.properties[first_index[pair // 2]], pair % 2 == 1, counts

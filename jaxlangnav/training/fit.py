@@ -28,8 +28,8 @@ from jaxlangnav.grounding.model import (
     build_vocabulary,
     feature_group,
 )
-from jaxlangnav.training.examples import Design, PhraseExample, examples_of, flatten, pool
-from jaxlangnav.training.optimum import Problem, Search, data_loss, minimise
+from jaxlangnav.training.examples import Design, PhraseExample, examples_of, factors_of, tabulate
+from jaxlangnav.training.optimum import MinimiserInfo, Problem, data_loss, minimise
 
 SPLITS_AT_ONCE = 8
 """Number of splits that are fitted in parallel; each batch takes as long as its slowest."""
@@ -54,58 +54,58 @@ class Fit:
     compile_seconds: float  # near 0 if a fit of this size was compiled before
 
 
-class Factored(NamedTuple):
+class DeviceFactors(NamedTuple):
     """The distinct factors of a design on the device."""
 
     words: Array  # f32[U, W]
     properties: Array  # f32[U, G, F]
 
 
-def factorise(design: Design) -> Factored:
+def to_device(design: Design) -> DeviceFactors:
     """Copy the distinct factors of a design to the device."""
-    return Factored(jnp.asarray(design.words), jnp.asarray(design.properties))
+    return DeviceFactors(jnp.asarray(design.words), jnp.asarray(design.properties))
 
 
-def strengths(vocabulary: Vocabulary, by_group: Mapping[str, Array | float]) -> Array:
+def l2_vector(vocabulary: Vocabulary, by_group: Mapping[str, Array | float]) -> Array:
     """Expand λ by group ("bias" and ``FEATURE_GROUPS``) to word features, f32[W]."""
     groups = tuple(by_group)
-    which = np.array([groups.index(feature_group(name)) for name in vocabulary.names])
-    return jnp.stack([jnp.asarray(by_group[group], jnp.float32) for group in groups])[which]
+    group_index = np.array([groups.index(feature_group(name)) for name in vocabulary.names])
+    return jnp.stack([jnp.asarray(by_group[group], jnp.float32) for group in groups])[group_index]
 
 
 def train_weights(
-    factored: Factored, counts: Array, l2: Array, *, config: TrainingConfig
-) -> tuple[Array, Search]:
+    factors: DeviceFactors, counts: Array, l2: Array, *, config: TrainingConfig
+) -> tuple[Array, MinimiserInfo]:
     """Train one model: a pure function, differentiable in the counts and the regularisation.
 
     Args:
-        factored: of ``factorise``.
+        factors: of ``to_device``.
         counts: f32[U, G, 2], a row of ``design.counts``.
-        l2: f32[W], λ of each word feature, above zero (``strengths``).
+        l2: f32[W], λ of each word feature, above zero (``l2_vector``).
         config: stopping; its own ``l2`` is not read.
 
     Returns:
         f32[W, F], the weights of all kinds side by side (``by_kind``), and diagnostics.
     """
-    chex.assert_shape(counts, (*factored.properties.shape[:2], 2))
-    chex.assert_shape(factored.words, (factored.properties.shape[0], *l2.shape))
+    chex.assert_shape(counts, (*factors.properties.shape[:2], 2))
+    chex.assert_shape(factors.words, (factors.properties.shape[0], *l2.shape))
     chex.assert_type((counts, l2), jnp.float32)
     scale = 1.0 / jnp.sqrt(l2)
-    problem = Problem(factored.words * scale[None], factored.properties, counts)
+    problem = Problem(factors.words * scale[None], factors.properties, counts)
     scaled, search = minimise(problem, jnp.float32(config.gap), jnp.float32(config.max_steps))
     return scaled * scale[:, None], search
 
 
 @functools.partial(jax.jit, static_argnames="config")
 def _fit_splits(
-    factored: Factored, counts: Array, l2: Array, config: TrainingConfig
-) -> tuple[Array, Search]:
+    factors: DeviceFactors, counts: Array, l2: Array, config: TrainingConfig
+) -> tuple[Array, MinimiserInfo]:
     """Fit K sets of counts f32[K, U, G, 2] to the same words and properties."""
-    lanes = min(SPLITS_AT_ONCE, counts.shape[0])
+    batch_size = min(SPLITS_AT_ONCE, counts.shape[0])
     return jax.lax.map(
-        lambda n: train_weights(factored, n, l2, config=config),
+        lambda n: train_weights(factors, n, l2, config=config),
         counts,
-        batch_size=lanes if lanes > 1 else None,
+        batch_size=batch_size if batch_size > 1 else None,
     )
 
 
@@ -131,9 +131,9 @@ def loss(weights: Mapping[str, Array], design: Design, counts: Array, l2: Array 
     """
     chex.assert_shape(counts, (*design.properties.shape[:2], 2))
     problem = Problem(jnp.asarray(design.words), jnp.asarray(design.properties), counts)
-    joined = jnp.concatenate([jnp.asarray(weights[kind]) for kind in design.columns], axis=1)
-    strength = jnp.broadcast_to(jnp.asarray(l2, jnp.float32), joined.shape[:1])
-    return data_loss(problem, joined) + 0.5 * jnp.vdot(strength, jnp.sum(joined * joined, axis=1))
+    matrix = jnp.concatenate([jnp.asarray(weights[kind]) for kind in design.columns], axis=1)
+    strength = jnp.broadcast_to(jnp.asarray(l2, jnp.float32), matrix.shape[:1])
+    return data_loss(problem, matrix) + 0.5 * jnp.vdot(strength, jnp.sum(matrix * matrix, axis=1))
 
 
 def build_design(
@@ -150,7 +150,7 @@ def build_design(
         ValueError: a kind has no example.
     """
     vocabulary = build_vocabulary([example.phrase for example in examples], without)
-    return vocabulary, pool(*flatten(examples, kinds, vocabulary), num_instructions)
+    return vocabulary, tabulate(*factors_of(examples, kinds, vocabulary), num_instructions)
 
 
 def fit(
@@ -173,27 +173,27 @@ def fit(
     config = config or TrainingConfig()
     if not config.l2 > 0.0:
         raise ValueError(f"l2 is {config.l2:g}, but must be above 0")
-    begin = time.perf_counter()
-    factored, counts = factorise(design), jnp.asarray(design.counts(instruction_weights))
-    inputs = (factored, counts, jnp.full(design.words.shape[1:], config.l2, jnp.float32))
-    prepared = time.perf_counter() - begin
-    begin = time.perf_counter()
+    start = time.perf_counter()
+    factors, counts = to_device(design), jnp.asarray(design.counts(instruction_weights))
+    inputs = (factors, counts, jnp.full(design.words.shape[1:], config.l2, jnp.float32))
+    prepare_seconds = time.perf_counter() - start
+    start = time.perf_counter()
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), inputs)
     compiled = _compile(shapes, config)
-    compile_seconds = time.perf_counter() - begin
-    begin = time.perf_counter()
+    compile_seconds = time.perf_counter() - start
+    start = time.perf_counter()
     trained, search = jax.block_until_ready(compiled(*inputs))
     weights = np.array(trained)
     # Weights of pairs that never co-occur are zero up to rounding; exact zeros compress well.
     weights[np.abs(weights) < 1e-6 * np.abs(weights).max()] = 0.0
     models = [{kind: w[:, columns] for kind, columns in design.columns.items()} for w in weights]
-    measured = Fit(
+    info = Fit(
         loss=np.asarray(search.value),
         steps=np.asarray(search.num_steps, np.int32),
-        seconds=prepared + time.perf_counter() - begin,
+        seconds=prepare_seconds + time.perf_counter() - start,
         compile_seconds=compile_seconds,
     )
-    return models, measured
+    return models, info
 
 
 def train_graph(
@@ -219,8 +219,7 @@ def train_graph(
     if without - set(FEATURE_GROUPS):
         raise ValueError(f"groups of features are {', '.join(FEATURE_GROUPS)}, not {set(without)}")
     count = len(labelled)
-    vocabulary, design = build_design(
-        examples_of(space, labelled), tuple(space.columns), count, without
-    )
-    (weights,), measured = fit(design, np.ones((1, count), np.float32), config=config)
-    return CorrespondenceGraph(space, CorrespondenceModel(vocabulary, weights)), measured
+    examples = examples_of(space, labelled)
+    vocabulary, design = build_design(examples, tuple(space.columns), count, without)
+    (weights,), info = fit(design, np.ones((1, count), np.float32), config=config)
+    return CorrespondenceGraph(space, CorrespondenceModel(vocabulary, weights)), info

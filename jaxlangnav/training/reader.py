@@ -1,4 +1,4 @@
-"""Training of the reader, a linear-chain CRF, by MAP estimation with Adam (ours).
+"""Training of the reader, a linear-chain CRF, by MAP estimation with Adam (not in the paper).
 
     J = mean_s −log p(labels_s | words_s) + λ/2 Σ w²
 
@@ -29,14 +29,14 @@ from jaxlangnav.language.reader.features import (
     featurize,
     load_verbs,
 )
-from jaxlangnav.language.reader.model import KEPT, LEFT_OUT, UNREADABLE, ReaderModel
+from jaxlangnav.language.reader.model import DELETE, KEEP, REFUSE, ReaderModel
 from jaxlangnav.language.reader.proposals import Labelling
 from jaxlangnav.language.tokens import MARKS
 
 _MAX_BYTES = 1 << 24
 """Size limit of a corpus."""
-_DECISIVE = WORDS["contrary"] | WORDS["impossible"]
-_PLAIN = frozenset({"=go", "=go to", "=stop"})
+_REFUSAL_CUES = WORDS["contrary"] | WORDS["impossible"]
+_SIMPLE_LABELS = frozenset({"=go", "=go to", "=stop"})
 _SMALL_TALK_RATE = 0.3
 """Probability of adding small talk to a verbatim sentence."""
 _IMPOSSIBLE = -1e4
@@ -86,22 +86,22 @@ class Batch(NamedTuple):
     weight: np.ndarray  # f32[B] 0 of padding
 
 
-def align(said: Sequence[str], read: Sequence[str]) -> tuple[str, ...] | None:
+def align(source: Sequence[str], target: Sequence[str]) -> tuple[str, ...] | None:
     """Label each word (or mark) of a sentence by its alignment to the controlled language.
 
     None if words are added at the end, which labels cannot express.
     """
-    labels, inserted = [KEPT] * len(said), ""
-    matcher = SequenceMatcher(None, said, read, autojunk=False)
-    for kind, first, last, begin, end in matcher.get_opcodes():
-        words = " ".join(read[begin:end])
-        if inserted:  # inserted before: only a kept word can carry it
-            labels[first], inserted = f"{KEPT}>{inserted}", ""
-        if kind == "insert":
-            inserted = words
-        elif kind != "equal":
-            labels[first:last] = [LEFT_OUT] * (last - first)
-            labels[first] = f"={words}" if words else LEFT_OUT
+    labels, inserted = [KEEP] * len(source), ""
+    matcher = SequenceMatcher(None, source, target, autojunk=False)
+    for operation, start, stop, begin, end in matcher.get_opcodes():
+        replacement = " ".join(target[begin:end])
+        if inserted:  # inserted before: only a kept word can express it
+            labels[start], inserted = f"{KEEP}>{inserted}", ""
+        if operation == "insert":
+            inserted = replacement
+        elif operation != "equal":
+            labels[start:stop] = [DELETE] * (stop - start)
+            labels[start] = f"={replacement}" if replacement else DELETE
     return None if inserted else tuple(labels)
 
 
@@ -115,7 +115,7 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
     """
     path = shipped_file("language", "readings.jsonl") if path is None else path
     rows = []
-    for line_no, line in read_lines(path, at_most=_MAX_BYTES):
+    for line_no, line in read_lines(path, max_bytes=_MAX_BYTES):
         row = parse_json(line)
         if not (isinstance(row, dict) and set(row) - {"names"} == {"text", "read"}):
             raise ValueError(f"{path.name} line {line_no} must have text, read, and maybe names")
@@ -129,7 +129,7 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
     for row in rows:
         words = tuple(token.text for token in split_text(row["text"], names))
         labels = (
-            (UNREADABLE,) * len(words) if row["read"] is None else align(words, row["read"].split())
+            (REFUSE,) * len(words) if row["read"] is None else align(words, row["read"].split())
         )
         if words and labels is not None:
             examples.append(ReaderExample(words, labels, names))
@@ -144,32 +144,33 @@ def vary_sentences(
     Each sentence is repeated, and varied, ``copies`` times; the variations come last. ``seed`` is
     that of the random choices.
     """
-    rng, more = np.random.default_rng(seed), []
-    talk = []  # deleted clauses without object names
+    rng, variations = np.random.default_rng(seed), []
+    small_talk = []  # deleted clauses without object names
     for ex in examples:
         sentence = ReaderSentence(ex.words, ex.names)
         for clause in sentence.clauses:
-            is_idle = [ex.labels[i] == LEFT_OUT and not sentence.is_name[i] for i in clause]
+            is_idle = [ex.labels[i] == DELETE and not sentence.is_name[i] for i in clause]
             if len(clause) > 1 and all(is_idle):
-                talk.append(tuple(ex.words[i] for i in clause))
+                small_talk.append(tuple(ex.words[i] for i in clause))
     classes = [sorted(verbs) for _, verbs in sorted(load_verbs().items())]
     for ex in [*examples] * copies:
-        verbs = [i for i, label in enumerate(ex.labels) if label in _PLAIN]
+        verbs = [i for i, label in enumerate(ex.labels) if label in _SIMPLE_LABELS]
         for index in verbs[:1]:
-            same = next((verbs for verbs in classes if ex.words[index] in verbs), [])
-            if same:
+            alternatives = next((verbs for verbs in classes if ex.words[index] in verbs), [])
+            if alternatives:
                 words = list(ex.words)
-                words[index] = same[rng.integers(len(same))]
-                more.append(ex._replace(words=tuple(words)))
-        if talk and set(ex.labels) == {KEPT} and rng.random() < _SMALL_TALK_RATE:
-            chat = talk[rng.integers(len(talk))]
-            cut = (LEFT_OUT,) * (len(chat) + 1)
-            mark = (MARKS[int(rng.integers(len(MARKS)))],)
+                words[index] = alternatives[rng.integers(len(alternatives))]
+                variations.append(ex._replace(words=tuple(words)))
+        if small_talk and set(ex.labels) == {KEEP} and rng.random() < _SMALL_TALK_RATE:
+            chat = small_talk[rng.integers(len(small_talk))]
+            deleted = (DELETE,) * (len(chat) + 1)
+            separator = (MARKS[int(rng.integers(len(MARKS)))],)
             if rng.random() < 0.5:
-                more.append(ReaderExample((*chat, *mark, *ex.words), cut + ex.labels, ex.names))
+                words, labels = (*chat, *separator, *ex.words), deleted + ex.labels
             else:
-                more.append(ReaderExample((*ex.words, *mark, *chat), ex.labels + cut, ex.names))
-    return [*examples] * copies + more
+                words, labels = (*ex.words, *separator, *chat), ex.labels + deleted
+            variations.append(ReaderExample(words, labels, ex.names))
+    return [*examples] * copies + variations
 
 
 def negative_log_likelihood(weights: ReaderWeights, batch: Batch) -> Array:
@@ -177,20 +178,20 @@ def negative_log_likelihood(weights: ReaderWeights, batch: Batch) -> Array:
     scores = weights.emission.at[0].set(0.0)[batch.features].sum(axis=2)  # [B, T, L]
 
     def step(alpha: Array, inputs: tuple[Array, Array]) -> tuple[Array, None]:
-        row, is_word = inputs
-        summed = jax.nn.logsumexp(alpha[:, :, None] + weights.transition[None], axis=1) + row
-        return jnp.where(is_word[:, None] > 0, summed, alpha), None
+        score, is_word = inputs
+        next_alpha = jax.nn.logsumexp(alpha[:, :, None] + weights.transition[None], axis=1) + score
+        return jnp.where(is_word[:, None] > 0, next_alpha, alpha), None
 
     rest = jnp.moveaxis(scores[:, 1:], 1, 0), jnp.asarray(batch.is_word[:, 1:]).T
     alpha, _ = jax.lax.scan(step, weights.begin[None] + scores[:, 0], rest)
     log_total = jax.nn.logsumexp(alpha + weights.end[None], axis=1)
     labels, is_word = jnp.asarray(batch.labels), jnp.asarray(batch.is_word)
-    chosen = jnp.take_along_axis(scores, labels[..., None], axis=2)[..., 0]
-    moved = weights.transition[labels[:, :-1], labels[:, 1:]]
+    emissions = jnp.take_along_axis(scores, labels[..., None], axis=2)[..., 0]
+    transitions = weights.transition[labels[:, :-1], labels[:, 1:]]
     last = jnp.maximum(is_word.sum(axis=1).astype(jnp.int32) - 1, 0)
-    ended = weights.end[jnp.take_along_axis(labels, last[:, None], axis=1)[:, 0]]
-    path_score = (chosen * is_word).sum(1) + (moved * is_word[:, 1:]).sum(1)
-    return ((log_total - path_score - weights.begin[labels[:, 0]] - ended) * batch.weight).sum()
+    end_score = weights.end[jnp.take_along_axis(labels, last[:, None], axis=1)[:, 0]]
+    path_score = (emissions * is_word).sum(1) + (transitions * is_word[:, 1:]).sum(1)
+    return ((log_total - path_score - weights.begin[labels[:, 0]] - end_score) * batch.weight).sum()
 
 
 def train_reader(
@@ -203,40 +204,40 @@ def train_reader(
     Raises:
         ValueError: too few sentences to learn from.
     """
-    started = time.perf_counter()
-    counted = Counter(label for ex in examples for label in set(ex.labels))
+    start_time = time.perf_counter()
+    label_counts = Counter(label for ex in examples for label in set(ex.labels))
     names = frozenset().union(*(ex.names for ex in examples))
-    frequent = sorted(label for label, n in counted.items() if n >= config.least_labels)
+    frequent = sorted(label for label, n in label_counts.items() if n >= config.least_labels)
     # A label that inserts an object name would insert it for any sentence.
-    read = {label: tuple(label.lstrip("K>=").split()) for label in frequent}
-    labels = tuple(ex for ex in frequent if not any(ReaderSentence(read[ex], names).is_name))
-    used = [ex for ex in examples if set(ex.labels) <= set(labels)]
-    if len(used) < config.batch:
-        raise ValueError(f"{len(used)} sentences are too few to train on: {config.batch} at least")
-    used = vary_sentences(used, config.seed, config.copies)
-    named = [featurize(ex.words, ex.names) for ex in used]
-    counts = Counter(name for sentence in named for word in sentence for name in set(word))
+    insertions = {label: tuple(label.lstrip("K>=").split()) for label in frequent}
+    labels = tuple(it for it in frequent if not any(ReaderSentence(insertions[it], names).is_name))
+    kept = [ex for ex in examples if set(ex.labels) <= set(labels)]
+    if len(kept) < config.batch:
+        raise ValueError(f"{len(kept)} sentences are too few to train on: {config.batch} at least")
+    kept = vary_sentences(kept, config.seed, config.copies)
+    feature_names = [featurize(ex.words, ex.names) for ex in kept]
+    counts = Counter(name for sentence in feature_names for word in sentence for name in set(word))
     min_count = config.least_features * config.copies
     features = tuple(sorted(name for name, n in counts.items() if n >= min_count))
-    batches = _batches(used, named, features, labels, config)
+    batches = _batches(kept, feature_names, features, labels, config)
     weights, loss = _fit(batches, len(features), labels, config)
     emission = np.where(np.abs(weights.emission[1:]) < config.smallest, 0.0, weights.emission[1:])
     is_used = np.abs(emission).max(axis=1) > 0
-    pairs = (pair for ex in used for pair in zip(ex.words, ex.labels, strict=True))
-    labelled = [Labelling(ReaderSentence(ex.words, ex.names), ex.labels) for ex in used]
+    pairs = (pair for ex in kept for pair in zip(ex.words, ex.labels, strict=True))
+    labelled = [Labelling(ReaderSentence(ex.words, ex.names), ex.labels) for ex in kept]
     model = ReaderModel(
         features=tuple(name for name, used in zip(features, is_used, strict=True) if used),
         labels=labels,
         seen=frozenset((word, label) for word, label in pairs if label[0] == "="),
-        left_out=_deleted_trigrams(used),
+        left_out=_deleted_trigrams(kept),
         # Edited spans with their replacement, except deletions of words that only select objects:
         # "both" may be deleted in one sentence, but not in others.
         met=frozenset(
-            ex.stretch(run)
-            for ex in labelled
-            for run in ex.runs
-            if any(ex.labels[i] != LEFT_OUT for i in run)
-            or any(WORDS["choosing"].isdisjoint(ex.sentence.classes[i]) for i in run)
+            labelling.span_key(run)
+            for labelling in labelled
+            for run in labelling.runs
+            if any(labelling.labels[i] != DELETE for i in run)
+            or any(WORDS["choosing"].isdisjoint(labelling.sentence.classes[i]) for i in run)
         ),
         emission=np.round(emission[is_used], 3),
         transition=np.asarray(weights.transition),
@@ -244,12 +245,12 @@ def train_reader(
         end=np.asarray(weights.end),
     )
     return model, {
-        "sentences": len(used),
+        "sentences": len(kept),
         "features": len(model.features),
         "labels": len(labels),
         "weights": int(np.count_nonzero(model.emission)),
         "loss": loss,
-        "train_s": time.perf_counter() - started,
+        "train_s": time.perf_counter() - start_time,
     }
 
 
@@ -263,48 +264,48 @@ def _deleted_trigrams(examples: Sequence[ReaderExample]) -> frozenset[str]:
         sentence = ReaderSentence(ex.words, ex.names)
         for index, label in enumerate(ex.labels):
             classes = sentence.classes[index]
-            after = range(index + 1, min(index + 3, len(ex.words)))
-            names = any(sentence.is_name[i] or "det" in sentence.classes[i] for i in after)
+            following = range(index + 1, min(index + 3, len(ex.words)))
+            names = any(sentence.is_name[i] or "det" in sentence.classes[i] for i in following)
             forbids = "refused:negation" in classes and any(
                 sentence.is_verb(i) or not WORDS["impossible"].isdisjoint(sentence.classes[i])
-                for i in after
+                for i in following
             )
-            is_telling = not _DECISIVE.isdisjoint(classes)
-            if label == LEFT_OUT and is_telling and not (names or forbids):
+            is_telling = not _REFUSAL_CUES.isdisjoint(classes)
+            if label == DELETE and is_telling and not (names or forbids):
                 trigrams.add(" ".join(ex.words[index : index + 3]))
     return frozenset(trigrams)
 
 
 def _batches(
     examples: Sequence[ReaderExample],
-    named: Sequence[list[list[str]]],
+    feature_names: Sequence[list[list[str]]],
     features: Sequence[str],
     labels: Sequence[str],
     config: ReaderConfig,
 ) -> list[Batch]:
     """Pack sentences of similar length into padded batches."""
-    row = {name: index for index, name in enumerate(features, start=1)}
-    column = {label: index for index, label in enumerate(labels)}
-    width = max(len(word) for sentence in named for word in sentence)
+    feature_index = {name: index for index, name in enumerate(features, start=1)}
+    label_index = {label: index for index, label in enumerate(labels)}
+    width = max(len(word) for sentence in feature_names for word in sentence)
     order = sorted(range(len(examples)), key=lambda i: len(examples[i].words))
     batches = []
-    for begin in range(0, len(order), config.batch):
-        chosen = order[begin : begin + config.batch]
-        length = -(-len(examples[chosen[-1]].words) // _PADDING) * _PADDING
+    for start in range(0, len(order), config.batch):
+        indices = order[start : start + config.batch]
+        length = -(-len(examples[indices[-1]].words) // _PADDING) * _PADDING
         shape = config.batch, length
         batch = Batch(
             np.zeros((*shape, width), np.int32),
             np.zeros(shape, np.int32),
             np.zeros(shape, np.float32),
-            (np.arange(config.batch) < len(chosen)).astype(np.float32),
+            (np.arange(config.batch) < len(indices)).astype(np.float32),
         )
-        for lane, index in enumerate(chosen):
-            for time_step, word in enumerate(named[index]):
-                active = [row[name] for name in word if name in row]
-                batch.features[lane, time_step, : len(active)] = active
-            size = len(named[index])
-            batch.labels[lane, :size] = [column[label] for label in examples[index].labels]
-            batch.is_word[lane, :size] = 1.0
+        for slot, index in enumerate(indices):
+            for time_step, word in enumerate(feature_names[index]):
+                active = [feature_index[name] for name in word if name in feature_index]
+                batch.features[slot, time_step, : len(active)] = active
+            size = len(feature_names[index])
+            batch.labels[slot, :size] = [label_index[label] for label in examples[index].labels]
+            batch.is_word[slot, :size] = 1.0
         batches.append(batch)
     return batches
 
@@ -316,7 +317,7 @@ def _fit(
     size = len(labels)
     weights = ReaderWeights(*map(jnp.zeros, ((num_features + 1, size), (size, size), size, size)))
     # Transitions between the refusal label and all others are impossible.
-    is_refused = np.array([label == UNREADABLE for label in labels])
+    is_refused = np.array([label == REFUSE for label in labels])
     mask = np.where(is_refused[:, None] == is_refused, 0.0, _IMPOSSIBLE).astype(np.float32)
     num_steps = config.epochs * len(batches)
     optimizer = optax.adam(optax.cosine_decay_schedule(config.rate, num_steps))

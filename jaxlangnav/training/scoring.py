@@ -64,7 +64,7 @@ class Results(NamedTuple):
     exact: list[ExactScores]  # K scores; empty without exact search
 
 
-class _Tally:
+class _Accumulator:
     """Accumulator of the results of K models."""
 
     def __init__(self, num_models: int, widths: Sequence[int], is_exact: bool) -> None:
@@ -72,30 +72,30 @@ class _Tally:
         self.rows = {width: [[] for _ in range(num_models)] for width in widths}
         self.exact = [[] for _ in range(num_models)] if is_exact else []
 
-    def count(self, index: int, model: CorrespondenceModel, clauses: "Clauses") -> None:
+    def add(self, index: int, model: CorrespondenceModel, clauses: "Clauses") -> None:
         """Compare a model's inferred sets for the clauses of a sentence with the gold sets."""
         trees = [(ScoredTree(described, model), gold) for described, gold in clauses]
         for width, rows in self.rows.items():
-            right, confidence, log_gold = True, 1.0, 0.0
+            is_right, confidence, log_gold = True, 1.0, 0.0
             for tree, gold in trees:
                 beam = tree.search(width)
                 is_gold = [bool((h.expressed == gold).all()) for h in beam]
-                right &= is_gold[0]
+                is_right &= is_gold[0]
                 confidence *= np.exp(beam[0].log_probability)
                 matches = itertools.compress(beam, is_gold)
                 log_gold += next((h.log_probability for h in matches), LOG_FLOOR)
-            rows[index].append((right, confidence, max(log_gold, LOG_FLOOR)))
+            rows[index].append((is_right, confidence, max(log_gold, LOG_FLOOR)))
         if self.exact:
-            best = [(*search_exactly(tree.search), gold) for tree, gold in trees]
-            right = all((inferred == gold).all() for inferred, _, gold in best)
-            self.exact[index].append((right, all(is_proven for _, is_proven, _ in best)))
+            exact = [(*search_exactly(tree.search), gold) for tree, gold in trees]
+            is_right = all((inferred == gold).all() for inferred, _, gold in exact)
+            self.exact[index].append((is_right, all(is_proven for _, is_proven, _ in exact)))
 
     def results(self) -> Results:
         """Stack the accumulated results."""
 
         def scores(rows: list[tuple[bool, float, float]]) -> Scores:
-            right, confidence, log_gold = np.array(rows, float).reshape(-1, 3).T
-            return Scores(right.astype(bool), confidence, log_gold)
+            is_right, confidence, log_gold = np.array(rows, float).reshape(-1, 3).T
+            return Scores(is_right.astype(bool), confidence, log_gold)
 
         return Results(
             {width: [scores(rows) for rows in models] for width, models in self.rows.items()},
@@ -108,9 +108,9 @@ Clauses = Sequence[tuple[TreeFeatures, np.ndarray]]
 
 
 def _features(space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]) -> Clauses:
-    trees = [TreeFeatures(space, x.root, x.world, x.clause) for x in labelled]
-    gold = [x.expressed[-1] for x in labelled]
-    return [(tree, tree.symbols.mask(root)) for tree, root in zip(trees, gold, strict=True)]
+    features = [TreeFeatures(space, tree.root, tree.world, tree.clause) for tree in labelled]
+    gold = [tree.expressed[-1] for tree in labelled]
+    return [(tree, tree.symbols.mask(root)) for tree, root in zip(features, gold, strict=True)]
 
 
 def _tested(
@@ -124,10 +124,10 @@ def _tested(
     is_tested = np.ones(shape, bool) if is_tested is None else is_tested
     chex.assert_shape(is_tested, shape)
     chex.assert_type(is_tested, bool)
-    for labelled, tested in zip(instructions, is_tested.T, strict=True):
-        which = np.flatnonzero(tested)
-        if len(which):
-            yield labelled, which
+    for labelled, mask in zip(instructions, is_tested.T, strict=True):
+        indices = np.flatnonzero(mask)
+        if len(indices):
+            yield labelled, indices
         on_sentence()
 
 
@@ -152,12 +152,12 @@ def score_annotations(
         is_exact: also find the likeliest of all sets.
         on_sentence: called after each sentence.
     """
-    tally = _Tally(len(models), widths, is_exact)
-    for labelled, which in _tested(instructions, is_tested, len(models), on_sentence):
-        clauses = _features(Annotations(type_names), labelled.annotated)
-        for index in which:
-            tally.count(index, models[index], clauses)
-    return tally.results()
+    accumulator = _Accumulator(len(models), widths, is_exact)
+    for labelled, indices in _tested(instructions, is_tested, len(models), on_sentence):
+        clauses = _features(Annotations(type_names), labelled.annotations)
+        for index in indices:
+            accumulator.add(index, models[index], clauses)
+    return accumulator.results()
 
 
 def score_behaviors(
@@ -177,21 +177,21 @@ def score_behaviors(
     ``score_annotations``.
     """
     chex.assert_equal(len(annotation), len(behavior))
-    tally = _Tally(len(behavior), widths, is_exact)
-    for labelled, which in _tested(instructions, is_tested, len(behavior), on_sentence):
-        annotations = _features(Annotations(type_names), labelled.annotated)
+    accumulator = _Accumulator(len(behavior), widths, is_exact)
+    for labelled, indices in _tested(instructions, is_tested, len(behavior), on_sentence):
+        annotations = _features(Annotations(type_names), labelled.annotations)
         worlds: dict[tuple[int, ...], list[Clauses]] = {}  # by the ranks that a model infers
-        for index in which:
+        for index in indices:
             rank: dict[Path, int] = {}
             for described, _ in annotations:
                 log_ranks = ScoredTree(described, annotation[index]).log_ranks()
                 rank |= {path: int(np.argmax(values)) for path, values in log_ranks.items()}
             if (key := tuple(rank.values())) not in worlds:
                 space = Behaviors(type_names, rank)
-                worlds[key] = [_features(space, trees) for trees in labelled.behaving]
+                worlds[key] = [_features(space, trees) for trees in labelled.behaviors]
             for clauses in worlds[key]:
-                tally.count(index, behavior[index], clauses)
-    return tally.results()
+                accumulator.add(index, behavior[index], clauses)
+    return accumulator.results()
 
 
 def calibration_error(scores: Scores, num_bins: int = 10) -> float:

@@ -32,7 +32,7 @@ from jaxlangnav.training.examples import (
     LabelledInstruction,
     annotation_examples,
     behavior_examples,
-    read_examples,
+    labelled_instructions,
 )
 from jaxlangnav.training.fit import build_design, fit
 from jaxlangnav.training.scoring import (
@@ -45,7 +45,7 @@ from jaxlangnav.training.scoring import (
 
 MIN_TEMP, MAX_TEMP = 0.05, 20.0
 """Bounds of the temperature search."""
-_GRID = 61
+_GRID_SIZE = 61
 """Number of temperatures of the initial grid search: the likelihood may have several peaks."""
 
 
@@ -72,9 +72,9 @@ class TemperatureFit:
 def log_likelihood(sentences: Sequence[Judged], temperature: float) -> float:
     """Compute the mean log-likelihood of labels of sentences that each have a right rewriting."""
     total = 0.0
-    for s in sentences:
-        scores = np.array(s.log_probability) / temperature
-        total += np.logaddexp.reduce(scores[np.array(s.is_right)]) - np.logaddexp.reduce(scores)
+    for it in sentences:
+        scores = np.array(it.log_probability) / temperature
+        total += np.logaddexp.reduce(scores[np.array(it.is_right)]) - np.logaddexp.reduce(scores)
     return float(total / len(sentences))
 
 
@@ -84,28 +84,28 @@ def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
     Raises:
         ValueError: no sentence is informative; one line.
     """
-    used = [s for s in sentences if any(s.is_right) and not all(s.is_right)]
-    if not used:
+    informative = [it for it in sentences if any(it.is_right) and not all(it.is_right)]
+    if not informative:
         raise ValueError(
             f"none of the {len(sentences)} sentences has both a right and a wrong rewriting that "
             "can be read: record more of them"
         )
 
     def loss(log_temperature: float) -> float:
-        return -log_likelihood(used, math.exp(log_temperature))
+        return -log_likelihood(informative, math.exp(log_temperature))
 
-    grid = np.linspace(math.log(MIN_TEMP), math.log(MAX_TEMP), _GRID)
+    grid = np.linspace(math.log(MIN_TEMP), math.log(MAX_TEMP), _GRID_SIZE)
     best = int(np.argmin([loss(point) for point in grid]))
-    bounds = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
+    bounds = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID_SIZE - 1)])
     result = minimize(lambda x: loss(float(x[0])), x0=grid[best : best + 1], bounds=[bounds])
-    is_at_bound = best in (0, _GRID - 1)
+    is_at_bound = best in (0, _GRID_SIZE - 1)
     temperature = math.exp(grid[best] if is_at_bound else result.x[0])
     return TemperatureFit(
         temperature=temperature,
-        log_likelihood=log_likelihood(used, temperature),
-        log_likelihood_at_one=log_likelihood(used, 1.0),
-        used=len(used),
-        left_out=len(sentences) - len(used),
+        log_likelihood=log_likelihood(informative, temperature),
+        log_likelihood_at_one=log_likelihood(informative, 1.0),
+        used=len(informative),
+        left_out=len(sentences) - len(informative),
         is_at_bound=is_at_bound,
     )
 
@@ -118,7 +118,7 @@ _BUILDS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class LaidOut:
+class TrainingData:
     """Training data of one model: vocabulary, design and number of factors."""
 
     vocabulary: Vocabulary
@@ -126,18 +126,18 @@ class LaidOut:
     sizes: np.ndarray  # f[I] (phrase, symbol) factors of each instruction
 
 
-def lay_out(
+def training_data(
     name: str,
     instructions: Sequence[LabelledInstruction],
     type_names: tuple[str, ...],
-) -> LaidOut:
+) -> TrainingData:
     """Build the training data of one of ``MODELS``."""
     build, kinds = _BUILDS[name]
     examples = build(instructions, type_names)
     sizes = np.zeros(len(instructions))
     for example in examples:
-        sizes[example.instruction] += sum(len(rows.labels) for rows in example.rows.values())
-    return LaidOut(*build_design(examples, kinds, len(instructions)), sizes)
+        sizes[example.instruction] += sum(len(block.labels) for block in example.blocks.values())
+    return TrainingData(*build_design(examples, kinds, len(instructions)), sizes)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,33 +177,33 @@ def train_models(
     Raises:
         ValueError: the corpus is invalid, or has no sentence to train on.
     """
-    say = on_progress or (lambda line: None)
-    say("reading the corpus")
+    report_progress = on_progress or (lambda line: None)
+    report_progress("reading the corpus")
     if corpus is None:
         examples = load_corpus()
     else:
         examples = read_corpus(corpus / "corpus.jsonl" if corpus.is_dir() else corpus)
-    train = [example for example in examples if example.split == "train"]
-    if not train:
+    training = [example for example in examples if example.split == "train"]
+    if not training:
         raise ValueError("the corpus has no sentence marked 'train'")
-    tuning = set(sorted({example.template for example in train})[::5])
+    tuning = set(sorted({example.template for example in training})[::5])
     type_names = load_lexicon().type_names
-    is_tuning = np.array([example.template in tuning for example in train])
-    learned = read_examples(train, type_names)
-    held_out = read_examples([e for e in examples if e.split == "test"], type_names)
+    is_tuning = np.array([example.template in tuning for example in training])
+    training_instructions = labelled_instructions(training, type_names)
+    held_out = labelled_instructions([e for e in examples if e.split == "test"], type_names)
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
     for name in [name for name in MODELS if name in kinds]:
-        say(f"fitting the {name} model")
-        models[name], report[name] = _train_one(
-            name, learned, is_tuning, held_out, models, type_names
+        report_progress(f"fitting the {name} model")
+        models[name], report[name] = _train_model(
+            name, training_instructions, is_tuning, held_out, models, type_names
         )
     if set(models) != set(MODELS):
         raise ValueError("to train one model alone, give the weights that the other comes from")
     return Trained(GroundingModel(models["annotation"], models["behavior"], type_names), report)
 
 
-def _train_one(
+def _train_model(
     name: str,
     train: Sequence[LabelledInstruction],
     is_tuning: np.ndarray,
@@ -212,34 +212,34 @@ def _train_one(
     type_names: tuple[str, ...],
 ) -> tuple[CorrespondenceModel, dict[str, Any]]:
     """Fit, tune and test one model; the behavior model is tested with the annotation model."""
-    begin = time.perf_counter()
-    data = lay_out(name, train, type_names)
+    start = time.perf_counter()
+    data = training_data(name, train, type_names)
     # Fits to all sentences, and to those not used for tuning, in one batch.
     fit_weights = np.stack([np.ones(len(train)), ~is_tuning]).astype(np.float32)
-    weights, measured = fit(data.design, fit_weights)
+    weights, info = fit(data.design, fit_weights)
     full, part = (CorrespondenceModel(data.vocabulary, w) for w in weights)
-    fitted = time.perf_counter() - begin
+    total_seconds = time.perf_counter() - start
 
     def score(
-        model: CorrespondenceModel, temperature: float, which: Sequence[LabelledInstruction]
+        model: CorrespondenceModel, temperature: float, tested: Sequence[LabelledInstruction]
     ) -> Scores:
         scaled = [dataclasses.replace(model, temperature=temperature)]
         if name == "annotation":
-            return score_annotations(which, scaled, None, type_names).by_width[BEAM_WIDTH][0]
+            return score_annotations(tested, scaled, None, type_names).by_width[BEAM_WIDTH][0]
         if "annotation" not in models:
             raise ValueError("the behavior model needs an annotation model: give weights as base")
         ranks = [models["annotation"]]
-        return score_behaviors(which, ranks, scaled, None, type_names).by_width[BEAM_WIDTH][0]
+        return score_behaviors(tested, ranks, scaled, None, type_names).by_width[BEAM_WIDTH][0]
 
     tuning = [*itertools.compress(train, is_tuning)]
     temperature = fit_temperature(lambda t: score(part, t, tuning)) if tuning else 1.0
     report = {
         "examples": int(data.sizes.sum()),
         "features": full.num_features,
-        "train_s": round(measured.seconds, 3),
-        "train_compile_s": round(measured.compile_seconds, 3),
-        "total_s": round(fitted, 3),
-        "steps": int(measured.steps[0]),
+        "train_s": round(info.seconds, 3),
+        "train_compile_s": round(info.compile_seconds, 3),
+        "total_s": round(total_seconds, 3),
+        "steps": int(info.steps[0]),
         "temperature": temperature,
     }
     if held_out:

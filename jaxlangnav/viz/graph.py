@@ -15,7 +15,7 @@ from jaxlangnav.grounding.correspondence import CorrespondenceGraph, PhraseBelie
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.properties import Annotations
 from jaxlangnav.grounding.symbols import AnnotationSpace, AnnotationSymbol
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE, ROBOT
 from jaxlangnav.relations.table import REGISTRY
@@ -62,7 +62,7 @@ def beliefs_figure(
     sentence; ``num_symbols``: how many of the likeliest symbols of each phrase to show, at least 1.
     ``MissingExtraError`` without matplotlib.
     """
-    refuse_below(1, num_symbols=num_symbols)
+    check_minimum(1, num_symbols=num_symbols)
     with style.house_style():
         from matplotlib.figure import Figure
 

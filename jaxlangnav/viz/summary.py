@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.messages import NONE
 
@@ -151,7 +151,7 @@ def explored_fraction(frame: Snapshot) -> float:
 
 def select_steps(recording: Recording, count: int = 6) -> list[int]:
     """Select min(count, T) informative steps, in order: the last, and the first if count > 1."""
-    refuse_below(1, **{"number of panels": count})
+    check_minimum(1, **{"number of panels": count})
     last, frames = recording.num_steps - 1, recording.frames
     chosen = {0, last} if count > 1 else {last}
     # Changes of belief and plan in each step.

@@ -40,7 +40,7 @@ clockwise from +x); the map frame is the file's own.
 
     [motion]                           # optional, each key too
     step_length = 1.0                  # in one decision cycle
-    odometry_noise = 0.02              # as a share of the way
+    odometry_noise = 0.02              # relative to the distance
     heading_bias = 0.0                 # degrees a metre by which the heading drifts; 0: a compass
     heading_noise = 0.0                # degrees per root of a metre, standard deviation
     turn_noise = 0.0                   # degrees per root of a radian turned, likewise
@@ -64,7 +64,7 @@ from jaxlangnav.world.reading import (
 )
 from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
 
-LARGEST_WORLD_FILE = 256 * 1024
+MAX_FILE_BYTES = 256 * 1024
 """Limit of a world file's bytes; one of sixty-four objects has eight thousand."""
 
 
@@ -79,7 +79,7 @@ def load_world(path: str | Path) -> WorldFile:
         shipped = ", ".join(shipped_worlds())
         raise WorldFileError(f"{path}: no such file; shipped worlds are {shipped}")
     try:
-        table = read_document(path, at_most=LARGEST_WORLD_FILE)
+        table = read_document(path, max_bytes=MAX_FILE_BYTES)
     except ValueError as error:
         raise WorldFileError(str(error)) from None
     return world_from_dict(table, file=path.name)

@@ -40,11 +40,11 @@ class Body(Protocol):
     def move(
         self, key: Array, state: WorldState, action: Action, motion: MotionParams
     ) -> WorldState:
-        """Execute one decision cycle's step; see ``carry_out`` for the holonomic one."""
+        """Execute one decision cycle's step; see ``move_body`` for the holonomic one."""
         ...
 
 
-def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
+def move_body(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
     """Execute one decision cycle's step with a holonomic body.
 
         x' = x + R(e) u + N(0, (ε |u|)²) per axis,   odometry' = odometry + u
@@ -74,9 +74,9 @@ def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParam
 
 @pytree
 class Holonomic:
-    """Holonomic body that moves in any direction and faces it: see ``carry_out``."""
+    """Holonomic body that moves in any direction and faces it: see ``move_body``."""
 
-    move = staticmethod(carry_out)
+    move = staticmethod(move_body)
 
 
 HOLONOMIC = Holonomic()
@@ -94,8 +94,8 @@ def _propagate(
     heading_noise = motion.heading_bias * length + std * noise[2]
     error = state.heading - state.odometry[2]
     mean_error = error + 0.5 * heading_noise
-    cosine, sine = jnp.cos(mean_error), jnp.sin(mean_error)
-    along = jnp.stack([cosine * step[0] - sine * step[1], sine * step[0] + cosine * step[1]])
+    cos, sin = jnp.cos(mean_error), jnp.sin(mean_error)
+    along = jnp.stack([cos * step[0] - sin * step[1], sin * step[0] + cos * step[1]])
     displacement = along + motion.odometry_noise * length * noise[:2]
     return WorldState(
         position=state.position + displacement,
@@ -109,7 +109,7 @@ BODY_RADIUS = 0.25
 """Radius of the robot, metres, at which a wall stops it."""
 
 
-def halted(before: WorldState, after: WorldState, terrain: Terrain) -> WorldState:
+def stop_at_wall(before: WorldState, after: WorldState, terrain: Terrain) -> WorldState:
     """Stop a robot at the first wall on its path; its odometry stops there, too.
 
     Limits: without a wall on the path nothing changes.
@@ -141,7 +141,7 @@ class Unicycle:
             θ' = θ + clip(∠u − θ, ±ω),   s = min(|u|, L v (1 − |θ' − θ| / ω))
             u' = s (cos θ', sin θ')
 
-        of odometry; for the true pose see ``_propagate``. Arguments as of ``carry_out``.
+        of odometry; for the true pose see ``_propagate``. Arguments as of ``move_body``.
         Limits: ω → ∞ equals a holonomic body; a stop or a zero step changes nothing.
         """
         step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)

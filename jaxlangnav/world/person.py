@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import field, pytree, strong_types
 from jaxlangnav.world.state import Scenario
@@ -44,8 +44,8 @@ class PersonParams:
     """Parameters of the simulated person; traced."""
 
     error_rate: Array = field("probability that a judgement or statement is wrong", default=0.0)
-    delay: Array = field("decision cycles until something wrong is spoken of", default=1)
-    num_corrections: Array = field("corrections that are made at most", default=1)
+    delay: Array = field("decision cycles before a correction", default=1)
+    num_corrections: Array = field("maximum number of corrections", default=1)
     states_at: Array = field("decision before which a statement is made; NONE: none", default=NONE)
     answers: Array = field("whether questions are answered", default=True)
 
@@ -66,11 +66,11 @@ class RobotView:
 class Person:
     """State of the simulated person."""
 
-    aimed: Array = field("slot that the robot went up to when last seen", default=NONE)
-    since: Array = field("cycles for which it has", default=0)
-    num_corrections: Array = field("made", default=0)
-    num_answers: Array = field("given", default=0)
-    intends: Array = field("will speak, if things stay as they are", default=False)
+    aimed: Array = field("slot that the robot approached in the last cycle", default=NONE)
+    since: Array = field("cycles since then", default=0)
+    num_corrections: Array = field("corrections made", default=0)
+    num_answers: Array = field("answers given", default=0)
+    intends: Array = field("will speak if nothing changes", default=False)
 
 
 def params_of(**fields: Any) -> PersonParams:
@@ -82,7 +82,7 @@ def params_of(**fields: Any) -> PersonParams:
     params = PersonParams(**fields)
     if not 0.0 <= params.error_rate <= 1.0:
         raise ValueError(f"error_rate is {params.error_rate:g}, but must be between 0 and 1")
-    refuse_below(0, delay=params.delay, num_corrections=params.num_corrections)
+    check_minimum(0, delay=params.delay, num_corrections=params.num_corrections)
     return strong_types(params)
 
 
@@ -95,7 +95,7 @@ PERSONS: dict[str, dict[str, Any]] = {
 """Named persons: arguments of ``params_of``."""
 
 
-def unspoken() -> Person:
+def new_person() -> Person:
     """Build the initial state of a person."""
     return strong_types(Person())
 
@@ -144,11 +144,11 @@ def say(
     act = jnp.where(corrects, int(Says.OTHER), int(Says.NOTHING))
     act = jnp.where(is_answer, jnp.where(slot == NONE, Says.NONE_OF_THEM, Says.THIS), act)
     act = jnp.where(states, jnp.where(is_false, Says.FALSEHOOD, Says.TRUTH), act)
-    after = Person(
+    next_person = Person(
         aimed=view.aimed,
         since=since,
         num_corrections=person.num_corrections + (act == Says.OTHER),
         num_answers=person.num_answers + ((act == Says.THIS) | (act == Says.NONE_OF_THEM)),
         intends=may_correct | is_answer | (view.step < params.states_at),
     )
-    return after, act.astype(jnp.int32), jnp.where(act == Says.THIS, slot, NONE)
+    return next_person, act.astype(jnp.int32), jnp.where(act == Says.THIS, slot, NONE)

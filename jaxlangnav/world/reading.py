@@ -22,7 +22,7 @@ from jaxlangnav.language.tokens import is_word, normalize
 from jaxlangnav.messages import DRIFTS, NONE, MotionParams, SensorParams
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.geodesic import among_walls
-from jaxlangnav.world.state import Scenario, placed, walls_of
+from jaxlangnav.world.state import Scenario, make_scenario, walls_of
 
 MAX_WALLS = 32
 MAX_OBJECTS = SLOTS[-1]
@@ -233,7 +233,7 @@ def _to_world(world: _World, stem: str) -> WorldFile:
     return WorldFile(
         name=world.name or stem,
         instruction=world.instruction,
-        scenario=placed(
+        scenario=make_scenario(
             [(kind, item.x, item.y) for kind, item in zip(types, world.objects, strict=True)],
             slots=num_slots,
             area=structs.astuple(world.area),

@@ -38,8 +38,8 @@ def _to_robot(
 ) -> tuple[Array, Array, Array]:
     """Transform positions into the robot's frame, and determine which are in view."""
     dx, dy = x - state.position[0], y - state.position[1]
-    cosine, sine = jnp.cos(state.heading), jnp.sin(state.heading)
-    ahead, left = cosine * dx + sine * dy, cosine * dy - sine * dx
+    cos, sin = jnp.cos(state.heading), jnp.sin(state.heading)
+    ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
     eye = eye_of(state.position[0], state.position[1], state.heading, sensor)
     return ahead, left, is_used & scenario.terrain.view.sees(eye, x, y)
 
@@ -74,7 +74,7 @@ def _random_clutter(
     # count ~ Poisson(λ T),   λ = ``false_detections``, T affected types
     # Limits: λ = 0 gives no clutter.
     count_key, position_key = jax.random.split(key)
-    mean = sensor.false_detections * jnp.sum(errors.is_invented)
+    mean = sensor.false_detections * jnp.sum(errors.is_clutter)
     terms = jnp.cumprod(jnp.concatenate([jnp.exp(-mean)[None], mean / jnp.arange(1, MAX_CLUTTER)]))
     count = jnp.sum(jax.random.uniform(count_key) > jnp.cumsum(terms))
     uniform = jax.random.uniform(position_key, (3, MAX_CLUTTER))
@@ -86,7 +86,7 @@ def _random_clutter(
     is_used = jnp.arange(MAX_CLUTTER) < count
     ahead, left, is_reported = _to_robot(x, y, is_used, state, scenario, sensor)
     ahead, left = scenario.sensor_model.simulate(jnp.zeros((2, 1)), ahead, left, sensor)
-    label = _nth_true(errors.is_invented, _pick_index(uniform[2], jnp.sum(errors.is_invented)))
+    label = _nth_true(errors.is_clutter, _pick_index(uniform[2], jnp.sum(errors.is_clutter)))
     return label.astype(jnp.int32), ahead, left, is_reported
 
 
@@ -95,13 +95,13 @@ def _fixed_clutter(
 ) -> Clutter:
     """Sample the detections of fixed clutter."""
     uniform_key, noise_key = jax.random.split(key)
-    position = errors.haunt_x, errors.haunt_y, errors.haunt_type != NONE
+    position = errors.clutter_x, errors.clutter_y, errors.clutter_type != NONE
     ahead, left, is_visible = _to_robot(*position, state, scenario, sensor)
     normal = jax.random.normal(noise_key, (2, ahead.size))
     position = scenario.sensor_model.simulate(normal, ahead, left, sensor)
     uniform = jax.random.uniform(uniform_key, ahead.shape)
-    is_reported = is_visible & (uniform < errors.haunt_probability)
-    return errors.haunt_type, *position, is_reported
+    is_reported = is_visible & (uniform < errors.clutter_probability)
+    return errors.clutter_type, *position, is_reported
 
 
 NUM_DETECTIONS, NUM_DETECTIONS_CROWDED = 8, 16
@@ -115,7 +115,7 @@ def sense(
     state: WorldState,
     scenario: Scenario,
     sensor: SensorParams,
-    told: SensorParams | None = None,
+    assumed: SensorParams | None = None,
     *,
     num_detections: int | None = None,
 ) -> Observation:
@@ -129,7 +129,7 @@ def sense(
         state: the robot.
         scenario: the world.
         sensor: the true sensor model; traced.
-        told: the sensor model that the robot assumes; the true one if None.
+        assumed: the sensor model that the robot assumes; the true one if None.
         num_detections: D, slots of the observation; if None, by the world's number of slots.
     """
     chex.assert_shape([state.position, state.odometry], [(2,), (3,)])
@@ -156,18 +156,18 @@ def sense(
         # Clutter, which comes after the objects, has no attributes.
         codes = attribute[jnp.minimum(order, attribute.size - 1)]
         attribute = jnp.where(is_detection & (order < attribute.size), codes, 0)
-    told = sensor if told is None else told
+    assumed = sensor if assumed is None else assumed
     if by_distance.size > num_detections:
         # Infinite where nothing was dropped.
-        radius = jnp.minimum(told.range_max, distance[by_distance[num_detections]])
-        told = replace(told, range_max=radius)
+        radius = jnp.minimum(assumed.range_max, distance[by_distance[num_detections]])
+        assumed = replace(assumed, range_max=radius)
     return Observation(
         pose=state.odometry,
         detection_type=jnp.where(is_detection, label[order], NONE),
         detection_range=jnp.where(is_detection, distance[order], 0.0),
         detection_bearing=jnp.where(is_detection, jnp.arctan2(y, x)[order], 0.0),
         is_detection=is_detection,
-        sensor=told,
+        sensor=assumed,
         detection_attribute=attribute,
     )
 

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import MotionParams
-from jaxlangnav.world.motion import carry_out, halted, plain_action
+from jaxlangnav.world.motion import move_body, plain_action, stop_at_wall
 from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
 """Metres from the intended goal within which a stop is a success (section 4.2)."""
-ARRIVAL = 0.05
+ARRIVAL_RADIUS = 0.05
 """Metres from the goal within which the known-map robot has arrived."""
 _MAX_STEPS = 200
 
@@ -60,26 +60,26 @@ def drive_known_map(
 ) -> tuple[WorldState, Array]:
     """Drive to the goal with a known map, with the same motion model as any other robot.
 
-    Limits: without odometry noise the distance is ``known_distance`` to within ``ARRIVAL``.
+    Limits: without odometry noise the distance is ``known_distance`` to within ``ARRIVAL_RADIUS``.
 
     Returns:
         The robot at the end, and bool[], whether the run is a success.
     """
 
     def is_driving(drive: _Drive) -> Array:
-        is_far = goal_distance(drive.state, scenario) > ARRIVAL
+        is_far = goal_distance(drive.state, scenario) > ARRIVAL_RADIUS
         return is_far & (drive.num_steps < _MAX_STEPS)
 
     def advance(drive: _Drive) -> _Drive:
-        # It is localised, so it steers by the true offset.
+        # The known-map robot steers by its true position.
         position, terrain = drive.state.position, scenario.terrain
         waypoint = jnp.stack(terrain.travel.next_place(*position, *scenario.goal))
         action = plain_action(scenario.goal, waypoint - position, jnp.array(False))
         key_step = jax.random.fold_in(key, drive.num_steps)
-        state = halted(drive.state, carry_out(key_step, drive.state, action, motion), terrain)
+        state = stop_at_wall(drive.state, move_body(key_step, drive.state, action, motion), terrain)
         return _Drive(state=state, num_steps=drive.num_steps + 1)
 
     start = _Drive(state=reset(scenario), num_steps=jnp.int32(0))
     state, _ = jax.lax.while_loop(is_driving, advance, start)
-    is_arrived = goal_distance(state, scenario) <= ARRIVAL
+    is_arrived = goal_distance(state, scenario) <= ARRIVAL_RADIUS
     return state, is_success(state, scenario, is_arrived)

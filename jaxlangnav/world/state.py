@@ -28,11 +28,11 @@ class Errors:
     """
 
     is_type: Array  # bool[T] types distinguished: a wrong label is any other of them, uniformly
-    is_invented: Array  # bool[T] types of false detections, each at the rate of one type
-    haunt_type: Array  # i32[G] types of fixed clutter; NONE in empty slots
-    haunt_x: Array  # f32[G] metres
-    haunt_y: Array  # f32[G] metres
-    haunt_probability: Array  # f32[] of fixed clutter in view to be reported in one scan
+    is_clutter: Array  # bool[T] types of false detections, each at the rate of one type
+    clutter_type: Array  # i32[G] types of fixed clutter; NONE in empty slots
+    clutter_x: Array  # f32[G] metres
+    clutter_y: Array  # f32[G] metres
+    clutter_probability: Array  # f32[] of fixed clutter in view to be reported in one scan
 
 
 @pytree
@@ -64,43 +64,43 @@ class WorldState:
     distance: Array  # f32[] metres truly travelled so far
 
 
-def placed(
-    things: Sequence[Any] = (),
+def make_scenario(
+    objects: Sequence[Any] = (),
     *,
     slots: int = NUM_SLOTS,
     area: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-    **more: Any,
+    **fields: Any,
 ) -> Scenario:
     """Build a scenario from listed objects, on the host.
 
     Args:
-        things: type, x and y of each object, metres, map frame: in the first slots.
+        objects: type, x and y of each object, metres, map frame: in the first slots.
         slots: O, object slots.
         area: x_min, x_max, y_min, y_max, metres.
-        **more: further fields of the scenario; by default it has no goal and starts at the origin.
+        **fields: of the scenario; by default without goal and with the start at the origin.
 
     Returns:
         The world; without objects it is not valid.
     """
     rows = np.full((slots, 3), (NONE, 0.0, 0.0), np.float32)
-    rows[: len(things)] = np.reshape(things, (-1, 3))
+    rows[: len(objects)] = np.reshape(objects, (-1, 3))
     columns = {
         "object_type": rows[:, 0].astype(np.int32),
         "object_x": rows[:, 1],
         "object_y": rows[:, 2],
-        "is_object": np.arange(slots) < len(things),
+        "is_object": np.arange(slots) < len(objects),
         "goal": np.zeros(2, np.float32),
         "goal_index": np.asarray(NONE, np.int32),
         "start": np.zeros(3, np.float32),
         "area": np.asarray(area, np.float32),
-        "is_valid": np.asarray(len(things) > 0),
+        "is_valid": np.asarray(len(objects) > 0),
     }
-    return Scenario(**(columns | more))
+    return Scenario(**(columns | fields))
 
 
-def empty_scenario(number: int = NUM_SLOTS) -> Scenario:
-    """Build a world without objects, on the host, with ``number`` slots."""
-    return placed(slots=number)
+def empty_scenario(num_slots: int = NUM_SLOTS) -> Scenario:
+    """Build a world without objects, on the host, with ``num_slots`` slots."""
+    return make_scenario(slots=num_slots)
 
 
 def walls_of(scenario: Scenario) -> np.ndarray:

@@ -14,7 +14,7 @@ from jaxlangnav.inputs.sanitize import as_text, shorten
 from jaxlangnav.inputs.schema import closest_choice
 
 RELATION_NAMES = ("null", "behind", "nearest")
-"""Relations of the commands of Table 2; an index into this tuple is ``ScenarioLaw.relation``."""
+"""Relations of the commands of Table 2; an index into this tuple is ``ScenarioParams.relation``."""
 MAX_HYDRANTS = 4
 MAX_CONES = 4
 TEMPLATE_NAMES = ("1H1C", "1H2C", "2H1C", "2H2C")

@@ -137,7 +137,7 @@ def _classes_of(word: str, is_name: bool) -> tuple[str, ...]:
 def _describe_clauses(sentence: ReaderSentence) -> list[str]:
     """Encode each clause as a string of binary flags of it and its neighbours."""
     codes, clauses = [], sentence.clauses
-    is_order = [_lead(sentence, clause) is not None for clause in clauses]
+    is_order = [_command_verb(sentence, clause) is not None for clause in clauses]
     named = [{singular(sentence.words[i]) for i in c if sentence.is_name[i]} for c in clauses]
     is_goal = [a and bool(b) for a, b in zip(is_order, named, strict=True)]
     for k, clause in enumerate(clauses):
@@ -155,7 +155,7 @@ def _describe_clauses(sentence: ReaderSentence) -> list[str]:
     return codes
 
 
-def _lead(sentence: ReaderSentence, clause: Sequence[int]) -> int | None:
+def _command_verb(sentence: ReaderSentence, clause: Sequence[int]) -> int | None:
     """Find the verb at the start of a clause, after conjunctions and openers, or None."""
     for index in clause:
         if sentence.words[index] in _LINKS or sentence.classes[index][0] in ("opener", "conn"):
@@ -170,80 +170,80 @@ def featurize(words: Sequence[str], labels: Collection[str]) -> list[list[str]]:
     Words and marks are lower-case with corrected spelling; labels are those of the detector.
     """
     sentence = ReaderSentence(tuple(words), frozenset(labels))
-    first = [classes[0] for classes in sentence.classes]
-    shown = [
+    first_classes = [classes[0] for classes in sentence.classes]
+    text = [
         "<N>" if is_name and len(classes) == 1 else word
         for word, is_name, classes in zip(words, sentence.is_name, sentence.classes, strict=True)
     ]
-    described = _describe_clauses(sentence)
+    codes = _describe_clauses(sentence)
     return [
         [
-            *_neighbours(shown, first, index),
+            *_neighbours(text, first_classes, index),
             *(f"class={name}" for name in sentence.classes[index]),
             f"ending={word[-3:]}",
-            *_in_clause(sentence, described, first, index),
+            *_in_clause(sentence, codes, first_classes, index),
         ]
         for index, word in enumerate(words)
     ]
 
 
-def _neighbours(shown: Sequence[str], first: Sequence[str], index: int) -> list[str]:
+def _neighbours(text: Sequence[str], classes: Sequence[str], index: int) -> list[str]:
     """List the features of a word, its class and its neighbours."""
 
     def at(row: Sequence[str], offset: int) -> str:
         i = index + offset
         return row[i] if 0 <= i < len(row) else _NOTHING
 
-    word, kind = shown[index], first[index]
-    features = ["bias", f"word={word}", f"around={at(shown, -1)} {at(shown, 1)}"]
+    word, cls = text[index], classes[index]
+    features = ["bias", f"word={word}", f"around={at(text, -1)} {at(text, 1)}"]
     for offset in (-2, -1, 1, 2):
-        features += [f"word{offset:+}={at(shown, offset)}", f"class{offset:+}={at(first, offset)}"]
-    features += [f"words-={at(shown, -1)} {word}", f"words+={word} {at(shown, 1)}"]
-    features += [f"classes-={at(first, -1)} {kind}", f"classes+={kind} {at(first, 1)}"]
-    features += [f"classes={at(first, -1)} {kind} {at(first, 1)}"]
-    features += [f"word class-={at(first, -1)} {word}"]
-    features += [f"word class+={word} {at(first, 1)} {at(first, 2)}"]
-    again = next((k for k in range(1, 9) if at(shown, k) == word and word not in MARKS), 0)
-    return [*features, f"again={min(again, 4)} {kind == 'det'}"] if again else features
+        features += [f"word{offset:+}={at(text, offset)}", f"class{offset:+}={at(classes, offset)}"]
+    features += [f"words-={at(text, -1)} {word}", f"words+={word} {at(text, 1)}"]
+    features += [f"classes-={at(classes, -1)} {cls}", f"classes+={cls} {at(classes, 1)}"]
+    features += [f"classes={at(classes, -1)} {cls} {at(classes, 1)}"]
+    features += [f"word class-={at(classes, -1)} {word}"]
+    features += [f"word class+={word} {at(classes, 1)} {at(classes, 2)}"]
+    repeat = next((k for k in range(1, 9) if at(text, k) == word and word not in MARKS), 0)
+    return [*features, f"again={min(repeat, 4)} {cls == 'det'}"] if repeat else features
 
 
 def _in_clause(
-    sentence: ReaderSentence, described: Sequence[str], first: Sequence[str], index: int
+    sentence: ReaderSentence, codes: Sequence[str], classes: Sequence[str], index: int
 ) -> list[str]:
     """List the features of a word's clause, and of its position there."""
-    k, kind = sentence.clause[index], first[index]
+    k, cls = sentence.clause[index], classes[index]
     clause = sentence.clauses[k]
-    features = [f"clause={described[k]}", f"clause class={described[k]} {kind}"]
+    features = [f"clause={codes[k]}", f"clause class={codes[k]} {cls}"]
     if clause:
-        begin = [sentence.words[i] for i in clause[:2]]
-        lead = _lead(sentence, clause)
-        where = 0 if index == clause[0] else 2 if index == clause[-1] else 1
-        features += [f"begins={begin[0]}", f"begins={' '.join(begin)}"]
-        features += [f"begins class={begin[0]} {kind}"]
-        features += [f"leads={_NOTHING if lead is None else first[lead]}", f"place={where}"]
-    before = [i for i in clause if i < index]
+        opening = [sentence.words[i] for i in clause[:2]]
+        verb = _command_verb(sentence, clause)
+        place = 0 if index == clause[0] else 2 if index == clause[-1] else 1
+        features += [f"begins={opening[0]}", f"begins={' '.join(opening)}"]
+        features += [f"begins class={opening[0]} {cls}"]
+        features += [f"leads={_NOTHING if verb is None else classes[verb]}", f"place={place}"]
+    preceding = [i for i in clause if i < index]
     is_name_end = [a and not b for a, b in pairwise((*sentence.is_name, False))]
-    names = sum(is_name_end[i] for i in before)
-    counts = f"{min(names, 2)}{min(sum(map(sentence.is_verb, before)), 2)}"
+    names = sum(is_name_end[i] for i in preceding)
+    counts = f"{min(names, 2)}{min(sum(map(sentence.is_verb, preceding)), 2)}"
     features += [f"counts={counts}{min(sum(is_name_end[index:]), 2)}"]
-    features += [f"counts class={counts} {kind}"]
-    ahead = range(index, len(first))
-    distance = next((i - index for i in ahead if sentence.is_name[i]), 5)
-    features += [f"to name={min(distance, 5)} {kind}"]
-    if index + distance < len(first):
+    features += [f"counts class={counts} {cls}"]
+    following = range(index, len(classes))
+    distance = next((i - index for i in following if sentence.is_name[i]), 5)
+    features += [f"to name={min(distance, 5)} {cls}"]
+    if index + distance < len(classes):
         features += [f"toward={sentence.words[index]} {sentence.is_room(index + distance)}"]
     # The next mark, name, relation or verb.
     tokens = (
         sentence.words[i] if sentence.words[i] in MARKS else NAME
-        for i in ahead[1:]
+        for i in following[1:]
         if sentence.words[i] in MARKS
         or sentence.is_name[i]
-        or first[i].startswith((_RELATION, "v_"))
+        or classes[i].startswith((_RELATION, "v_"))
     )
     features += [f"next={next(tokens, _NOTHING)}"]
-    count = len(described)
+    count = len(codes)
     if k + 1 < count and sentence.clauses[k + 1]:
-        features += [f"next clause={described[k + 1]} {sentence.words[sentence.clauses[k + 1][0]]}"]
+        features += [f"next clause={codes[k + 1]} {sentence.words[sentence.clauses[k + 1][0]]}"]
     if k and sentence.clauses[k - 1]:
-        features += [f"last clause={described[k - 1]}"]
+        features += [f"last clause={codes[k - 1]}"]
     return [*features, f"clauses={min(k, 2)}{min(count - 1 - k, 2)}"]

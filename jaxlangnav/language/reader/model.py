@@ -16,15 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxlangnav.inputs.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
+from jaxlangnav.inputs.arrays import open_arrays, read_floats, read_text_entry, value_errors
 from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.inputs.whole_files import read_file, replacing
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.reader.features import featurize
 
-OWN_READER = "JAXLANGNAV_READER"
+READER_ENV = "JAXLANGNAV_READER"
 """Environment variable that names a user's reader file, in place of the package's."""
-KEPT, LEFT_OUT, UNREADABLE = "K", "D", "X"
+KEEP, DELETE, REFUSE = "K", "D", "X"
 _MAX_BYTES = 1 << 24
 _MAX_TEXT = 1 << 21
 _MAX_FEATURES, _MAX_LABELS = 1 << 16, 256
@@ -119,8 +119,8 @@ def save_reader(path: Path, model: ReaderModel, *, command: str) -> None:
 
 def _read(content: bytes) -> ReaderModel:
     """Load and validate a reader; any fault is a ``ValueError``."""
-    with faults_as_values(), open_arrays(content) as archive:
-        about = json.loads(read_text_entry(archive, "about", at_most=_MAX_TEXT))
+    with value_errors(), open_arrays(content) as archive:
+        about = json.loads(read_text_entry(archive, "about", max_length=_MAX_TEXT))
         features, labels = tuple(about["features"]), tuple(about["labels"])
         if not (0 < len(features) <= _MAX_FEATURES and 0 < len(labels) <= _MAX_LABELS):
             raise ValueError(f"{len(features)} features and {len(labels)} labels")
@@ -148,10 +148,10 @@ def load_reader() -> ReaderModel:
     Raises:
         LanguageError: that file is no reader; one line.
     """
-    own = os.environ.get(OWN_READER)
-    if own is None:
+    env = os.environ.get(READER_ENV)
+    if env is None:
         return _read(shipped_file("language", "reader.npz").read_bytes())
     try:
-        return _read(read_file(Path(own), at_most=_MAX_BYTES))
+        return _read(read_file(Path(env), max_bytes=_MAX_BYTES))
     except (OSError, ValueError) as error:
-        raise LanguageError(f"{OWN_READER}={own}: no reader can be read from it: {error}") from None
+        raise LanguageError(f"{READER_ENV}={env}: no reader can be read from it: {error}") from None

@@ -24,15 +24,15 @@ from jaxlangnav.language.reader.features import (
     ReaderSentence,
 )
 from jaxlangnav.language.reader.model import (
-    KEPT,
-    LEFT_OUT,
-    UNREADABLE,
+    DELETE,
+    KEEP,
+    REFUSE,
     ReaderModel,
     find_best,
     load_reader,
     log_partition,
 )
-from jaxlangnav.language.tokens import MARKS, SpokenToken, strip_marks
+from jaxlangnav.language.tokens import MARKS, RawToken, strip_marks
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations.table import REGISTRY
 
@@ -51,7 +51,7 @@ class Proposal:
     """A proposed rewriting of a sentence, with its probability."""
 
     probability: float  # of its labellings
-    tokens: tuple[SpokenToken, ...]
+    tokens: tuple[RawToken, ...]
     left_out: tuple[str, ...]
     changes: tuple[tuple[str, str], ...]  # (as said, as read)
 
@@ -68,7 +68,7 @@ class Labelling:
     @cached_property
     def kept(self) -> list[bool]:
         """Whether each word is kept."""
-        return [label[0] == KEPT for label in self.labels]
+        return [label[0] == KEEP for label in self.labels]
 
     @cached_property
     def runs(self) -> list[range]:
@@ -77,22 +77,22 @@ class Labelling:
         spans = [list(group) for is_kept, group in groups if not is_kept]
         return [range(span[0], span[-1] + 1) for span in spans]
 
-    def stretch(self, run: range) -> str:
+    def span_key(self, run: range) -> str:
         """Format an edited span as a key: its words, names as ``<N>``, and the replacement."""
         classes, words = self.sentence.classes, self.sentence.words
         words = ["<N>" if classes[i][0][0] in "N?" else words[i] for i in run]
-        read = [self.labels[i][1:] for i in run if self.labels[i] != LEFT_OUT]
+        read = [self.labels[i][1:] for i in run if self.labels[i] != DELETE]
         return " ".join([*words, "=", *read])
 
-    def is_gone(self, index: int) -> bool:
+    def is_deleted(self, index: int) -> bool:
         """Check whether the whole clause of a word is deleted, without object names."""
         clause = self.sentence.clauses[self.sentence.clause[index]]
-        return all(self.labels[i] == LEFT_OUT and not self.sentence.is_name[i] for i in clause)
+        return all(self.labels[i] == DELETE and not self.sentence.is_name[i] for i in clause)
 
-    def _points_back(self) -> bool:
+    def _has_dangling_pronoun(self) -> bool:
         """Check whether a kept pronoun may refer to an object of a deleted clause."""
         words, size = self.sentence.words, len(self.labels)
-        first = next((i for i in range(size) if not self.kept[i] and self.is_gone(i)), size)
+        first = next((i for i in range(size) if not self.kept[i] and self.is_deleted(i)), size)
         for index in range(first + 1, size):
             if self.kept[index] and words[index] in WORDS["pointing"]:
                 is_named = any(self.kept[i] and self.sentence.is_name[i] for i in range(index))
@@ -100,28 +100,28 @@ class Labelling:
                     return True
         return False
 
-    def is_met(self) -> bool:
+    def is_seen(self) -> bool:
         """Check whether every edited span occurs in the training data."""
-        return self.met.issuperset(map(self.stretch, self.runs))
+        return self.met.issuperset(map(self.span_key, self.runs))
 
-    def is_sound(self) -> bool:
+    def is_safe(self) -> bool:
         """Check that deleted words neither select an object nor reverse the meaning.
 
         Edited spans of the training data are always allowed.
         """
-        new = [run for run in self.runs if self.stretch(run) not in self.met]
-        touched = {self.sentence.clause[i] for run in new for i in run}
+        unseen = [run for run in self.runs if self.span_key(run) not in self.met]
+        touched = {self.sentence.clause[i] for run in unseen for i in run}
         return (
-            all(self._is_whole(self.sentence.clauses[k]) for k in touched)
+            all(self._keeps_verb(self.sentence.clauses[k]) for k in touched)
             and all(
                 PREPOSITION not in classes or self._is_converse(index)
                 for index, classes in enumerate(self.sentence.classes)
             )
-            and all(map(self._is_safe, new))
-            and not self._points_back()
+            and all(map(self._is_span_safe, unseen))
+            and not self._has_dangling_pronoun()
         )
 
-    def _is_safe(self, run: range) -> bool:
+    def _is_span_safe(self, run: range) -> bool:
         words, is_name, classes = self.sentence.words, self.sentence.is_name, self.sentence.classes
         named = [i for i in run if is_name[i]]
         is_undone = bool(named) and any(words[i] in WORDS["undoing"] for i in run if i > named[0])
@@ -133,10 +133,10 @@ class Labelling:
         if run.start > 0 and run.stop < len(words) and not is_undone:
             # Without the words between, two names would be read as one.
             is_joined = is_name[run.start - 1] and is_name[run.stop]
-            if is_joined and self.labels[run.start] == LEFT_OUT:
+            if is_joined and self.labels[run.start] == DELETE:
                 return False
         is_refused = any(
-            words[i : min(i + len(key), run.stop)] == key and not self.is_gone(i)
+            words[i : min(i + len(key), run.stop)] == key and not self.is_deleted(i)
             for i in run
             for key in load_lexicon().refused_expressions  # "a bit"
         )
@@ -148,34 +148,34 @@ class Labelling:
         if " ".join(self.sentence.words[index : index + 3]) in self.seen:
             return True
         if not WORDS["contrary"].isdisjoint(classes):
-            is_gone = word not in WORDS["conditions"] and self.is_gone(index)
-            return is_gone or (is_undone and word == "no")
+            is_removed = word not in WORDS["conditions"] and self.is_deleted(index)
+            return is_removed or (is_undone and word == "no")
         if not WORDS["impossible"].isdisjoint(classes) and WORDS["idle"].isdisjoint(classes):
-            if self.labels[index] != LEFT_OUT:
+            if self.labels[index] != DELETE:
                 return True
             # A clause about somebody's actions is no command.
             clause = self.sentence.clauses[self.sentence.clause[index]]
             words = [self.sentence.words[i] for i in clause]
             first = next((w for w in words if w not in WORDS["calls"]), "")
             tells = first.split("'")[0] in WORDS["subjects"] and "you" not in words
-            return tells and self.is_gone(index)
+            return tells and self.is_deleted(index)
         if is_undone:
             return True
-        if SPEAKER in classes and self.labels[index] != LEFT_OUT and index + 1 < len(self.labels):
+        if SPEAKER in classes and self.labels[index] != DELETE and index + 1 < len(self.labels):
             # "my car" is a car; "my left" is not an object.
             return not self.kept[index + 1] or any(self.sentence.is_name[index + 1 : index + 3])
-        if {PREPOSITION, PATH_WORD} & set(classes) and self._governs_kept(index):
+        if {PREPOSITION, PATH_WORD} & set(classes) and self._is_object_kept(index):
             # A neighbour's label may replace the expression: "one of the".
-            before = next((tag for tag in self.labels[index::-1] if tag != LEFT_OUT), KEPT)
-            after = next((tag for tag in self.labels[index:] if tag != LEFT_OUT), KEPT)
-            return PATH_WORD not in classes and (before[0] != KEPT or ">" in after)
-        if self.labels[index] != LEFT_OUT:
+            before = next((tag for tag in self.labels[index::-1] if tag != DELETE), KEEP)
+            after = next((tag for tag in self.labels[index:] if tag != DELETE), KEEP)
+            return PATH_WORD not in classes and (before[0] != KEEP or ">" in after)
+        if self.labels[index] != DELETE:
             return True
         is_choosing = not WORDS["choosing"].isdisjoint(classes) or word in WORDS["degrees"]
         if index and classes[0][0] == "?" and self.sentence.words[index - 1] in WORDS["articles"]:
             is_choosing = True  # it may be an unknown object
-        is_moved = any(label == f"{KEPT}>{word}" for label in self.labels)
-        return not is_choosing or is_moved or self.is_gone(index)
+        is_moved = any(label == f"{KEEP}>{word}" for label in self.labels)
+        return not is_choosing or is_moved or self.is_deleted(index)
 
     def _is_converse(self, index: int) -> bool:
         """Check that a relation replacing a preposition is the converse of a deleted relation."""
@@ -184,21 +184,21 @@ class Labelling:
         if not new:
             return True
         clause = self.sentence.clauses[self.sentence.clause[index]]
-        deleted = _relations([self.sentence.words[i] for i in clause if self.labels[i] == LEFT_OUT])
+        deleted = _relations([self.sentence.words[i] for i in clause if self.labels[i] == DELETE])
         return new <= {REGISTRY[relation].converse for relation in deleted}
 
-    def _governs_kept(self, index: int) -> bool:
+    def _is_object_kept(self, index: int) -> bool:
         """Check whether the name after a preposition is kept."""
         ahead = range(index + 1, len(self.labels))
         first = next((i for i in ahead if "det" not in self.sentence.classes[i]), index)
         return self.kept[first] and self.sentence.is_name[first]
 
-    def _is_whole(self, clause: Sequence[int]) -> bool:
+    def _keeps_verb(self, clause: Sequence[int]) -> bool:
         """Check that the kept words of a clause are more than an object name without a verb."""
         sentence, kept = self.sentence, [i for i in clause if self.kept[i]]
         return (
             not any(sentence.is_name[i] for i in kept)
-            or any(self.labels[i] not in (KEPT, LEFT_OUT) for i in clause)
+            or any(self.labels[i] not in (KEEP, DELETE) for i in clause)
             or any(
                 sentence.is_verb(i) or not WORDS["telling"].isdisjoint(sentence.classes[i])
                 for i in kept
@@ -209,32 +209,32 @@ class Labelling:
             )
         )
 
-    def proposal(self, tokens: Sequence[SpokenToken], probability: float) -> Proposal:
+    def proposal(self, tokens: Sequence[RawToken], probability: float) -> Proposal:
         """Build the rewritten sentence, with the list of its edits."""
-        output: list[SpokenToken] = []
+        output: list[RawToken] = []
         last = {i: tokens[run[-1]].position for run in self.runs for i in run}
         for index, (token, label) in enumerate(zip(tokens, self.labels, strict=True)):
-            before, _, rest = label.partition(">")
-            added = (rest if before == KEPT else "" if label == LEFT_OUT else label[1:]).split()
+            head, _, inserted = label.partition(">")
+            added = (inserted if head == KEEP else "" if label == DELETE else label[1:]).split()
             # New words get the positions of the words that they replace, in order.
             positions = range(token.position, last.get(index, token.position) + 1)
             output += [
-                SpokenToken(text=word, position=positions[min(k, len(positions) - 1)])
+                RawToken(text=word, position=positions[min(k, len(positions) - 1)])
                 for k, word in enumerate(added)
             ]
-            output += [token] if label[0] == KEPT else []
-        left_out, changes, words = [], [], self.sentence.words
+            output += [token] if label[0] == KEEP else []
+        deleted, changes, words = [], [], self.sentence.words
         for run in self.runs:
-            old = " ".join(words[i] for i in run if words[i] not in MARKS)
-            new = " ".join(self.labels[i][1:] for i in run if self.labels[i] != LEFT_OUT)
-            if new:
-                changes.append((old, new))
-            elif old:
-                left_out.append(old)
+            source = " ".join(words[i] for i in run if words[i] not in MARKS)
+            target = " ".join(self.labels[i][1:] for i in run if self.labels[i] != DELETE)
+            if target:
+                changes.append((source, target))
+            elif source:
+                deleted.append(source)
         return Proposal(
             probability=probability,
             tokens=tuple(strip_marks(output)),
-            left_out=tuple(left_out),
+            left_out=tuple(deleted),
             changes=tuple(changes),
         )
 
@@ -268,7 +268,7 @@ def _mask(model: ReaderModel, sentence: ReaderSentence) -> np.ndarray:
 
 
 def propose_readings(
-    tokens: Sequence[SpokenToken], labels: Collection[str] = (), *, is_readable: bool = False
+    tokens: Sequence[RawToken], labels: Collection[str] = (), *, is_readable: bool = False
 ) -> list[Proposal]:
     """Propose rewritings of free speech in the controlled language, with probabilities.
 
@@ -286,30 +286,30 @@ def propose_readings(
     sentence = ReaderSentence(tuple(token.text for token in tokens), frozenset(labels))
     scores = model.scores(sentence.words, sentence.labels)
     log_total = log_partition(scores, model.transition)
-    kept = model.labels.index(KEPT)
+    kept = model.labels.index(KEEP)
     moves = (len(scores) - 1) * model.transition[kept, kept]
     p_verbatim = math.exp(scores[:, kept].sum() + moves - log_total)
     proposals: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
-        plain = Proposal(probability=p_verbatim, tokens=tuple(tokens), left_out=(), changes=())
-        proposals[sentence.words] = plain
+        verbatim = Proposal(probability=p_verbatim, tokens=tuple(tokens), left_out=(), changes=())
+        proposals[sentence.words] = verbatim
         if p_verbatim >= 0.5:
-            return [plain]
+            return [verbatim]
     else:
         log_total += math.log1p(-min(p_verbatim, _MAX_VERBATIM))
     best = find_best(scores + _mask(model, sentence), model.transition, _NUM_LABELLINGS)
     for score, path in best:
         names = tuple(model.labels[i] for i in path)
         labelled = Labelling(sentence, names, model.left_out, model.met)
-        is_sound = labelled.is_met() if is_readable else labelled.is_sound()
-        if labelled.labels[0] == UNREADABLE or not is_sound:
+        is_allowed = labelled.is_seen() if is_readable else labelled.is_safe()
+        if labelled.labels[0] == REFUSE or not is_allowed:
             continue
-        new = labelled.proposal(tokens, math.exp(score - log_total))
-        words = tuple(token.text for token in new.tokens)
+        proposal = labelled.proposal(tokens, math.exp(score - log_total))
+        words = tuple(token.text for token in proposal.tokens)
         if not words or words == sentence.words:
             continue
-        if old := proposals.get(words):
-            new = replace(old, probability=old.probability + new.probability)
+        if previous := proposals.get(words):
+            proposal = replace(previous, probability=previous.probability + proposal.probability)
         if words in proposals or len(proposals) < _MAX_PROPOSALS:
-            proposals[words] = new
+            proposals[words] = proposal
     return sorted(proposals.values(), key=lambda p: -p.probability)

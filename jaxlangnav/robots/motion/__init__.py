@@ -1,1 +1,1 @@
-"""Motion planners: from waypoints and what a scanner sees to wheel speeds (section 4.3)."""
+"""Motion planning from waypoints and range scans to wheel speeds (section 4.3)."""

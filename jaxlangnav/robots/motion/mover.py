@@ -1,6 +1,6 @@
-"""Following waypoints with a body: a way around things, found anew as it goes, and steering.
+"""Motion planner that follows waypoints: repeated path planning and dynamic-window control.
 
-It gives up where there is no way, or where it no longer comes nearer.
+It fails where there is no path, or where the robot makes no progress.
 """
 
 import itertools
@@ -8,164 +8,164 @@ import math
 
 import numpy as np
 
-from jaxlangnav.robots.motion.path import NO_DISCS, find_path, inflate, is_clear
+from jaxlangnav.robots.motion.path import EMPTY_DISCS, find_path, inflate, is_clear
 from jaxlangnav.robots.motion.steering import (
-    STILL,
+    STOP,
     BodyLimits,
+    DynamicWindow,
     WheelCommand,
-    Window,
-    turn_by,
+    turn_in_place,
     wrap,
 )
 from jaxlangnav.robots.robot import WaypointStatus
 
 TICK = 0.1
-"""Seconds between two commands to the wheels."""
-CLOSE_BY = 0.12
-"""Metres from a waypoint that count as being there."""
-_CREEP = 0.1  # metres a second below which it may turn on the spot
-_FACING = 0.15  # radians off the last waypoint that count as facing it
-_BESIDE = 0.3  # metres from the last waypoint from which on there is something to face
-_PATIENCE = 8.0  # seconds without moving after which it gives up
-_MOVED = 0.1  # metres, or a fifth of a radian, that count as having moved
-_GRACE, _DETOUR = 15.0, 4.0  # it gives up after so many seconds and times that of the straight way
-_TREMBLE = np.array([0.0, 0.0, 0.06])  # metres by which discs may grow before a way is not free
-_PLAN_EVERY = 0.3  # seconds after which a way is looked for again, or a free one shortened
-_TRIES = 10  # ways looked for in vain, one after the other, after which there is none
+"""Seconds between two wheel commands."""
+TOLERANCE = 0.12
+"""Metres from a waypoint within which it is reached."""
+_MAX_TURN_SPEED = 0.1  # metres a second below which it may turn in place
+_HEADING_TOLERANCE = 0.15  # radians off the last waypoint within which the robot faces it
+_MIN_OFFSET = 0.3  # metres from the last waypoint beyond which its direction is defined
+_STUCK_SECONDS = 8.0  # without motion: then it fails
+_MOVED = 0.1  # metres, or a fifth of a radian, that count as motion
+_BASE_SECONDS, _DETOUR_FACTOR = 15.0, 4.0  # time limit: base, and factor on the direct time
+_DISC_JITTER = np.array([0.0, 0.0, 0.06])  # metres by which discs may grow while a path stays free
+_REPLAN_SECONDS = 0.3  # from one planning, or shortening of a free path, to the next
+_MAX_FAILURES = 10  # consecutive failed plannings: then there is no path
 
 
-class Mover:
-    """A motion planner: the shortest way round inflated discs before a way of steering."""
+class MotionPlanner:
+    """Motion planner: shortest path around inflated discs, followed by a local controller."""
 
     def __init__(self, body: BodyLimits) -> None:
-        """Build one that stands still."""
-        self.body, self.steering = body, Window()
-        self.moving, self.progress = STILL, WaypointStatus.STANDING
+        """Initialize at rest, without waypoints."""
+        self.body, self.controller = body, DynamicWindow()
+        self.command, self.progress = STOP, WaypointStatus.STANDING
         self._waypoints = np.zeros((0, 2))
         self._speed, self._clearance = 1.0, 0.0
         self._facing: float | None = None
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
-        self._way: np.ndarray | None = None
-        self._age = math.inf
-        self._failed = 0
-        self._last = np.full(3, np.inf)
-        self._still_for = 0.0
-        self._left = math.inf
+    def _reset(self) -> None:
+        self._path: np.ndarray | None = None
+        self._path_age = self._time_left = math.inf
+        self._failures = 0
+        self._last_pose = np.full(3, np.inf)
+        self._still_seconds = 0.0
 
     def go_to(
         self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
-        """Take waypoints, see ``Robot.go_to``; the same ones again change nothing."""
+        """Set waypoints, see ``Robot.go_to``; the same ones again change nothing."""
         points = np.asarray(waypoints, float).reshape(-1, 2)
         if not len(points) or not np.isfinite(points).all():
             raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")
         is_same = (
             self.progress is WaypointStatus.UNDER_WAY and points.shape == self._waypoints.shape
         )
-        is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < CLOSE_BY)
+        is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < TOLERANCE)
         if not is_same or facing != self._facing:
-            self._forget()
+            self._reset()
         self._waypoints, self._speed, self._clearance = points, speed, clearance
         self._facing, self.progress = facing, WaypointStatus.UNDER_WAY
 
     def stop(self) -> None:
-        """Forget the waypoints; the next commands brake."""
+        """Drop the waypoints; the next commands brake."""
         self.progress = WaypointStatus.STANDING
 
-    def tick(self, pose: np.ndarray, discs: np.ndarray = NO_DISCS) -> WheelCommand:
-        """Choose the next command to the wheels, within what the body can do in a tick.
+    def tick(self, pose: np.ndarray, discs: np.ndarray = EMPTY_DISCS) -> WheelCommand:
+        """Compute the next wheel command, within the body's limits of speed and acceleration.
 
         Args:
-            pose: f64[3], where the robot takes itself to be.
-            discs: f64[K, 3], things in the same frame, metres.
+            pose: f64[3], the robot's estimated pose.
+            discs: f64[K, 3], obstacles in the same frame, metres.
         """
-        wanted = STILL
+        command = STOP
         if self.progress is WaypointStatus.UNDER_WAY:
-            wanted = self._follow(pose, discs)
-        body, moving = self.body, self.moving
-        if wanted.speed == 0.0 and abs(moving.speed) > _CREEP:
-            # First brake: tyres that turn a skid-steer on the spot hold it no longer ahead.
-            wanted = STILL
-        speed = min(max(wanted.speed, -body.top_speed), body.top_speed)
-        turn = min(max(wanted.turn, -body.turn_rate), body.turn_rate)
-        most, most_turn = body.acceleration * TICK, body.turn_acceleration * TICK
-        self.moving = WheelCommand(
-            min(max(speed, moving.speed - most), moving.speed + most),
-            min(max(turn, moving.turn - most_turn), moving.turn + most_turn),
+            command = self._follow(pose, discs)
+        body, current = self.body, self.command
+        if command.speed == 0.0 and abs(current.speed) > _MAX_TURN_SPEED:
+            # Brake first: while a skid-steer turns in place, its tires do not brake it.
+            command = STOP
+        speed = min(max(command.speed, -body.top_speed), body.top_speed)
+        turn = min(max(command.turn, -body.turn_rate), body.turn_rate)
+        max_change, max_turn_change = body.acceleration * TICK, body.turn_acceleration * TICK
+        self.command = WheelCommand(
+            min(max(speed, current.speed - max_change), current.speed + max_change),
+            min(max(turn, current.turn - max_turn_change), current.turn + max_turn_change),
         )
-        return self.moving
+        return self.command
 
     def _follow(self, pose: np.ndarray, discs: np.ndarray) -> WheelCommand:
-        """Choose the command that is wanted, whatever the body can do."""
-        if len(self._waypoints) > 1 and np.hypot(*(self._waypoints[0] - pose[:2])) < CLOSE_BY:
+        """Compute the desired command, without the body's limits."""
+        if len(self._waypoints) > 1 and np.hypot(*(self._waypoints[0] - pose[:2])) < TOLERANCE:
             self._waypoints = self._waypoints[1:]
-            self._way = None
+            self._path = None
         self._plan(pose, discs)
-        if self._way is None:
-            if self._failed >= _TRIES:
-                self.progress = WaypointStatus.GAVE_UP
-            return STILL
-        if len(self._way) == 1 and np.hypot(*(self._way[0] - pose[:2])) < CLOSE_BY:
-            self._way = self._way[1:]
-        if not len(self._way):
+        if self._path is None:
+            if self._failures >= _MAX_FAILURES:
+                self.progress = WaypointStatus.FAILED
+            return STOP
+        if len(self._path) == 1 and np.hypot(*(self._path[0] - pose[:2])) < TOLERANCE:
+            self._path = self._path[1:]
+        if not len(self._path):
             return self._arrive(pose)
         if self._is_stuck(pose):
-            self.progress = WaypointStatus.GAVE_UP
-            return STILL
-        wished = min(self.body.speed * self._speed, self.body.top_speed)
-        return self.steering.steer(
-            pose, self.moving, self._way, discs, top_speed=wished, body=self.body
+            self.progress = WaypointStatus.FAILED
+            return STOP
+        speed = min(self.body.speed * self._speed, self.body.top_speed)
+        return self.controller.steer(
+            pose, self.command, self._path, discs, top_speed=speed, body=self.body
         )
 
     def _plan(self, pose: np.ndarray, discs: np.ndarray) -> None:
-        """Look for a way if there is none, if the old one is not free any more, or now and then."""
-        self._age += TICK
+        """Plan a path if there is none or it is blocked; shorten a free one from time to time."""
+        self._path_age += TICK
         goal = self._waypoints[0]
         inflated = inflate(discs, pose[:2], goal, self.body.radius, self._clearance)
-        is_free = self._way is not None and all(
-            is_clear(*pair, inflated - _TREMBLE)
-            for pair in itertools.pairwise([pose[:2], *self._way])
+        is_free = self._path is not None and all(
+            is_clear(*pair, inflated - _DISC_JITTER)
+            for pair in itertools.pairwise([pose[:2], *self._path])
         )
-        if self._age < _PLAN_EVERY and (is_free or self._way is None):
+        if self._path_age < _REPLAN_SECONDS and (is_free or self._path is None):
             return
-        self._age = 0.0
-        if not is_free or self._way is None:
-            self._way = find_path(pose[:2], goal, inflated)
-            self._failed = self._failed + 1 if self._way is None else 0
+        self._path_age = 0.0
+        if not is_free or self._path is None:
+            self._path = find_path(pose[:2], goal, inflated)
+            self._failures = self._failures + 1 if self._path is None else 0
             return
-        # Corners that have been passed are left out, and those beyond which the way lies open.
-        while len(way := self._way) > 1:
-            is_passed = (pose[:2] - way[0]) @ (way[1] - way[0]) > 0.0
-            if not is_passed and not is_clear(pose[:2], way[1], inflated - _TREMBLE):
+        # Skip corners that have been passed, and those that a free segment bypasses.
+        while len(path := self._path) > 1:
+            is_passed = (pose[:2] - path[0]) @ (path[1] - path[0]) > 0.0
+            if not is_passed and not is_clear(pose[:2], path[1], inflated - _DISC_JITTER):
                 break
-            self._way = way[1:]
+            self._path = path[1:]
 
     def _arrive(self, pose: np.ndarray) -> WheelCommand:
-        """Face what the last waypoint is on, and be there."""
+        """Turn to the final heading, then report the waypoints as reached."""
         if len(self._waypoints) > 1:
             self._waypoints = self._waypoints[1:]
-            self._way = None
-            return STILL
+            self._path = None
+            return STOP
         offset = self._waypoints[0] - pose[:2]
         facing = self._facing
-        if facing is None and np.hypot(*offset) > _BESIDE:
+        if facing is None and np.hypot(*offset) > _MIN_OFFSET:
             facing = math.atan2(offset[1], offset[0])
-        off = 0.0 if facing is None else wrap(facing - pose[2])
-        if abs(off) > _FACING:
-            return turn_by(off, self.body)
-        self.progress = WaypointStatus.THERE
-        return STILL
+        error = 0.0 if facing is None else wrap(facing - pose[2])
+        if abs(error) > _HEADING_TOLERANCE:
+            return turn_in_place(error, self.body)
+        self.progress = WaypointStatus.REACHED
+        return STOP
 
     def _is_stuck(self, pose: np.ndarray) -> bool:
-        """Tell whether it has stood for too long, or been under way for too long."""
-        if math.isinf(self._left):
+        """Tell whether the robot has been at rest, or under way, for too long."""
+        if math.isinf(self._time_left):
             straight = float(np.hypot(*(self._waypoints[-1] - pose[:2])))
-            self._left = _GRACE + _DETOUR * straight / max(self.body.speed * self._speed, 0.05)
-        self._left -= TICK
-        self._still_for += TICK
-        moved = np.hypot(*(pose - self._last)[:2]) > _MOVED
-        if moved or abs(pose[2] - self._last[2]) > 2.0 * _MOVED:
-            self._last, self._still_for = pose.copy(), 0.0
-        return self._still_for > _PATIENCE or self._left < 0.0
+            speed = max(self.body.speed * self._speed, 0.05)
+            self._time_left = _BASE_SECONDS + _DETOUR_FACTOR * straight / speed
+        self._time_left -= TICK
+        self._still_seconds += TICK
+        has_moved = np.hypot(*(pose - self._last_pose)[:2]) > _MOVED
+        if has_moved or abs(pose[2] - self._last_pose[2]) > 2.0 * _MOVED:
+            self._last_pose, self._still_seconds = pose.copy(), 0.0
+        return self._still_seconds > _STUCK_SECONDS or self._time_left < 0.0

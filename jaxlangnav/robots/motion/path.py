@@ -1,8 +1,8 @@
-"""A way around things: the shortest over a grid of inflated discs, pulled taut.
+"""Path planning: Dijkstra on a grid with inflated discs, then shortcutting of corners.
 
-Every disc is inflated by the body's radius and the clearance asked for. What the robot goes up to
-is inflated by its body only; and where the body is nearer to a disc than that already, as when
-something has come up to it, the disc shrinks to let it out.
+Every disc is inflated by the body's radius and the clearance. The target object is inflated by the
+body's radius only; and where the body is already nearer to a disc, as when something has approached
+it, the disc shrinks so that the robot can leave.
 """
 
 import math
@@ -11,109 +11,109 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-GAP = 0.3
-"""Metres between neighbouring hits beyond which they belong to two things."""
-EXTENT = 0.8
-"""Metres that one disc spans at most: a long wall becomes many."""
-GROWN = 0.04
-"""Metres by which a disc is larger than its hits."""
-_BEHIND = 0.8  # share of half its width by which a thing's middle lies behind its near side
-NO_DISCS = np.zeros((0, 3))
+MAX_HIT_GAP = 0.3
+"""Metres between neighboring hits beyond which they belong to two objects."""
+MAX_DISC_SPAN = 0.8
+"""Metres, maximum span of one disc: a long wall becomes many."""
+DISC_MARGIN = 0.04
+"""Metres by which a disc extends beyond its hits."""
+_DEPTH_RATIO = 0.8  # depth of an object's center behind its near side, over half its width
+EMPTY_DISCS = np.zeros((0, 3))
 
 
 def to_discs(ranges: np.ndarray, angles: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Gather the hits of a scan into discs.
+    """Cluster the hits of a scan into discs.
 
-    Only the near side of a thing is seen; it is taken to be as deep as it is wide.
+    Only the near side of an object is visible; its depth is assumed equal to its width.
 
     Args:
         ranges: f64[B], metres; infinite where a beam hits nothing.
-        angles: f64[B], radians, robot frame, growing.
-        pose: f64[3], x, y, heading of the scanner in the frame wanted.
+        angles: f64[B], radians, robot frame, increasing.
+        pose: f64[3], x, y, heading of the scanner in the frame of the result.
 
     Returns:
         f64[K, 3], x, y, radius.
     """
     is_hit = np.isfinite(ranges)
     if not is_hit.any():
-        return NO_DISCS
+        return EMPTY_DISCS
     bearing = angles[is_hit] + pose[2]
     x = pose[0] + ranges[is_hit] * np.cos(bearing)
     y = pose[1] + ranges[is_hit] * np.sin(bearing)
-    breaks = [0]
+    starts = [0]
     for index in range(1, len(x)):
-        to_last = np.hypot(x[index] - x[index - 1], y[index] - y[index - 1])
-        span = np.hypot(x[index] - x[breaks[-1]], y[index] - y[breaks[-1]])
-        if to_last > GAP or span > EXTENT:
-            breaks.append(index)
+        step = np.hypot(x[index] - x[index - 1], y[index] - y[index - 1])
+        span = np.hypot(x[index] - x[starts[-1]], y[index] - y[starts[-1]])
+        if step > MAX_HIT_GAP or span > MAX_DISC_SPAN:
+            starts.append(index)
     discs = []
-    for near_x, near_y in zip(np.split(x, breaks[1:]), np.split(y, breaks[1:]), strict=True):
-        mid_x, mid_y = float(near_x.mean()), float(near_y.mean())
-        wide = float(np.hypot(near_x - mid_x, near_y - mid_y).max())
-        bearing = np.arctan2(mid_y - pose[1], mid_x - pose[0])
-        depth = _BEHIND * wide
-        middle = mid_x + depth * np.cos(bearing), mid_y + depth * np.sin(bearing)
-        discs.append((*middle, wide + GROWN))
+    for hit_x, hit_y in zip(np.split(x, starts[1:]), np.split(y, starts[1:]), strict=True):
+        mean_x, mean_y = float(hit_x.mean()), float(hit_y.mean())
+        half_width = float(np.hypot(hit_x - mean_x, hit_y - mean_y).max())
+        bearing = np.arctan2(mean_y - pose[1], mean_x - pose[0])
+        depth = _DEPTH_RATIO * half_width
+        center = mean_x + depth * np.cos(bearing), mean_y + depth * np.sin(bearing)
+        discs.append((*center, half_width + DISC_MARGIN))
     return np.array(discs)
 
 
-def gaps(x: np.ndarray, y: np.ndarray, discs: np.ndarray) -> np.ndarray:
-    """Measure how far places are from the edge of the nearest disc, all in metres.
+def disc_distance(x: np.ndarray, y: np.ndarray, discs: np.ndarray) -> np.ndarray:
+    """Compute the distance of points to the edge of the nearest disc, all in metres.
 
-    f64[...] x and y, f64[K, 3] to f64[...]; negative inside a disc, infinite where there are none.
+    f64[...] x and y, f64[K, 3] to f64[...]; negative inside a disc, infinite without discs.
     """
     if not len(discs):
         return np.full(np.shape(x), np.inf)
-    away = np.hypot(x[..., None] - discs[:, 0], y[..., None] - discs[:, 1])
-    return (away - discs[:, 2]).min(axis=-1)
+    distance = np.hypot(x[..., None] - discs[:, 0], y[..., None] - discs[:, 1])
+    return (distance - discs[:, 2]).min(axis=-1)
 
 
 CELL = 0.15
 """Metres, side of a grid cell."""
 DETOUR_MARGIN = 3.0
-"""Metres of room that a way may take beyond the box of start and goal."""
-_ALIVE = 0.08  # metres that a body is told to keep from a thing that it stands against
-_UP_TO = 0.6  # metres from the goal to the edge of a disc that is what is gone up to
+"""Metres by which the grid extends beyond the box of start and goal."""
+_MIN_GAP = 0.08  # metres kept even from the target
+_TARGET_DIST = 0.6  # metres from the goal to the edge of a disc that counts as the target
 
 
 def inflate(
     discs: np.ndarray, start: np.ndarray, goal: np.ndarray, radius: float, clearance: float
 ) -> np.ndarray:
-    """Inflate discs so that the middle of the body has to stay out of them.
+    """Inflate discs to configuration-space obstacles for the center of the body.
 
     Args:
         discs: f64[K, 3], x, y, radius, metres.
-        start: f64[2], where the robot is.
-        goal: f64[2], where it goes.
+        start: f64[2], position of the robot.
+        goal: f64[2], its goal.
         radius: of the body, metres.
-        clearance: metres to keep besides where that can be.
+        clearance: metres to keep besides, where possible.
     """
     if not len(discs):
         return discs
     from_goal = np.hypot(*(discs[:, :2] - goal).T) - discs[:, 2]
-    kept = radius + np.where(from_goal <= _UP_TO, _ALIVE, np.maximum(clearance, _ALIVE))
+    margin = radius + np.where(from_goal <= _TARGET_DIST, _MIN_GAP, np.maximum(clearance, _MIN_GAP))
     from_start = np.hypot(*(discs[:, :2] - start).T) - discs[:, 2]
-    kept = np.minimum(kept, np.maximum(from_start - 0.01, 0.0))
-    return np.column_stack([discs[:, :2], discs[:, 2] + kept])
+    margin = np.minimum(margin, np.maximum(from_start - 0.01, 0.0))
+    return np.column_stack([discs[:, :2], discs[:, 2] + margin])
 
 
 def is_clear(start: np.ndarray, end: np.ndarray, discs: np.ndarray) -> bool:
-    """Tell whether the straight way between two places f64[2] stays out of discs f64[K, 3]."""
+    """Tell whether the segment between two points f64[2] stays out of discs f64[K, 3]."""
     if not len(discs):
         return True
-    way = end - start
-    squared = float(way @ way)
-    to_disc = discs[:, :2] - start
-    share = np.clip(to_disc @ way / squared, 0.0, 1.0) if squared > 0 else np.zeros(len(discs))
-    away = np.hypot(*(to_disc - share[:, None] * way).T)
-    return bool((away >= discs[:, 2] - 1e-9).all())
+    segment = end - start
+    squared = float(segment @ segment)
+    offset = discs[:, :2] - start
+    frac = np.clip(offset @ segment / squared, 0.0, 1.0) if squared > 0 else np.zeros(len(discs))
+    distance = np.hypot(*(offset - frac[:, None] * segment).T)
+    return bool((distance >= discs[:, 2] - 1e-9).all())
 
 
 def find_path(start: np.ndarray, goal: np.ndarray, discs: np.ndarray) -> np.ndarray | None:
-    """Find a short way that stays out of inflated discs.
+    """Find a short path that stays out of inflated discs.
 
-    Limits: without discs the straight line. A goal inside a disc is replaced by the free place
-    nearest to it that can be reached.
+    Limits: without discs the straight line. A goal inside a disc is replaced by the nearest free
+    position that is reachable.
 
     Args:
         start: f64[2], metres.
@@ -121,8 +121,8 @@ def find_path(start: np.ndarray, goal: np.ndarray, discs: np.ndarray) -> np.ndar
         discs: f64[K, 3], inflated.
 
     Returns:
-        f64[V, 2], corners of the way without the start, none where there is nothing nearer to
-        the goal; None where there is no way.
+        f64[V, 2], corners of the path without the start, none where no free position is nearer
+        to the goal; None where there is no path.
     """
     if is_clear(start, goal, discs):
         return goal[None]
@@ -133,45 +133,45 @@ def find_path(start: np.ndarray, goal: np.ndarray, discs: np.ndarray) -> np.ndar
     is_free = np.ones(shape, bool)
     for disc_x, disc_y, radius in discs:
         is_free &= (x[:, None] - disc_x) ** 2 + (y[None] - disc_y) ** 2 >= radius**2
-    first = tuple(((start - low) / CELL).astype(int))
-    is_free[first] = True
+    start_cell = tuple(((start - low) / CELL).astype(int))
+    is_free[start_cell] = True
     from_goal = np.hypot(x[:, None] - goal[0], y[None] - goal[1])
-    cells = _search(is_free, first, from_goal)
+    cells = _search(is_free, start_cell, from_goal)
     if cells is None:
         return None
-    way = np.array([[x[i], y[j]] for i, j in cells]).reshape(-1, 2)
-    if len(way) and is_clear(way[-1], goal, discs):
-        way[-1] = goal
-    corners, here = [], start
-    while len(way):  # pulled taut: corners that can be cut are left out
-        ahead = len(way) - 1
-        while ahead > 0 and not is_clear(here, way[ahead], discs):
-            ahead -= 1
-        here, way = way[ahead], way[ahead + 1 :]
-        corners.append(here)
+    path = np.array([[x[i], y[j]] for i, j in cells]).reshape(-1, 2)
+    if len(path) and is_clear(path[-1], goal, discs):
+        path[-1] = goal
+    corners, current = [], start
+    while len(path):  # shortcut: skip corners that a free segment bypasses
+        last = len(path) - 1
+        while last > 0 and not is_clear(current, path[last], discs):
+            last -= 1
+        current, path = path[last], path[last + 1 :]
+        corners.append(current)
     return np.array(corners).reshape(-1, 2)
 
 
 def _search(
-    is_free: np.ndarray, first: tuple[int, ...], from_goal: np.ndarray
+    is_free: np.ndarray, start_cell: tuple[int, ...], from_goal: np.ndarray
 ) -> list[tuple[int, int]] | None:
-    """Find the shortest way to the free cell nearest to the goal that can be reached (Dijkstra)."""
-    # Cells are numbered row by row; a rim that is not free keeps rows apart.
-    width, free = is_free.shape[1] + 2, np.pad(is_free, 1).ravel()
+    """Find the shortest path to the reachable free cell nearest to the goal (Dijkstra)."""
+    # Cells are numbered row by row; a border of blocked cells separates the rows.
+    width, is_open = is_free.shape[1] + 2, np.pad(is_free, 1).ravel()
     steps = ((1, 1.0), (width, 1.0), (width - 1, math.sqrt(2.0)), (width + 1, math.sqrt(2.0)))
-    pairs = [np.flatnonzero(free[:-step] & free[step:]) for step, _ in steps]
-    ends = [cells + step for cells, (step, _) in zip(pairs, steps, strict=True)]
-    lengths = np.repeat([length for _, length in steps], [len(cells) for cells in pairs])
-    edges = lengths, (np.concatenate(pairs), np.concatenate(ends))
-    start = (first[0] + 1) * width + first[1] + 1
-    graph = coo_array(edges, shape=(free.size, free.size)).tocsr()
-    reached, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
-    left = np.pad(from_goal, 1, constant_values=math.inf).ravel()
-    best = int(np.argmin(np.where(np.isfinite(reached), left, math.inf)))
-    if left[best] > from_goal[is_free].min() + 2 * CELL:
+    from_cells = [np.flatnonzero(is_open[:-step] & is_open[step:]) for step, _ in steps]
+    to_cells = [cells + step for cells, (step, _) in zip(from_cells, steps, strict=True)]
+    lengths = np.repeat([length for _, length in steps], [len(cells) for cells in from_cells])
+    edges = lengths, (np.concatenate(from_cells), np.concatenate(to_cells))
+    start = (start_cell[0] + 1) * width + start_cell[1] + 1
+    graph = coo_array(edges, shape=(is_open.size, is_open.size)).tocsr()
+    distance, predecessor = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    remaining = np.pad(from_goal, 1, constant_values=math.inf).ravel()
+    best = int(np.argmin(np.where(np.isfinite(distance), remaining, math.inf)))
+    if remaining[best] > from_goal[is_free].min() + 2 * CELL:
         return None
-    way = []
+    path = []
     while best != start:
-        way.append((best // width - 1, best % width - 1))
-        best = int(before[best])
-    return way[::-1]
+        path.append((best // width - 1, best % width - 1))
+        best = int(predecessor[best])
+    return path[::-1]

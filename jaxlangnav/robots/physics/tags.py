@@ -1,8 +1,8 @@
-"""AprilTags 36h11: drawn by OpenCV, found by AprilTag, turned into the middles of things.
+"""AprilTags 36h11: drawn by OpenCV, detected by AprilTag, converted to detections of objects.
 
-E. Olson, AprilTag: a robust and flexible visual fiducial system, ICRA 2011. Each thing carries one
-tag on each of four upright sides of a cube. A tag tells only roughly which way its side faces, so
-no heading is reported, but the thing's middle, half a cube behind the side.
+E. Olson, AprilTag: a robust and flexible visual fiducial system, ICRA 2011. Each object carries one
+tag on each of four upright sides of a cube. The orientation of a tag is inaccurate, so no heading
+is reported, only the center of the object, half a cube behind the side.
 
 Camera frame: x right, y down, z ahead; robot frame: x ahead, y left. Metres, radians.
 """
@@ -27,27 +27,27 @@ TAG_SIDE = 0.32
 CUBE_SIDE = 0.40
 """Metres, edge of a cube: the tag and its white margin, a cell wide."""
 TAGS_PER_TYPE = 16
-"""A thing's type is its tag's number divided by this; the rest tells one of a type from another."""
+"""An object's type is its tag ID divided by this; the remainder distinguishes objects of a type."""
 RATE, NOISE = 0.95, 0.05
-"""Detection rate within the gates, and standard deviation of a thing's place, metres each axis:
-``scripts/measure_detector.py`` at ranges of 1.25 to 4 m, rounded to the cautious side."""
-_CELLS, _CELL_PIXELS = 10, 16
-_SQUARE = 0.5 * TAG_SIDE * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-"""Corners of a tag from the top left one on, clockwise, its z axis towards whoever sees it."""
-_LEAST_MARGIN = 25.0  # AprilTag's decision margin below which a tag is not believed
-_SAME = 0.6  # metres within which two sides with one number are of one thing
+"""Detection probability within the gates, and standard deviation of positions, metres each axis:
+``scripts/measure_detector.py`` at ranges of 1.25 to 4 m, rounded conservatively."""
+_CELLS, _PIXELS_PER_CELL = 10, 16
+_TAG_CORNERS = 0.5 * TAG_SIDE * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+"""Corners of a tag, clockwise from the top left one; its z axis points to the viewer."""
+_MIN_MARGIN = 25.0  # AprilTag's decision margin below which a tag is rejected
+_SAME_OBJECT = 0.6  # metres within which two sides with one tag ID belong to one object
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Camera:
-    """A camera on a robot, level and looking ahead."""
+    """Pinhole camera on a robot, level and facing ahead."""
 
     width: int = 1280
     height: int = 720
     view: float = np.deg2rad(110.0)
-    """Radians, horizontal opening angle."""
+    """Radians, horizontal field of view."""
     ahead: float = 0.0
-    """Metres from the robot's middle."""
+    """Metres ahead of the robot's center."""
 
     @property
     def focal(self) -> float:
@@ -57,18 +57,18 @@ class Camera:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Gates:
-    """What of the tags found is used: the paper's "self-imposed angular and range restrictions"."""
+    """Gates on tags: the paper's "self-imposed angular and range restrictions"."""
 
     range: float
-    """Metres from the robot's middle to that of a thing."""
+    """Metres from the robot's center to that of an object."""
     field_of_view: float = np.deg2rad(84.0)
-    """Radians, full angle about straight ahead, as seen from the robot's middle."""
+    """Radians, full angle about straight ahead, as seen from the robot's center."""
     view_angle: float = np.deg2rad(65.0)
-    """Radians at most between the line of sight and the side's normal."""
+    """Radians, maximum angle between the line of sight and the side's normal."""
 
 
-def as_told(gates: Gates) -> SensorParams:
-    """Tell the belief what the detector within some gates is good for."""
+def sensor_params(gates: Gates) -> SensorParams:
+    """Build the sensor model that the belief assumes of the detector within the gates."""
     return replace(
         default_sensor(gates.range),
         field_of_view=jnp.float32(gates.field_of_view),
@@ -79,13 +79,13 @@ def as_told(gates: Gates) -> SensorParams:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Tag:
-    """One tag found in a picture."""
+    """One tag detected in an image."""
 
-    number: int
+    tag_id: int
     position: np.ndarray
-    """f64[3], its middle, camera frame."""
+    """f64[3], its center, camera frame."""
     inward: np.ndarray
-    """f64[3], unit normal into the thing, camera frame."""
+    """f64[3], unit normal into the object, camera frame."""
     corners: np.ndarray
     """f64[4, 2], pixels."""
 
@@ -96,90 +96,90 @@ class Tag:
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def draw_tag(number: int) -> np.ndarray:
-    """Draw a tag of a number from 0 to 586 with its white margin, u8[160, 160]."""
+def draw_tag(tag_id: int) -> np.ndarray:
+    """Draw the tag of an ID from 0 to 586 with its white margin, u8[160, 160]."""
     cv2 = libraries.opencv()
-    book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    picture = np.full((_CELLS * _CELL_PIXELS,) * 2, 255, np.uint8)
-    inner = slice(_CELL_PIXELS, -_CELL_PIXELS)
-    size = (_CELLS - 2) * _CELL_PIXELS
-    picture[inner, inner] = cv2.aruco.generateImageMarker(book, number, size)
-    return picture
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    image = np.full((_CELLS * _PIXELS_PER_CELL,) * 2, 255, np.uint8)
+    inner = slice(_PIXELS_PER_CELL, -_PIXELS_PER_CELL)
+    size = (_CELLS - 2) * _PIXELS_PER_CELL
+    image[inner, inner] = cv2.aruco.generateImageMarker(dictionary, tag_id, size)
+    return image
 
 
 @functools.cache
 def _detector() -> Any:
-    """Open the detector; one serves a whole process."""
+    """Create the AprilTag detector, one for the whole process."""
     return libraries.apriltags().Detector(
         families=FAMILY, nthreads=1, quad_decimate=2.0, quad_sigma=0.8, refine_edges=1
     )
 
 
-def find_tags(picture: np.ndarray, camera: Camera) -> list[Tag]:
-    """Find the tags in a grey picture u8[H, W] of which every bit is right and stands out."""
+def find_tags(image: np.ndarray, camera: Camera) -> list[Tag]:
+    """Detect the tags in a grey image u8[H, W] that have no bit errors and sufficient contrast."""
     return [
-        _place(int(one.tag_id), np.asarray(one.corners, float), camera)
-        for one in _detector().detect(np.ascontiguousarray(picture))
-        if one.hamming == 0 and one.decision_margin >= _LEAST_MARGIN
+        _tag_pose(int(tag.tag_id), np.asarray(tag.corners, float), camera)
+        for tag in _detector().detect(np.ascontiguousarray(image))
+        if tag.hamming == 0 and tag.decision_margin >= _MIN_MARGIN
     ]
 
 
-def _place(number: int, corners: np.ndarray, camera: Camera) -> Tag:
-    """Find where a tag of known size is by its corners: of two poses that would do the better."""
+def _tag_pose(tag_id: int, corners: np.ndarray, camera: Camera) -> Tag:
+    """Estimate a tag's pose from its corners (IPPE): the better of the two solutions."""
     cv2 = libraries.opencv()
     # AprilTag counts pixels from their corners.
-    lens = np.diag([camera.focal, camera.focal, 1.0])
-    lens[:2, 2] = 0.5 * camera.width, 0.5 * camera.height
-    _, turns, places, _ = cv2.solvePnPGeneric(
-        _SQUARE, corners[::-1].copy(), lens, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+    intrinsics = np.diag([camera.focal, camera.focal, 1.0])
+    intrinsics[:2, 2] = 0.5 * camera.width, 0.5 * camera.height
+    _, rotations, translations, _ = cv2.solvePnPGeneric(
+        _TAG_CORNERS, corners[::-1].copy(), intrinsics, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
-    inward = -cv2.Rodrigues(turns[0])[0][:, 2]
-    return Tag(number=number, position=places[0].ravel(), inward=inward, corners=corners)
+    inward = -cv2.Rodrigues(rotations[0])[0][:, 2]
+    return Tag(tag_id=tag_id, position=translations[0].ravel(), inward=inward, corners=corners)
 
 
-def middle_of(tag: Tag, camera: Camera) -> np.ndarray:
-    """Find the middle of the thing that a tag is on, f64[2], robot frame, metres.
+def object_center(tag: Tag, camera: Camera) -> np.ndarray:
+    """Compute the center of the object that carries a tag, f64[2], robot frame, metres.
 
-    The sides stand upright: of the normal only its level part is used.
+    The sides are upright: only the horizontal component of the normal is used.
     """
-    level = tag.inward[[0, 2]] / max(float(np.hypot(tag.inward[0], tag.inward[2])), 1e-6)
-    right, ahead = tag.position[[0, 2]] + 0.5 * CUBE_SIDE * level
+    normal = tag.inward[[0, 2]] / max(float(np.hypot(tag.inward[0], tag.inward[2])), 1e-6)
+    right, ahead = tag.position[[0, 2]] + 0.5 * CUBE_SIDE * normal
     return np.array([ahead + camera.ahead, -right])
 
 
 def to_detections(tags: Sequence[Tag], camera: Camera, gates: Gates) -> list[Detection]:
-    """Turn tags of one picture into the things within the gates, one for all sides of a thing.
+    """Convert the tags of one image to detections within the gates, one per object.
 
-    Each is at the mean of its sides, which weigh by how straight on they are seen. Tags of further
-    types than ``NUM_TYPES`` are nobody's.
+    Each is at the weighted mean of its sides, weight cos² of the view angle. Tags of types beyond
+    ``NUM_TYPES`` are ignored.
     """
-    things: dict[int, list[tuple[np.ndarray, float]]] = {}
+    sides_by_id: dict[int, list[tuple[np.ndarray, float]]] = {}
     for tag in tags:
-        if tag.number // TAGS_PER_TYPE < NUM_TYPES and tag.view_angle <= gates.view_angle:
+        if tag.tag_id // TAGS_PER_TYPE < NUM_TYPES and tag.view_angle <= gates.view_angle:
             weight = np.cos(tag.view_angle) ** 2
-            things.setdefault(tag.number, []).append((middle_of(tag, camera), weight))
-    found = []
-    for number, sides in things.items():
-        best = max(sides, key=lambda side: side[1])[0]
-        kept = [side for side in sides if np.hypot(*(side[0] - best)) <= _SAME]
-        x, y = np.average([one for one, _ in kept], axis=0, weights=[weight for _, weight in kept])
-        away, bearing = float(np.hypot(x, y)), float(np.arctan2(y, x))
-        if away <= gates.range and abs(bearing) <= 0.5 * gates.field_of_view:
-            kind = number // TAGS_PER_TYPE
-            found.append(Detection(object_type=kind, range=away, bearing=bearing))
-    return found
+            sides_by_id.setdefault(tag.tag_id, []).append((object_center(tag, camera), weight))
+    detections = []
+    for tag_id, sides in sides_by_id.items():
+        reference = max(sides, key=lambda side: side[1])[0]
+        used = [side for side in sides if np.hypot(*(side[0] - reference)) <= _SAME_OBJECT]
+        x, y = np.average([it[0] for it in used], axis=0, weights=[it[1] for it in used])
+        distance, bearing = float(np.hypot(x, y)), float(np.arctan2(y, x))
+        if distance <= gates.range and abs(bearing) <= 0.5 * gates.field_of_view:
+            object_type = tag_id // TAGS_PER_TYPE
+            detections.append(Detection(object_type=object_type, range=distance, bearing=bearing))
+    return detections
 
 
-def degrade(
-    picture: np.ndarray, random: np.random.Generator, *, noise: float, blur: float
+def add_image_noise(
+    image: np.ndarray, random: np.random.Generator, *, noise: float, blur: float
 ) -> np.ndarray:
-    """Make a rendered grey picture u8[H, W] as bad as a camera's.
+    """Add camera blur and noise to a rendered grey image u8[H, W].
 
     Noise is a standard deviation in grey levels of 255, and blur one in pixels.
     """
     if blur > 0.0:
-        picture = libraries.opencv().GaussianBlur(picture, (0, 0), blur)
+        image = libraries.opencv().GaussianBlur(image, (0, 0), blur)
     if noise > 0.0:
-        grain = random.standard_normal(picture.shape, np.float32)
-        picture = np.clip(picture + noise * grain, 0, 255).astype(np.uint8)
-    return picture
+        pixel_noise = random.standard_normal(image.shape, np.float32)
+        image = np.clip(image + noise * pixel_noise, 0, 255).astype(np.uint8)
+    return image

@@ -1,5 +1,5 @@
-"""The navigator as a ROS 2 node: words, odometry and detections in, goals and status out.
+"""The navigator as a ROS 2 node: utterances, odometry and detections in, goals and status out.
 
-``conversions`` and ``inbox`` know nothing of ROS and are tested without it; ``robot`` is the door
-``Robot`` over any ``Bus``; ``node`` and ``simulation`` are what needs ``jaxlangnav[ros2]``.
+``conversions`` and ``inbox`` do not depend on ROS and are tested without it; ``robot`` implements
+``Robot`` over any ``Bus``; ``node`` and ``simulation`` need ``jaxlangnav[ros2]``.
 """

@@ -1,4 +1,4 @@
-"""``python -m jaxlangnav.robots.ros2 navigator`` is the node, ``robot`` one to try it on."""
+"""Commands ``python -m jaxlangnav.robots.ros2``: ``navigator``, the node, and a test ``robot``."""
 
 import dataclasses
 import math
@@ -11,18 +11,18 @@ from typing import Literal
 import jax
 import tyro
 
-from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.navigator.api import Navigator
-from jaxlangnav.robots.libraries import ros
+from jaxlangnav.robots.libraries import load_ros
 from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.ros2.node import RosBus, TagSetup, read_tag_types
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
 
-_WAIT = 0.2  # seconds between two questions whether anything has been said
+_SPIN_SECONDS = 0.2  # from one check for utterances to the next
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,13 +56,13 @@ class NavigatorOptions:
 
 
 def navigate(options: NavigatorOptions) -> None:
-    """Run the node until it is ended."""
-    _check(options)
-    navigator, said = Navigator.pretrained(), []
+    """Run the node until it is interrupted."""
+    _validate(options)
+    navigator, texts = Navigator.pretrained(), []
     tags = _tags(options, navigator.type_names)
-    bus = RosBus(navigator.type_names, said.append, look=options.look, tags=tags)
+    bus = RosBus(navigator.type_names, texts.append, look=options.look, tags=tags)
 
-    def tell_of_silence() -> None:
+    def report_silence() -> None:
         bus.tell({"status": "waiting_for_odometry"})
         bus.warn(bus.why_silent("odom"))
 
@@ -72,43 +72,43 @@ def navigate(options: NavigatorOptions) -> None:
         bus.tell({"status": "waiting_for_odometry"})
         end = bus.now() + options.patience
         while bus.inbox.track.pose is None:
-            bus.spin(_WAIT)
+            bus.spin(_SPIN_SECONDS)
             if bus.now() >= end:
-                why = bus.why_silent("odom")
-                raise ValueError(f"no odometry within {options.patience:g} s: {why}")
+                reason = bus.why_silent("odom")
+                raise ValueError(f"no odometry within {options.patience:g} s: {reason}")
         robot = RosRobot(
             bus,
-            sensor=_sensor(options),
+            sensor=_sensor_params(options),
             area=options.area,
             patience=options.patience,
-            on_silence=tell_of_silence,
+            on_silence=report_silence,
         )
-        key, most = jax.random.key(options.seed), options.max_seconds
-        session = Session(navigator, robot, bus.tell, key=key, max_seconds=most, kept=options.kept)
+        key, limit = jax.random.key(options.seed), options.max_seconds
+        session = Session(navigator, robot, bus.tell, key=key, max_seconds=limit, path=options.kept)
         bus.say = lambda text: session.say(text, bus.now())
-        for text in said:
+        for text in texts:
             bus.say(text)
         bus.tell({"status": "ready"})
-        left = math.inf if options.tasks is None else options.tasks
-        while left > 0:
-            ended = session.go()
-            if ended is not None and ended.ending is Ending.BLIND:
+        remaining = math.inf if options.tasks is None else options.tasks
+        while remaining > 0:
+            run = session.go()
+            if run is not None and run.ending is Ending.BLIND:
                 bus.warn(bus.why_silent("detections"))
-            left -= ended is not None
-            bus.spin(_WAIT)
+            remaining -= run is not None
+            bus.spin(_SPIN_SECONDS)
     finally:
         bus.close()
 
 
-def _sensor(options: NavigatorOptions) -> SensorParams:
-    """Build what the belief is told of the detector."""
+def _sensor_params(options: NavigatorOptions) -> SensorParams:
+    """Build the sensor model that the belief assumes."""
     view = math.radians(options.field_of_view)
     return default_sensor(options.range, field_of_view=view, noise=0.1)
 
 
-def _check(options: NavigatorOptions) -> None:
-    """Refuse numbers that cannot be, before anything is compiled."""
-    _sensor(options)
+def _validate(options: NavigatorOptions) -> None:
+    """Validate the options before anything is compiled."""
+    _sensor_params(options)
     x_min, x_max, y_min, y_max = options.area
     if not (x_min < x_max and y_min < y_max and all(map(math.isfinite, options.area))):
         raise ValueError(
@@ -120,11 +120,11 @@ def _check(options: NavigatorOptions) -> None:
         if not value > 0.0:
             raise ValueError(f"{name.replace('_', '-')} is {value:g}, but must be more than 0 s")
     if options.tasks is not None:
-        refuse_below(1, tasks=options.tasks)
+        check_minimum(1, tasks=options.tasks)
 
 
 def _tags(options: NavigatorOptions, type_names: Sequence[str]) -> TagSetup | None:
-    """Read what the tags are on, where they are looked by."""
+    """Build the tag setup of ``look="tf"``; None for other formats."""
     if options.look != "tf":
         return None
     x, y, degrees = options.camera
@@ -138,16 +138,16 @@ def _tags(options: NavigatorOptions, type_names: Sequence[str]) -> TagSetup | No
 
 
 def main() -> int:
-    """Run one of the two; exit code 0: done or ended by a signal, 2: bad input."""
+    """Run one of the two commands; exit code 0: done or interrupted, 2: bad input."""
     choice = tyro.extras.subcommand_type_from_defaults(
         {"navigator": NavigatorOptions(), "robot": RobotOptions()}
     )
     options = tyro.cli(choice, prog="python -m jaxlangnav.robots.ros2")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        rclpy = ros("rclpy")
-        # Python's own handling of signals: so the robot can still be told to halt.
-        rclpy.init(signal_handler_options=ros("rclpy.signals").SignalHandlerOptions.NO)
+        rclpy = load_ros("rclpy")
+        # Python handles signals, so that the robot can still be stopped.
+        rclpy.init(signal_handler_options=load_ros("rclpy.signals").SignalHandlerOptions.NO)
         try:
             navigate(options) if isinstance(options, NavigatorOptions) else simulate(options)
         finally:

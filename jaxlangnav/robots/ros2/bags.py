@@ -1,7 +1,6 @@
-"""Bags of ROS 2: drives are written into them; needs ``rosbags``, not ROS.
+"""Record drives as ROS 2 bags; needs ``rosbags``, not ROS.
 
-Decisions are made by what the messages say, to the last digit, so that a bag replays to the same
-ones.
+Decisions use exactly the data of the written messages, so that a replay of the bag repeats them.
 """
 
 import json
@@ -13,11 +12,11 @@ from jax import Array
 
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.kinematic import SimulatedRobot
-from jaxlangnav.robots.libraries import ros
+from jaxlangnav.robots.libraries import load_ros
 from jaxlangnav.robots.motion.mover import TICK
 from jaxlangnav.robots.robot import NavigationRun
 from jaxlangnav.robots.ros2.conversions import (
-    Scribe,
+    MessageBuilder,
     compose,
     detections_of_cloud,
     inverse,
@@ -26,9 +25,9 @@ from jaxlangnav.robots.ros2.conversions import (
 from jaxlangnav.robots.ros2.inbox import Inbox
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
-from jaxlangnav.robots.ros2.simulation import LOOK_EVERY
+from jaxlangnav.robots.ros2.simulation import DETECTION_TICKS
 
-TEXTS = {
+MESSAGE_DEFINITIONS = {
     "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
     "vision_msgs/msg/ObjectHypothesisWithPose": (
         "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose"
@@ -53,129 +52,129 @@ TEXTS = {
         "geometry_msgs/PoseStamped pose\nstring behavior_tree"
     ),
 }
-"""Types of messages that the wheels lack: vision_msgs 4, apriltag_msgs 2 and nav2_msgs."""
+"""Message types that ``rosbags`` lacks: vision_msgs 4, apriltag_msgs 2 and nav2_msgs."""
 
 
 def typestore() -> Any:
-    """Build the types of ROS 2 Kilted with ``TEXTS`` besides; it needs ``rosbags``."""
-    systems = ros("rosbags.typesys")
-    store = systems.get_typestore(systems.Stores.ROS2_KILTED)
+    """Build the types of ROS 2 Kilted plus ``MESSAGE_DEFINITIONS``; needs ``rosbags``."""
+    typesys = load_ros("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_KILTED)
     types: dict[str, Any] = {}
-    for name, text in TEXTS.items():
-        types.update(systems.get_types_from_msg(text, name))
+    for name, text in MESSAGE_DEFINITIONS.items():
+        types.update(typesys.get_types_from_msg(text, name))
     store.register(types)
     return store
 
 
 class Loopback:
-    """Carries odometry and looks from a robot, and goals to it."""
+    """In-process bus to a simulated robot: its odometry and detections, and goals."""
 
     def __init__(self, simulated: SimulatedRobot) -> None:
-        """Begin; the robot's odometry begins at zero where it stands, at the first spin."""
+        """Connect a robot, whose odometry starts at zero."""
         self.simulated, self.inbox = simulated, Inbox()
         self.origin = simulated.pose()
         self._clock, self._ticks = simulated.seconds, 0
 
     def now(self) -> float:
-        """Tell the time, see ``Bus.now``."""
+        """Return the time, see ``Bus.now``."""
         return self._clock
 
     def spin(self, seconds: float) -> None:
-        """Let the robot's time pass, see ``Bus.spin``."""
+        """Simulate the robot for some seconds, see ``Bus.spin``."""
         self._clock += seconds
         while self.simulated.seconds + TICK <= self._clock + 1e-6:
             self.simulated.wait(TICK)
             now, self._ticks = self.simulated.seconds, self._ticks + 1
             self.publish("odom", now, compose(inverse(self.origin), self.simulated.pose()))
-            found = self.simulated.detections() if self._ticks % LOOK_EVERY == 0 else None
-            if found is not None:
-                self.publish("detections", now, found)
+            detections = self.simulated.detections() if self._ticks % DETECTION_TICKS == 0 else None
+            if detections is not None:
+                self.publish("detections", now, detections)
 
     def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
         """Send the robot somewhere, see ``Bus.send_goal``."""
-        place = compose(self.origin, goal)
-        facing = float(place[2])
-        self.simulated.go_to(place[None, :2], speed=speed, clearance=clearance, facing=facing)
+        pose = compose(self.origin, goal)
+        facing = float(pose[2])
+        self.simulated.go_to(pose[None, :2], speed=speed, clearance=clearance, facing=facing)
 
     def publish(self, topic: str, stamp: float, what: Any) -> None:
-        """Carry what the robot says, a pose f64[3] of its odometry or a look, at once."""
+        """Deliver odometry, a pose f64[3], or detections to the inbox."""
         if topic == "odom":
             self.inbox.add_odometry(stamp, what)
         else:
-            self.inbox.add_look(stamp, what, self.simulated.seconds)
+            self.inbox.add_detections(stamp, what, self.simulated.seconds)
 
 
-HEAD_START = 0.3
-"""Seconds of odometry before a person says anything."""
+LEAD_SECONDS = 0.3
+"""Seconds of odometry before the instruction."""
 
 
 class RecordedLoopback(Loopback):
-    """Writes down what is said either way, and hands it on as it can be read again."""
+    """Loopback that records all messages, and delivers what can be read back from them."""
 
     def __init__(self, simulated: SimulatedRobot, num_types: int) -> None:
-        """Begin with nothing; there are so many labels."""
+        """Start without messages; ``num_types`` is the number of labels."""
         super().__init__(simulated)
         self._store, self._num_types = typestore(), num_types
-        self._scribe = Scribe(self._store.types.__getitem__)
-        self._written: list[tuple[str, float, Any]] = []
+        self._builder = MessageBuilder(self._store.types.__getitem__)
+        self._messages: list[tuple[str, float, Any]] = []
 
     def publish(self, topic: str, stamp: float, what: Any) -> None:
-        """Carry what the robot says, see ``Loopback.publish``."""
+        """Record and deliver a message of the robot, see ``Loopback.publish``."""
         if topic == "odom":
-            message = self._scribe.odometry(what, self._scribe.time(stamp))
+            message = self._builder.odometry(what, self._builder.time(stamp))
             what = pose_of(message)
         else:
-            message = self._scribe.cloud(what, self._scribe.time(stamp))
+            message = self._builder.cloud(what, self._builder.time(stamp))
             what = detections_of_cloud(message, self._num_types)
-        self._written.append((topic, stamp, message))
+        self._messages.append((topic, stamp, message))
         super().publish(topic, stamp, what)
 
     def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
         """Send the robot somewhere, see ``Bus.send_goal``."""
-        message = self._scribe.goal(goal, "odom", self._scribe.time(self.now()))
-        self._written.append(("goal_pose", self.now(), message))
+        message = self._builder.goal(goal, "odom", self._builder.time(self.now()))
+        self._messages.append(("goal_pose", self.now(), message))
         super().send_goal(goal, speed=speed, clearance=clearance)
 
-    def write_words(self, topic: str, text: str) -> None:
-        """Write down what is said to the robot, or told of it, on a topic."""
-        self._written.append((topic, self.now(), self._scribe.words(text)))
+    def write_text(self, topic: str, text: str) -> None:
+        """Record a text message on a topic."""
+        self._messages.append((topic, self.now(), self._builder.words(text)))
 
     def save(self, path: Path) -> None:
-        """Write the bag, MCAP, into a folder that is not there yet, or raise a ValueError."""
+        """Write the bag, MCAP, into a new folder, or raise a ValueError."""
         if path.exists():
             raise ValueError(f"{path} is there already: remove it or name another folder")
-        bags, store = ros("rosbags.rosbag2"), self._store
-        with bags.Writer(path, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
-            lines: dict[str, Any] = {}
-            for topic, seconds, message in self._written:
+        rosbag2, store = load_ros("rosbags.rosbag2"), self._store
+        with rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+            connections: dict[str, Any] = {}
+            for topic, seconds, message in self._messages:
                 name = message.__msgtype__
-                if topic not in lines:
-                    lines[topic] = writer.add_connection(topic, name, typestore=store)
-                raw = store.serialize_cdr(message, name)
-                writer.write(lines[topic], round(1e9 * seconds), raw)
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, name, typestore=store)
+                data = store.serialize_cdr(message, name)
+                writer.write(connections[topic], round(1e9 * seconds), data)
 
 
 def write_bag(
     path: Path, simulated: SimulatedRobot, text: str, *, navigator: Navigator, key: Array
 ) -> NavigationRun:
-    """Let a robot, at its start, follow a sentence; write what is said either way into a bag.
+    """Drive a robot from its start by an instruction, and write all messages into a bag.
 
     Raises:
-        ValueError: the folder is there already, or the sentence is refused.
+        ValueError: the folder exists, or the instruction is refused.
         MissingExtraError: rosbags is not installed.
     """
     bus = RecordedLoopback(simulated, len(navigator.type_names))
-    bus.spin(HEAD_START)
+    bus.spin(LEAD_SECONDS)
     robot = RosRobot(bus, sensor=simulated.sensor, area=simulated.area)
 
     def tell(status: dict[str, Any]) -> None:
-        bus.write_words("navigator_status", json.dumps(status))
+        bus.write_text("navigator_status", json.dumps(status))
 
-    talk = Session(navigator, robot, tell, key=key)
-    bus.write_words("instruction", text)
-    talk.say(text, bus.now())
-    ended = talk.go()
-    if ended is None:
+    session = Session(navigator, robot, tell, key=key)
+    bus.write_text("instruction", text)
+    session.say(text, bus.now())
+    run = session.go()
+    if run is None:
         raise ValueError(f"{text!r} is no task")
     bus.save(path)
-    return ended
+    return run

@@ -1,7 +1,7 @@
-"""What has come in from a robot: late, twice, in another order or not at all; without ROS.
+"""Synchronize odometry and detections by their stamps; messages may be late, doubled or lost.
 
-A look is used once, beside the pose that the robot had when it was taken, by the robot's stamps.
-Its side may start anew, its clock and its odometry at zero.
+Detections are used once, with the robot's pose at their stamp, by the robot's clock. The robot may
+restart, with its clock and odometry at zero. Without ROS.
 """
 
 import bisect
@@ -13,47 +13,47 @@ import numpy as np
 
 from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.robot import Detection
-from jaxlangnav.robots.ros2.conversions import carried, compose, inverse, pose_between
+from jaxlangnav.robots.ros2.conversions import compose, inverse, pose_between, transformed
 
-_KEPT = 10.0  # seconds of odometry that are kept
-_GAP = 0.5  # seconds that a look may be away from the nearest odometry to be placed by it
-_LATE = 2.0  # seconds after which a message is too old to be of use
-_BACKWARDS = 10  # messages in a row that are too late for use: the robot's clock has begun anew
-_SPEED, _JUMP = 2.0, 0.5
-"""Metres a second, and metres or radians besides, beyond which odometry has begun anew."""
-_SILENCE, _ZERO = 1.0, 0.2
-"""Seconds without odometry after which one so near to its zero, metres or radians, has too."""
+_BUFFER_SECONDS = 10.0  # of odometry
+_MAX_GAP = 0.5  # seconds between detections and the nearest odometry
+_MAX_AGE = 2.0  # seconds after which a message is discarded
+_MAX_LATE = 10  # consecutive messages that are too late: then the robot's clock has restarted
+_MAX_SPEED, _MAX_JUMP = 2.0, 0.5
+"""Metres a second, and metres or radians besides, beyond which odometry has restarted."""
+_MIN_SILENCE, _ZERO_TOLERANCE = 1.0, 0.2
+"""Odometry this near to zero, metres or radians, after so many silent seconds has restarted."""
 
 
 @dataclasses.dataclass(kw_only=True)
 class Counts:
-    """How many messages have come to what."""
+    """Counts of messages by outcome."""
 
     used: int = 0
-    """Looks that have been decided by."""
+    """Detection messages that have been used."""
     doubled: int = 0
     late: int = 0
-    """Too old to be of use, or overtaken by a newer look that has been used."""
+    """Too old, or older than detections that have been used."""
     unplaced: int = 0
-    """Looks without odometry at their time."""
+    """Detections without odometry at their stamp."""
     malformed: int = 0
     restarts: int = 0
-    """Times that the robot's clock or odometry has begun anew."""
+    """Restarts of the robot's clock or odometry."""
 
 
-class Track:
-    """Odometry by time, in a map frame that outlives a restart of the robot.
+class OdometryBuffer:
+    """Odometry by time, in a map frame that persists over restarts of the robot.
 
-    Where the robot's odometry begins anew it is taken to stand where it was last known to be.
+    When the odometry restarts, the robot is assumed to be at its last known pose.
     """
 
     def __init__(self, counts: Counts) -> None:
-        """Begin with none; ``counts`` are counted in."""
+        """Start empty; ``counts`` is updated."""
         self._counts = counts
         self._log: list[tuple[float, np.ndarray]] = []
         self.frame = np.zeros(3)
-        """Where the robot's present odometry frame is placed in the map frame, f64[3]."""
-        self._old: list[tuple[float, np.ndarray]] = []
+        """Pose of the robot's present odometry frame in the map frame, f64[3]."""
+        self._late: list[tuple[float, np.ndarray]] = []
 
     @property
     def newest(self) -> float | None:
@@ -66,120 +66,120 @@ class Track:
         return self._log[-1][1].copy() if self._log else None
 
     def add(self, stamp: float, pose: np.ndarray) -> None:
-        """Take in odometry: seconds of the robot's clock, and f64[3], odometry frame."""
-        if self.newest is not None and stamp < self.newest - _LATE:
-            self._add_old(stamp, pose)
+        """Add odometry: seconds of the robot's clock, and f64[3], odometry frame."""
+        if self.newest is not None and stamp < self.newest - _MAX_AGE:
+            self._add_late(stamp, pose)
             return
-        self._old.clear()
-        place = self._place(stamp)
-        if place < len(self._log) and self._log[place][0] == stamp:
+        self._late.clear()
+        index = self._index(stamp)
+        if index < len(self._log) and self._log[index][0] == stamp:
             self._counts.doubled += 1
             return
-        if self._log and place == len(self._log):
-            # It begins anew where the robot cannot have gone in the meantime.
-            last, former = self._log[-1]
-            seconds = stamp - last
-            gone = np.hypot(*(compose(self.frame, pose) - former)[:2])
-            is_zero = seconds > _SILENCE and bool((np.abs(pose) < _ZERO).all())
-            if gone > _SPEED * seconds + _JUMP or (is_zero and self._is_elsewhere(pose)):
+        if self._log and index == len(self._log):
+            # A jump beyond the robot's speed is a restart.
+            last_stamp, last_pose = self._log[-1]
+            seconds = stamp - last_stamp
+            distance = np.hypot(*(compose(self.frame, pose) - last_pose)[:2])
+            is_zero = seconds > _MIN_SILENCE and bool((np.abs(pose) < _ZERO_TOLERANCE).all())
+            if distance > _MAX_SPEED * seconds + _MAX_JUMP or (is_zero and self._has_moved(pose)):
                 self._restart(pose)
-        self._log.insert(place, (stamp, compose(self.frame, pose)))
-        del self._log[: self._place(self._log[-1][0] - _KEPT)]
+        self._log.insert(index, (stamp, compose(self.frame, pose)))
+        del self._log[: self._index(self._log[-1][0] - _BUFFER_SECONDS)]
 
-    def _place(self, stamp: float) -> int:
-        """Find the first pose that is not before a stamp."""
+    def _index(self, stamp: float) -> int:
+        """Find the index of the first pose not before a stamp."""
         return bisect.bisect_left(self._log, stamp, key=operator.itemgetter(0))
 
     def at(self, stamp: float) -> np.ndarray | None:
-        """Tell where a robot with a pose was at a stamp, f64[3]; None if no odometry is near."""
-        after = self._place(stamp)
-        near = self._log[max(after - 1, 0) : after + 1]
-        (begin, first), (end, last) = near[0], near[-1]
-        if min(abs(begin - stamp), abs(end - stamp)) > _GAP:
+        """Interpolate the pose at a stamp, f64[3], of a non-empty buffer; None if none is near."""
+        index = self._index(stamp)
+        neighbors = self._log[max(index - 1, 0) : index + 1]
+        (start, start_pose), (end, end_pose) = neighbors[0], neighbors[-1]
+        if min(abs(start - stamp), abs(end - stamp)) > _MAX_GAP:
             return None
-        share = (stamp - begin) / (end - begin) if end > begin else 0.0
-        return pose_between(first, last, share)
+        frac = (stamp - start) / (end - start) if end > start else 0.0
+        return pose_between(start_pose, end_pose, frac)
 
-    def _add_old(self, stamp: float, pose: np.ndarray) -> None:
-        """Hold what is too late for use, until it is plain that the clock began anew."""
-        if self._old and stamp <= self._old[-1][0]:
-            self._old.clear()
-        self._old.append((stamp, pose))
+    def _add_late(self, stamp: float, pose: np.ndarray) -> None:
+        """Collect odometry that is too late, until a restart of the clock is evident."""
+        if self._late and stamp <= self._late[-1][0]:
+            self._late.clear()
+        self._late.append((stamp, pose))
         self._counts.late += 1
-        if len(self._old) < _BACKWARDS:
+        if len(self._late) < _MAX_LATE:
             return
-        fresh, self._old = self._old, []
-        self._counts.late -= len(fresh)
-        self._restart(fresh[0][1])
-        for one in fresh:
-            self.add(*one)
+        entries, self._late = self._late, []
+        self._counts.late -= len(entries)
+        self._restart(entries[0][1])
+        for entry in entries:
+            self.add(*entry)
 
-    def _is_elsewhere(self, pose: np.ndarray) -> bool:
-        """Tell whether a pose, odometry frame, is not where the robot last was."""
-        off = compose(self.frame, pose) - self._log[-1][1]
-        return bool(np.hypot(*off[:2]) > _JUMP or abs(wrap(float(off[2]))) > _JUMP)
+    def _has_moved(self, pose: np.ndarray) -> bool:
+        """Tell whether a pose, odometry frame, differs from the robot's last pose."""
+        offset = compose(self.frame, pose) - self._log[-1][1]
+        return bool(np.hypot(*offset[:2]) > _MAX_JUMP or abs(wrap(float(offset[2]))) > _MAX_JUMP)
 
     def _restart(self, pose: np.ndarray) -> None:
-        """Place the robot's new odometry frame so that it stands where it last was."""
-        if self._is_elsewhere(pose):
+        """Set the new odometry frame such that the robot is at its last pose."""
+        if self._has_moved(pose):
             self.frame = compose(self._log[-1][1], inverse(pose))
         self._log.clear()
         self._counts.restarts += 1
 
 
 class Inbox:
-    """Odometry and looks of one robot."""
+    """Odometry and detections received from one robot."""
 
     def __init__(self) -> None:
-        """Begin with nothing."""
+        """Start empty."""
         self.counts = Counts()
-        self.track = Track(self.counts)
-        self._look: tuple[float, Sequence[Detection]] | None = None
-        self._taken = -np.inf
-        self._heard = -np.inf
+        self.track = OdometryBuffer(self.counts)
+        self._newest: tuple[float, Sequence[Detection]] | None = None
+        self._last_used = -np.inf
+        self._last_time = -np.inf
         self._restarts = 0
 
     def add_odometry(self, stamp: float, pose: np.ndarray) -> None:
-        """Take in odometry, see ``Track.add``."""
+        """Take in odometry, see ``OdometryBuffer.add``."""
         self.track.add(stamp, pose)
         if self._restarts != self.counts.restarts:
-            # Looks of the robot's former life tell nothing of its new clock.
+            # Stamps before the restart do not compare with the new clock.
             self._restarts = self.counts.restarts
-            self._look, self._taken = None, -np.inf
+            self._newest, self._last_used = None, -np.inf
 
-    def add_look(self, stamp: float, found: Sequence[Detection], now: float) -> None:
-        """Take in a look; the newest is kept.
+    def add_detections(self, stamp: float, detections: Sequence[Detection], now: float) -> None:
+        """Add detections; only the newest are kept.
 
-        It was taken at ``stamp`` of the robot's clock and has come at ``now`` of this side's.
+        ``stamp`` is by the robot's clock, the time of arrival ``now`` by the local clock.
         """
-        self._heard = now
-        if stamp == self._taken or (self._look is not None and stamp == self._look[0]):
+        self._last_time = now
+        if stamp == self._last_used or (self._newest is not None and stamp == self._newest[0]):
             self.counts.doubled += 1
-        elif stamp < self._taken or (self._look is not None and stamp < self._look[0]):
+        elif stamp < self._last_used or (self._newest is not None and stamp < self._newest[0]):
             self.counts.late += 1
         else:
-            self._look = stamp, found
+            self._newest = stamp, detections
 
     def silent_for(self, now: float) -> float:
-        """Tell for how many seconds of this side's clock no look has come; infinite at first."""
-        return now - self._heard
+        """Return seconds of the local clock since the last detections; infinite at first."""
+        return now - self._last_time
 
     def take(self) -> list[Detection] | None:
-        """Take the newest look, as from where the robot is now; None if there is no new one."""
-        newest, pose = self.track.newest, self.track.pose
-        if self._look is None or newest is None or pose is None:
+        """Take the newest detections, moved to the robot's present pose; None without new ones."""
+        latest, pose = self.track.newest, self.track.pose
+        if self._newest is None or latest is None or pose is None:
             return None
-        stamp, found = self._look
-        if stamp < newest - _LATE:
+        stamp, detections = self._newest
+        if stamp < latest - _MAX_AGE:
             self.counts.late += 1
-            self._look = None
+            self._newest = None
             return None
-        then = self.track.at(stamp)
-        if then is None:
-            if stamp < newest:
+        pose_then = self.track.at(stamp)
+        if pose_then is None:
+            if stamp < latest:
                 self.counts.unplaced += 1
-                self._look = None
+                self._newest = None
             return None
-        self._look, self._taken = None, stamp
+        self._newest, self._last_used = None, stamp
         self.counts.used += 1
-        return carried(found, then, pose)
+        return transformed(detections, pose_then, pose)

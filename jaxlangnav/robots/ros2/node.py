@@ -1,16 +1,16 @@
-"""The node: topics to the inbox and the session, goals and status back (ROS 2, rclpy).
+"""The ROS 2 node (rclpy): topics to the inbox and the session, goals and status back.
 
-Topics, all of them relative, so that they can be remapped and put in a namespace:
+Topic names are relative, so that they can be remapped and put in a namespace:
 
-    in   instruction, utterance  std_msgs/String          what is said
+    in   instruction, utterance  std_msgs/String          utterances
     in   odom                    nav_msgs/Odometry        dead reckoning
-    in   detections              sensor_msgs/PointCloud2  a look: x, y, z, label in the base frame,
+    in   detections              sensor_msgs/PointCloud2  points x, y, z, label in the base frame,
                                                           or vision_msgs/Detection3DArray
-                                                          or, beside /tf, what apriltag_ros says:
+                                                          or, beside /tf, from apriltag_ros:
                                                           apriltag_msgs/AprilTagDetectionArray
-    in   /tf                     tf2_msgs/TFMessage       where tags are, with ``look="tf"``
-    out  goal_pose               geometry_msgs/PoseStamped  where to go, in the odometry's frame
-    out  navigator_status        std_msgs/String          JSON, the last one kept for late listeners
+    in   /tf                     tf2_msgs/TFMessage       transforms of tags, with ``look="tf"``
+    out  goal_pose               geometry_msgs/PoseStamped  the goal, in the odometry frame
+    out  navigator_status        std_msgs/String          JSON, latched
 """
 
 import dataclasses
@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.inputs.sanitize import sanitize
-from jaxlangnav.robots.libraries import ros, ros_message
+from jaxlangnav.robots.libraries import load_ros, ros_class
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.ros2.conversions import (
-    Scribe,
+    MessageBuilder,
     detections_of_boxes,
     detections_of_cloud,
     detections_of_tags,
@@ -36,29 +36,29 @@ from jaxlangnav.robots.ros2.conversions import (
 from jaxlangnav.robots.ros2.inbox import Inbox
 
 StampedDetections = tuple[float, list[Detection]]
-"""When it was taken, seconds of the robot's clock, and what was seen from the base frame."""
+"""Stamp, seconds of the robot's clock, and detections in the base frame."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TagSetup:
-    """What tags mean on one robot, and what of them is used."""
+    """Object types of tags, the camera's mount, and gates on detections."""
 
     types: Mapping[str, int]
     """Frame of a tag, such as "tag36h11:7", to an index into the navigator's ``type_names``."""
     range: float
-    """Metres beyond which a thing is left out: what the belief is told of the detector."""
+    """Metres beyond which objects are left out: the range that the belief assumes."""
     field_of_view: float
     """Radians, full angle about straight ahead, likewise."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """x, y, heading of the camera in the base frame, metres and radians."""
     depth: float = 0.0
-    """Metres from a tag to the middle of the thing behind it."""
+    """Metres from a tag to the center of the object behind it."""
 
 
 def read_tag_types(texts: Sequence[str], type_names: Sequence[str]) -> dict[str, int]:
-    """Read what tags are on, frames to indices of types, of texts such as "tag36h11:7=hydrant".
+    """Parse the types of tags, frames to type indices, from texts such as "tag36h11:7=hydrant".
 
-    A ValueError of one line where there is no such type, or no tag at all.
+    A ValueError of one line for an unknown type, or without any tag.
     """
     types = {}
     for text in texts:
@@ -74,52 +74,52 @@ def read_tag_types(texts: Sequence[str], type_names: Sequence[str]) -> dict[str,
     return types
 
 
-class TagLooks:
-    """Makes looks of the tags that ``apriltag_ros`` finds, out of two topics.
+class TagReader:
+    """Converts the two topics of ``apriltag_ros`` to detections.
 
-    Places come as transforms on ``/tf``, among all others of the robot; that there is nothing in a
-    picture is told by the list of what was found alone.
+    Positions are transforms on ``/tf``, among all others of the robot; an image without tags is
+    reported by an empty list of tags only.
     """
 
     def __init__(self, setup: TagSetup) -> None:
-        """Begin with nothing."""
+        """Start without messages."""
         self._setup = setup
-        self._picture: tuple[str, float] | None = None
+        self._image: tuple[str, float] | None = None
 
     def of_transforms(self, message: Any) -> StampedDetections | None:
-        """Read a tf2_msgs/TFMessage; None where its transforms are of other things than tags."""
+        """Read a tf2_msgs/TFMessage; None where none of its transforms is of a tag."""
         setup = self._setup
-        ours = [one for one in message.transforms if self._is_tag(one)]
-        if not ours:
+        tags = [tag for tag in message.transforms if self._is_tag(tag)]
+        if not tags:
             return None
-        used = [
-            one
-            for one in detections_of_tags(ours, setup.types, mount=setup.mount, depth=setup.depth)
-            if one.range <= setup.range and abs(one.bearing) <= 0.5 * setup.field_of_view
+        detections = [
+            it
+            for it in detections_of_tags(tags, setup.types, mount=setup.mount, depth=setup.depth)
+            if it.range <= setup.range and abs(it.bearing) <= 0.5 * setup.field_of_view
         ]
-        return seconds_of(ours[0].header.stamp), used
+        return seconds_of(tags[0].header.stamp), detections
 
-    def of_found(self, message: Any) -> StampedDetections | None:
-        """Read an apriltag_msgs/AprilTagDetectionArray: a look at nothing, or None for more."""
+    def of_tag_array(self, message: Any) -> StampedDetections | None:
+        """Read an apriltag_msgs/AprilTagDetectionArray: an empty image, or None if it has tags."""
         stamp = seconds_of(message.header.stamp)
-        self._picture = message.header.frame_id, stamp
+        self._image = message.header.frame_id, stamp
         return None if len(message.detections) else (stamp, [])
 
-    def _is_tag(self, one: Any) -> bool:
-        """Tell whether a transform is of a tag, one of no type that is known too."""
-        header = one.header
-        picture = header.frame_id, seconds_of(header.stamp)
-        return one.child_frame_id in self._setup.types or picture == self._picture
+    def _is_tag(self, transform: Any) -> bool:
+        """Tell whether a transform is of a tag, possibly one without a known type."""
+        header = transform.header
+        image = header.frame_id, seconds_of(header.stamp)
+        return transform.child_frame_id in self._setup.types or image == self._image
 
 
-_TURN = 0.05  # seconds that are waited for a message at most, before it is asked what the time is
-_QUIET, _ALIKE = 5.0, 16  # seconds between two warnings that have so many letters in common
-LOOKS = ("cloud", "boxes", "tf")
-"""Kinds of messages that a look may come in."""
+_SPIN_SECONDS = 0.05  # maximum wait for a message before the time is checked
+_WARNING_SECONDS, _WARNING_PREFIX = 5.0, 16  # between warnings with so long a common prefix
+FORMATS = ("cloud", "boxes", "tf")
+"""Message formats of detections."""
 
 
 class RosBus:
-    """Topics of a robot; messages are taken in while it is spun, in this very thread."""
+    """Bus over a robot's ROS topics; messages are received during ``spin``, in its thread."""
 
     def __init__(
         self,
@@ -129,106 +129,106 @@ class RosBus:
         look: str = "cloud",
         tags: TagSetup | None = None,
     ) -> None:
-        """Open the topics, for looks of one of ``LOOKS``; ``rclpy.init`` has been called."""
-        if look not in LOOKS:
-            raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(LOOKS)}")
+        """Open the topics, for one of ``FORMATS``; ``rclpy.init`` has been called."""
+        if look not in FORMATS:
+            raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(FORMATS)}")
         if look == "tf" and tags is None:
             raise ValueError("looks come as 'tf', but what the tags are on has not been said")
         self.inbox = Inbox()
         self.say = say
-        """Is given what is said."""
-        self._names, self._frame, self._base = tuple(type_names), "", ""
+        """Callback for each utterance."""
+        self._labels, self._frame, self._base_frame = tuple(type_names), "", ""
         self._stamp: Any = None
-        self._pace: dict[str, float] = {}
-        self._kinds: dict[str, str] = {}
-        self._warned: dict[str, float] = {}
-        self._node = ros("rclpy").create_node("jaxlangnav")
-        self._executor = ros("rclpy.executors").SingleThreadedExecutor()
+        self._limits: dict[str, float] = {}
+        self._topic_types: dict[str, str] = {}
+        self._last_warning: dict[str, float] = {}
+        self._node = load_ros("rclpy").create_node("jaxlangnav")
+        self._executor = load_ros("rclpy.executors").SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._scribe, string = Scribe(ros_message), ros_message("std_msgs/msg/String")
-        pose_stamped = ros_message("geometry_msgs/msg/PoseStamped")
-        qos = ros("rclpy.qos")
+        self._builder, string = MessageBuilder(ros_class), ros_class("std_msgs/msg/String")
+        pose_stamped = ros_class("geometry_msgs/msg/PoseStamped")
+        qos = load_ros("rclpy.qos")
         profile = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
-        self._goals = self._node.create_publisher(pose_stamped, "goal_pose", 1)
-        self._told = self._node.create_publisher(string, "navigator_status", profile)
+        self._goal_topic = self._node.create_publisher(pose_stamped, "goal_pose", 1)
+        self._status_topic = self._node.create_publisher(string, "navigator_status", profile)
         for topic in ("instruction", "utterance"):
-            on_words = self._minding(lambda message: self.say(message.data))
-            self._node.create_subscription(string, topic, on_words, 10)
+            on_text = self._guarded(lambda message: self.say(message.data))
+            self._node.create_subscription(string, topic, on_text, 10)
         self._subscribe_to_robot(look, tags)
 
     def _subscribe_to_robot(self, look: str, tags: TagSetup | None) -> None:
-        """Take in odometry and looks."""
-        qos = ros("rclpy.qos")
-        # Best effort: what a robot publishes either way is received. Deep: a decision takes long.
+        """Subscribe to odometry and detections."""
+        qos = load_ros("rclpy.qos")
+        # Best effort matches publishers of either reliability. Deep, as a decision takes long.
         stream = qos.QoSProfile(depth=100, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
         detections: list[tuple[str, Any, Callable[[Any], None]]]
         if tags is not None and look == "tf":
-            looks = TagLooks(tags)
-            found = ros_message("apriltag_msgs/msg/AprilTagDetectionArray")
+            reader = TagReader(tags)
+            tag_array = ros_class("apriltag_msgs/msg/AprilTagDetectionArray")
             detections = [
-                ("/tf", ros_message("tf2_msgs/msg/TFMessage"), self._taking(looks.of_transforms)),
-                ("detections", found, self._taking(looks.of_found)),
+                ("/tf", ros_class("tf2_msgs/msg/TFMessage"), self._to_inbox(reader.of_transforms)),
+                ("detections", tag_array, self._to_inbox(reader.of_tag_array)),
             ]
         elif look == "boxes":
-            boxes = ros_message("vision_msgs/msg/Detection3DArray")
-            detections = [("detections", boxes, self._taking(self._of_boxes))]
+            boxes = ros_class("vision_msgs/msg/Detection3DArray")
+            detections = [("detections", boxes, self._to_inbox(self._of_boxes))]
         else:
-            cloud = ros_message("sensor_msgs/msg/PointCloud2")
-            detections = [("detections", cloud, self._taking(self._of_cloud))]
-        odometry = ros_message("nav_msgs/msg/Odometry")
-        for topic, kind, take in [("odom", odometry, self._on_odometry), *detections]:
-            self._node.create_subscription(kind, topic, self._minding(take), stream)
-            self._kinds[topic] = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+            cloud = ros_class("sensor_msgs/msg/PointCloud2")
+            detections = [("detections", cloud, self._to_inbox(self._of_cloud))]
+        odometry = ros_class("nav_msgs/msg/Odometry")
+        for topic, cls, handler in [("odom", odometry, self._on_odometry), *detections]:
+            self._node.create_subscription(cls, topic, self._guarded(handler), stream)
+            self._topic_types[topic] = f"{cls.__module__.split('.')[0]}/msg/{cls.__name__}"
 
     def now(self) -> float:
-        """Tell the time, see ``Bus.now``."""
+        """Return the time, see ``Bus.now``."""
         return time.monotonic()
 
     def spin(self, seconds: float) -> None:
-        """Take in what comes within a time, see ``Bus.spin``."""
+        """Receive messages for some seconds, see ``Bus.spin``."""
         end = self.now() + seconds
         while (left := end - self.now()) > 0.0:
-            self._executor.spin_once(timeout_sec=min(left, _TURN))
+            self._executor.spin_once(timeout_sec=min(left, _SPIN_SECONDS))
 
     def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
-        """Send where to go, see ``Bus.send_goal``; speed and clearance go into the status."""
-        self._goals.publish(self._scribe.goal(goal, self._frame, self._stamp))
-        self._pace = {"speed": round(speed, 3), "clearance": round(clearance, 3)}
+        """Publish a goal, see ``Bus.send_goal``; speed and clearance go into the status."""
+        self._goal_topic.publish(self._builder.goal(goal, self._frame, self._stamp))
+        self._limits = {"speed": round(speed, 3), "clearance": round(clearance, 3)}
 
     def tell(self, status: dict[str, Any]) -> None:
-        """Publish what the robot is doing, a JSON object; counts and the last pace are added."""
+        """Publish the status, a JSON object; message counts, speed and clearance are added."""
         counts = dataclasses.asdict(self.inbox.counts)
-        text = json.dumps({**status, **self._pace, "messages": counts}, ensure_ascii=False)
-        self._told.publish(self._scribe.words(text))
+        text = json.dumps({**status, **self._limits, "messages": counts}, ensure_ascii=False)
+        self._status_topic.publish(self._builder.words(text))
 
     def warn(self, text: str) -> None:
-        """Say a line on the console; what begins alike is said every few seconds only."""
-        kind, now = text[:_ALIKE], self.now()
-        if now - self._warned.get(kind, -math.inf) >= _QUIET:
-            self._warned[kind] = now
+        """Log a warning; those with a common prefix only every few seconds."""
+        prefix, now = text[:_WARNING_PREFIX], self.now()
+        if now - self._last_warning.get(prefix, -math.inf) >= _WARNING_SECONDS:
+            self._last_warning[prefix] = now
             self._node.get_logger().warning(sanitize(text))
 
     def why_silent(self, topic: str) -> str:
-        """Tell why nothing may be coming on "odom" or "detections", in one line."""
-        wanted = self._kinds[topic]
-        found = {one.topic_type for one in self._node.get_publishers_info_by_topic(topic)}
-        if not found:
+        """Diagnose in one line why nothing arrives on "odom" or "detections"."""
+        expected = self._topic_types[topic]
+        types = {info.topic_type for info in self._node.get_publishers_info_by_topic(topic)}
+        if not types:
             return f"nobody publishes {topic}: start the robot, or remap the topic"
-        if wanted in found:
+        if expected in types:
             return f"nothing that can be read comes on {topic}, though it is published"
-        return f"{topic} is published as {', '.join(sorted(found))}, but must be {wanted}"
+        return f"{topic} is published as {', '.join(sorted(types))}, but must be {expected}"
 
     def close(self) -> None:
         """Close the topics."""
         self._executor.shutdown()
         self._node.destroy_node()
 
-    def _minding(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Take a message in; one that cannot be is counted, told, and left out."""
+    def _guarded(self, handle: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Wrap a handler: an invalid message is counted, logged, and dropped."""
 
         def on_message(message: Any) -> None:
             try:
-                take(message)
+                handle(message)
             except ValueError as error:
                 self.inbox.counts.malformed += 1
                 self.warn(str(error))
@@ -237,38 +237,38 @@ class RosBus:
 
     def _on_odometry(self, message: Any) -> None:
         pose, stamp = pose_of(message), message.header.stamp
-        self._frame, self._base = message.header.frame_id, message.child_frame_id
+        self._frame, self._base_frame = message.header.frame_id, message.child_frame_id
         self._stamp = stamp
         self.inbox.add_odometry(seconds_of(stamp), pose)
 
-    def _taking(self, read: Callable[[Any], StampedDetections | None]) -> Callable[[Any], None]:
-        """Hand what is read of a message to the inbox."""
+    def _to_inbox(self, read: Callable[[Any], StampedDetections | None]) -> Callable[[Any], None]:
+        """Wrap a reader of messages: its detections go to the inbox."""
 
         def take(message: Any) -> None:
             look = read(message)
             if look is not None:
-                self.inbox.add_look(*look, self.now())
+                self.inbox.add_detections(*look, self.now())
 
         return take
 
-    def _in_base(self, header: Any) -> float:
-        """Tell when a look in the base frame was taken, seconds of the robot's clock."""
-        if self._base and header.frame_id != self._base:
+    def _base_stamp(self, header: Any) -> float:
+        """Return the stamp of detections in the base frame, seconds of the robot's clock."""
+        if self._base_frame and header.frame_id != self._base_frame:
             raise ValueError(
                 f"detections come in frame {header.frame_id!r}, but odometry is of "
-                f"{self._base!r}: transform them to it"
+                f"{self._base_frame!r}: transform them to it"
             )
         return seconds_of(header.stamp)
 
     def _of_cloud(self, message: Any) -> StampedDetections:
-        return self._in_base(message.header), detections_of_cloud(message, len(self._names))
+        return self._base_stamp(message.header), detections_of_cloud(message, len(self._labels))
 
     def _of_boxes(self, message: Any) -> StampedDetections:
-        results = [guess.hypothesis for one in message.detections for guess in one.results]
-        strangers = {guess.class_id for guess in results} - set(self._names)
-        if strangers:
+        hypotheses = [it.hypothesis for box in message.detections for it in box.results]
+        unknown = {hypothesis.class_id for hypothesis in hypotheses} - set(self._labels)
+        if unknown:
             self.warn(
-                f"{', '.join(sorted(strangers))}: no type that is known, left out; types are "
-                f"{', '.join(self._names)}"
+                f"{', '.join(sorted(unknown))}: no type that is known, left out; types are "
+                f"{', '.join(self._labels)}"
             )
-        return self._in_base(message.header), detections_of_boxes(message, self._names)
+        return self._base_stamp(message.header), detections_of_boxes(message, self._labels)

@@ -1,7 +1,7 @@
-"""A conversation with one robot, task after task, as topics carry it: without ROS.
+"""Session with one robot: a queue of utterances, one drive after the other; without ROS.
 
-What is not understood is told and changes nothing. A node that is started anew takes the running
-task up by the words kept in a file; what had been seen is looked for again.
+An utterance that is refused is reported and changes nothing. A restarted node resumes the running
+task from the utterances stored in a file; its observations are lost.
 """
 
 import json
@@ -19,15 +19,15 @@ from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.robot import NavigationRun, Robot, Step, wrap_heading
 
-DOUBLED = 1.0
-"""Seconds within which the same words have been carried twice, not said twice."""
-_MOST_BYTES = 100_000  # length of a file of words beyond which it is none
+DUPLICATE_SECONDS = 1.0
+"""Seconds within which the same text is a duplicate message."""
+_MAX_BYTES = 100_000  # of a file of utterances
 TellStatus = Callable[[dict[str, Any]], None]
-"""Is given what the robot is doing, as a JSON object."""
+"""Callback that publishes the robot's status, a JSON object."""
 
 
 class Session:
-    """Takes words, drives, and tells."""
+    """Session that takes utterances, drives the robot, and publishes its status."""
 
     def __init__(
         self,
@@ -37,65 +37,65 @@ class Session:
         *,
         key: Array,
         max_seconds: float = 300.0,
-        kept: Path | None = None,
+        path: Path | None = None,
     ) -> None:
-        """Begin a conversation, or take one up; a ValueError if the file is no list of words.
+        """Start a session, or resume one; a ValueError if the file is no list of texts.
 
         Args:
-            navigator: what understands and decides.
-            robot: what drives and sees.
-            tell: is told of every decision, ending and refusal.
+            navigator: infers tasks and chooses waypoints.
+            robot: follows waypoints and observes.
+            tell: called after every decision, ending and refusal.
             key: random key of all drives, consumed.
-            max_seconds: after which a drive is broken off.
-            kept: file for the words of the running task; nothing is kept if None.
+            max_seconds: time limit of a drive.
+            path: file for the utterances of the running task; None: nothing is stored.
         """
         self._navigator, self._robot, self._tell, self._key = navigator, robot, tell, key
-        self._max_seconds, self._kept = max_seconds, kept
-        self._waiting: deque[str] = deque()
-        self._last: tuple[str, float] = ("", float("-inf"))
+        self._max_seconds, self._path = max_seconds, path
+        self._queue: deque[str] = deque()
+        self._last_text: tuple[str, float] = ("", float("-inf"))
         self._state: NavigatorState | None = None
-        self._drives = 0
-        self._words = [] if kept is None or not kept.exists() else _read(kept)
+        self._num_drives = 0
+        self._texts = [] if path is None or not path.exists() else _read_texts(path)
 
     def say(self, text: str, now: float) -> None:
-        """Take in words at a time, seconds; the same a moment later are one message."""
-        if (text, True) == (self._last[0], now - self._last[1] < DOUBLED):
+        """Queue an utterance received at a time, seconds, unless it is a duplicate message."""
+        if (text, True) == (self._last_text[0], now - self._last_text[1] < DUPLICATE_SECONDS):
             return
-        self._last = text, now
-        self._waiting.append(text)
+        self._last_text = text, now
+        self._queue.append(text)
 
     def go(self) -> NavigationRun | None:
-        """Drive to an ending; None where nothing has been said, or nothing that is a task."""
-        taken_up, self._words = self._words, []
-        for text in taken_up[:-1]:
-            state = self._heard(text)
+        """Drive to an ending; None without an utterance that gives a task."""
+        pending, self._texts = self._texts, []
+        for text in pending[:-1]:
+            state = self._apply(text)
             if state is not None:
                 self._state = state
-                self._words.append(text)
-        text = taken_up[-1] if taken_up else self._listen()
+                self._texts.append(text)
+        text = pending[-1] if pending else self._listen()
         if text is None:
             return None
-        if self._state is None and self._heard(text) is None:
+        if self._state is None and self._apply(text) is None:
             return None
-        self._note(text)
-        ended = drive(
+        self._record(text)
+        run = drive(
             self._navigator,
             self._robot,
             text,
-            key=jax.random.fold_in(self._key, self._drives),
+            key=jax.random.fold_in(self._key, self._num_drives),
             state=self._state,
             max_seconds=self._max_seconds,
-            listen=self._listen_and_note,
+            listen=self._listen_and_record,
             on_step=self._on_step,
         )
-        self._drives += 1
-        self._state, self._words = ended.state, []
-        self._keep()
-        self._tell({"status": "ended", "ending": ended.ending.value, "why": ended.why})
-        return ended
+        self._num_drives += 1
+        self._state, self._texts = run.state, []
+        self._save()
+        self._tell({"status": "ended", "ending": run.ending.value, "why": run.why})
+        return run
 
-    def _heard(self, text: str) -> NavigatorState | None:
-        """Say what the state is once words have been heard; None if they are refused, and tell."""
+    def _apply(self, text: str) -> NavigatorState | None:
+        """Return the state after an utterance; None if it is refused, which is reported."""
         robot = self._robot
         try:
             if self._state is None:
@@ -106,52 +106,52 @@ class Session:
             return None
 
     def _listen(self) -> str | None:
-        """Give the next words that are understood; None for none."""
-        while self._waiting:
-            text = self._waiting.popleft()
-            if self._heard(text) is not None:
+        """Return the next utterance that is understood; None for none."""
+        while self._queue:
+            text = self._queue.popleft()
+            if self._apply(text) is not None:
                 return text
         return None
 
-    def _listen_and_note(self) -> str | None:
+    def _listen_and_record(self) -> str | None:
         text = self._listen()
         if text is not None:
-            self._note(text)
+            self._record(text)
         return text
 
-    def _note(self, text: str) -> None:
-        self._words.append(text)
-        self._keep()
+    def _record(self, text: str) -> None:
+        self._texts.append(text)
+        self._save()
         self._tell({"status": "heard", "text": text})
 
-    def _keep(self) -> None:
-        if self._kept is not None:
-            write_text(json.dumps(self._words, ensure_ascii=False), self._kept)
+    def _save(self) -> None:
+        if self._path is not None:
+            write_text(json.dumps(self._texts, ensure_ascii=False), self._path)
 
     def _on_step(self, step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
         self._state = state
-        found = step.detections
+        detections = step.detections
         self._tell(
             {
                 "status": step.status.word,
-                "pose": [round(one, 3) for one in step.pose],
-                "target": None if step.target is None else [round(one, 3) for one in step.target],
+                "pose": [round(it, 3) for it in step.pose],
+                "target": None if step.target is None else [round(it, 3) for it in step.target],
                 "progress": step.progress.value,
-                "detections": None if found is None else len(found),
+                "detections": None if detections is None else len(detections),
                 "fault": step.fault.name,
                 "is_halted": bool(state.is_halted),
             }
         )
 
 
-def _read(path: Path) -> list[str]:
-    """Read the words of a task, or raise a ValueError of one line."""
-    if path.stat().st_size > _MOST_BYTES:
-        raise ValueError(f"{path} is longer than {_MOST_BYTES} bytes: it is no list of words")
+def _read_texts(path: Path) -> list[str]:
+    """Read the utterances of a task, or raise a ValueError of one line."""
+    if path.stat().st_size > _MAX_BYTES:
+        raise ValueError(f"{path} is longer than {_MAX_BYTES} bytes: it is no list of words")
     try:
-        words = json.loads(path.read_text("utf-8"))
+        texts = json.loads(path.read_text("utf-8"))
     except ValueError as error:
         raise ValueError(f"{path} is no JSON ({error}): remove it to begin anew") from error
-    if not isinstance(words, list) or not all(isinstance(one, str) for one in words):
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
         raise ValueError(f"{path} is no list of words: remove it to begin anew")
-    return words
+    return texts

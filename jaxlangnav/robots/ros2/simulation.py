@@ -1,8 +1,8 @@
-"""A robot in a place of its own, to try the node on: ``python -m jaxlangnav.robots.ros2 robot``.
+"""Simulated robot to test the node: ``python -m jaxlangnav.robots.ros2 robot``.
 
-It publishes ``odom`` and ``detections`` and takes ``goal_pose``, in real time. It halts by itself
-when no goal has come for a while; what it sends can be lost, doubled and late on purpose. Where it
-truly is is said on standard output as it ends.
+It publishes ``odom`` and ``detections`` and takes ``goal_pose``, in real time. It stops by itself
+when no goal has arrived for a while; messages can be lost, doubled and delayed on purpose. Its
+ground-truth pose is printed at the end.
 """
 
 import bisect
@@ -20,82 +20,82 @@ import numpy as np
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.kinematic import KinematicRobot, SimulatedRobot
-from jaxlangnav.robots.libraries import check_libraries, ros, ros_message
+from jaxlangnav.robots.libraries import check_libraries, load_ros, ros_class
 from jaxlangnav.robots.motion.mover import TICK
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.physics.tags import Gates
-from jaxlangnav.robots.ros2.conversions import Scribe, compose, inverse, yaw_of
+from jaxlangnav.robots.ros2.conversions import MessageBuilder, compose, inverse, yaw_of
 from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import Scenario
 
-_LONGEST = 1.0  # seconds by which a message may be late
+_MAX_DELAY = 1.0  # seconds
 
 
-class UnrulyChannel:
-    """Hands on messages as a bad network does."""
+class LossyChannel:
+    """Message channel that loses, doubles and delays messages."""
 
-    def __init__(self, share: float, seed: int) -> None:
-        """Begin; a share, 0 to 0.3, of messages is lost, as many are doubled, as many late."""
-        if not 0.0 <= share <= 0.3:
-            raise ValueError(f"a share of {share:g} of messages cannot be lost: give 0 to 0.3")
-        self._share = share
+    def __init__(self, rate: float, seed: int) -> None:
+        """Set the fraction of messages, 0 to 0.3, that are lost, doubled and delayed, each."""
+        if not 0.0 <= rate <= 0.3:
+            raise ValueError(f"a share of {rate:g} of messages cannot be lost: give 0 to 0.3")
+        self._rate = rate
         self._random = np.random.default_rng(seed)
-        self._under_way: list[tuple[float, Any]] = []
+        self._in_transit: list[tuple[float, Any]] = []
 
     def put(self, message: Any, now: float) -> None:
-        """Send a message at seconds."""
-        draw = self._random.uniform() / max(self._share, 1e-9)
+        """Send a message at a time in seconds."""
+        draw = self._random.uniform() / max(self._rate, 1e-9)
         if draw < 1.0:
             return
-        late = self._random.uniform(0.0, _LONGEST) if draw > 2.0 and draw < 3.0 else 0.0
+        late = self._random.uniform(0.0, _MAX_DELAY) if draw > 2.0 and draw < 3.0 else 0.0
         for delay in (0.0, 0.1) if draw < 2.0 else (late,):
-            later = now + delay, message
-            bisect.insort(self._under_way, later, key=operator.itemgetter(0))
+            entry = now + delay, message
+            bisect.insort(self._in_transit, entry, key=operator.itemgetter(0))
 
     def take(self, now: float) -> list[Any]:
-        """Receive what has come by now, in the order in which it comes."""
-        come = []
-        while self._under_way and self._under_way[0][0] <= now:
-            come.append(self._under_way.pop(0)[1])
-        return come
+        """Receive the messages due by now, in order of arrival."""
+        arrived = []
+        while self._in_transit and self._in_transit[0][0] <= now:
+            arrived.append(self._in_transit.pop(0)[1])
+        return arrived
 
 
-LOOK_EVERY = 4
-"""Ticks of 0.1 s from one look to the next."""
-_ALONE = 5.0  # seconds without a goal after which the robot halts: whoever sent it may have ended
-_HERE, _CLEARANCE = 0.1, 0.3  # metres: a goal so near is to halt; and metres kept from things
+DETECTION_TICKS = 4
+"""Ticks of 0.1 s from one detector query to the next."""
+_GOAL_TIMEOUT = 5.0  # seconds without a goal: then the robot stops, as the sender may have ended
+_STOP_TOLERANCE, _CLEARANCE = 0.1, 0.3  # metres to a goal that means stop; to obstacles
 
 
 class RobotServer:
-    """Publishes what a simulated robot reports, and sends it where it is told."""
+    """ROS 2 node of a simulated robot: publishes its sensors, and takes goals."""
 
-    def __init__(self, robot: SimulatedRobot, *, share: float = 0.0, seed: int = 0) -> None:
+    def __init__(self, robot: SimulatedRobot, *, rate: float = 0.0, seed: int = 0) -> None:
         """Open the topics; ``rclpy.init`` has been called.
 
-        The robot's odometry begins at zero where it stands; faults as ``UnrulyChannel`` has them.
+        The robot's odometry starts at zero; ``rate`` is that of ``LossyChannel``.
         """
         self.robot, self._origin, self._ticks = robot, robot.pose(), 0
-        self._channel, self._last_goal = UnrulyChannel(share, seed), -math.inf
-        self._node = ros("rclpy").create_node("simulated_robot")
-        self._executor = ros("rclpy.executors").SingleThreadedExecutor()
+        self._channel, self._last_goal = LossyChannel(rate, seed), -math.inf
+        self._node = load_ros("rclpy").create_node("simulated_robot")
+        self._executor = load_ros("rclpy.executors").SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._scribe = Scribe(ros_message)
-        open_topic = self._node.create_publisher
-        self._to_odometry = open_topic(ros_message("nav_msgs/msg/Odometry"), "odom", 10)
-        self._to_looks = open_topic(ros_message("sensor_msgs/msg/PointCloud2"), "detections", 10)
-        pose_stamped = ros_message("geometry_msgs/msg/PoseStamped")
+        self._builder = MessageBuilder(ros_class)
+        publish = self._node.create_publisher
+        self._odometry = publish(ros_class("nav_msgs/msg/Odometry"), "odom", 10)
+        self._detections = publish(ros_class("sensor_msgs/msg/PointCloud2"), "detections", 10)
+        pose_stamped = ros_class("geometry_msgs/msg/PoseStamped")
         self._node.create_subscription(pose_stamped, "goal_pose", self._on_goal, 1)
 
     def run(self, seconds: float) -> None:
-        """Let real seconds pass; infinity: for as long as the process lives."""
-        began, before = time.monotonic(), self.robot.seconds
-        while (gone := self.robot.seconds - before) < seconds:
-            if self.robot.seconds - self._last_goal > _ALONE:
+        """Run in real time for some seconds; infinity: until the process ends."""
+        start, start_seconds = time.monotonic(), self.robot.seconds
+        while (elapsed := self.robot.seconds - start_seconds) < seconds:
+            if self.robot.seconds - self._last_goal > _GOAL_TIMEOUT:
                 self.robot.stop()
             self.robot.wait(TICK)
             self._report()
-            # A machine that is too slow for real time goes on as fast as it can.
-            end = began + gone + TICK
+            # A machine too slow for real time runs as fast as possible.
+            end = start + elapsed + TICK
             self._executor.spin_once(timeout_sec=0.0)
             while (left := end - time.monotonic()) > 0.0:
                 self._executor.spin_once(timeout_sec=left)
@@ -109,19 +109,19 @@ class RobotServer:
         self._ticks += 1
         now, stamp = self.robot.seconds, self._node.get_clock().now().to_msg()
         pose = compose(inverse(self._origin), self.robot.pose())
-        self._channel.put((self._to_odometry, self._scribe.odometry(pose, stamp)), now)
-        found = self.robot.detections() if self._ticks % LOOK_EVERY == 0 else None
-        if found is not None:
-            self._channel.put((self._to_looks, self._scribe.cloud(found, stamp)), now)
+        self._channel.put((self._odometry, self._builder.odometry(pose, stamp)), now)
+        detections = self.robot.detections() if self._ticks % DETECTION_TICKS == 0 else None
+        if detections is not None:
+            self._channel.put((self._detections, self._builder.cloud(detections, stamp)), now)
         for publisher, message in self._channel.take(now):
             publisher.publish(message)
 
     def _on_goal(self, message: Any) -> None:
-        place, turn = message.pose.position, yaw_of(message.pose.orientation)
-        goal = compose(self._origin, np.array([place.x, place.y, turn]))
+        position, heading = message.pose.position, yaw_of(message.pose.orientation)
+        goal = compose(self._origin, np.array([position.x, position.y, heading]))
         self._last_goal = self.robot.seconds
-        here = self.robot.pose()
-        if np.hypot(*(goal - here)[:2]) < _HERE and abs(goal[2] - here[2]) < _HERE:
+        shift = goal - self.robot.pose()
+        if np.hypot(*shift[:2]) < _STOP_TOLERANCE and abs(shift[2]) < _STOP_TOLERANCE:
             self.robot.stop()
             return
         self.robot.go_to(goal[None, :2], speed=1.0, clearance=_CLEARANCE, facing=float(goal[2]))
@@ -149,26 +149,26 @@ class RobotOptions:
 
 
 def simulate(options: RobotOptions) -> None:
-    """Run the simulated robot until it is ended, and say at last where it truly is.
+    """Run the simulated robot until interrupted, then print its ground-truth pose.
 
-    See ``draw_start`` and ``switched_on`` for what is refused.
+    Errors are those of ``draw_start`` and ``open_robot``.
     """
     scenario = draw_start(options)
-    with switched_on(options, scenario) as robot:
-        server = RobotServer(robot, share=options.faults, seed=options.seed)
+    with open_robot(options, scenario) as robot:
+        server = RobotServer(robot, rate=options.faults, seed=options.seed)
         try:
             server.run(math.inf)
         finally:
             x, y, heading = robot.true_pose
-            away = float(np.hypot(*(robot.true_pose[:2] - np.asarray(scenario.goal))))
-            place = f"{x:.2f} {y:.2f} {math.degrees(heading):.1f}"
-            said = f"ended {away:.2f} m from the goal at {place}, {robot.travelled:.2f} m driven"
-            print(said, flush=True)
+            distance = float(np.hypot(*(robot.true_pose[:2] - np.asarray(scenario.goal))))
+            pose = f"{x:.2f} {y:.2f} {math.degrees(heading):.1f}"
+            text = f"ended {distance:.2f} m from the goal at {pose}, {robot.travelled:.2f} m driven"
+            print(text, flush=True)
             server.close()
 
 
 def draw_start(options: RobotOptions) -> Scenario:
-    """Draw the place and the start in it, or raise a ValueError of one line."""
+    """Draw a scenario and set the robot's start, or raise a ValueError of one line."""
     key = jax.random.key(options.seed)
     scenario = sample_scenario(key, template=options.world, relation=options.relation)
     if not bool(scenario.is_valid):
@@ -186,8 +186,8 @@ def draw_start(options: RobotOptions) -> Scenario:
 
 
 @contextlib.contextmanager
-def switched_on(options: RobotOptions, scenario: Scenario) -> Iterator[SimulatedRobot]:
-    """Yield the robot at the start of a place, and close it at last; see ``check_libraries``."""
+def open_robot(options: RobotOptions, scenario: Scenario) -> Iterator[SimulatedRobot]:
+    """Yield the robot at the start of a scenario, and close it; see ``check_libraries``."""
     view = math.radians(options.field_of_view)
     sensor = default_sensor(options.range, field_of_view=view)
     if options.robot == "cart":

@@ -98,7 +98,7 @@ def _relation_draws(uniform: Array, shuffle_key: Array, step: Array, points: Arr
     assigned = NUM_UNSEEN * (stride * np.arange(count) % count) + np.arange(NUM_UNSEEN)[:, None]
     shift = jax.random.randint(shuffle_key, (), 0, pool)
     chosen = jax.lax.rem(shift + assigned.astype(np.int32), pool)
-    unit = batching.between(uniform[: 5 * count], 1e-6, 1.0 - 1e-6).reshape(5, count)
+    unit = batching.to_interval(uniform[: 5 * count], 1e-6, 1.0 - 1e-6).reshape(5, count)
     normal = jax.scipy.special.ndtri(unit[:4])
     pick = chosen if points.ndim == 2 else (chosen, np.arange(count))
     return Draws(
