@@ -98,11 +98,9 @@ def reading_world(placed: PlacedWorld, type_names: tuple[str, ...], readings: Re
     _encode_between(world, placed, is_kind, edges)
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
         is_figure = allowed = is_kind[figure][:-1]
-        for other, tie, mark, other_rank in edges:
+        for other, edge, mark, other_rank in edges:
             if other == figure and other_rank == 0:
-                allowed = allowed & world.is_related[SYMBOL_OF[relation_]][:-1, is_kind[mark]].any(
-                    1
-                )
+                allowed = allowed & world.is_related[SYMBOL_OF[edge]][:-1, is_kind[mark]].any(1)
         table = world.is_ranked[min(rank, 2) - 1, relation]
         for index in np.flatnonzero(is_kind[landmark]):
             rivals = allowed & (np.arange(len(is_figure)) != index)
