@@ -242,7 +242,7 @@ class Observation:
             )
         numbers = check_sensor(params)
         arrays: dict[str, Any] = observations.detection_arrays(detections, numbers, types)
-        arrays["pose"] = observations.check_pose(pose)
+        arrays["pose"] = observations.validate_pose(pose)
         # NumPy's numbers pass for JAX's: nothing is sent to a device before it is used.
         return cls(sensor=_sensor(numbers), **arrays)
 
@@ -293,7 +293,7 @@ def check_sensor(sensor: SensorParams) -> tuple[np.float32, ...]:
     Raises:
         ValueError: names the value, the limits and the remedy.
     """
-    return observations.check_sensor(*vars(sensor).values())
+    return observations.validate_sensor(*vars(sensor).values())
 
 
 def default_sensor(
@@ -325,7 +325,7 @@ def default_sensor(
     Raises:
         ValueError: degrees, percent, or what cannot be; one line.
     """
-    numbers = observations.check_sensor(
+    numbers = observations.validate_sensor(
         range_max, field_of_view, detection_probability, noise, false_detections, mislabelled
     )
     if numbers[0] > MAX_PLAUSIBLE_RANGE:

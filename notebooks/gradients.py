@@ -46,7 +46,7 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.training import TrainingConfig, scoring
 from jaxlangnav.training.examples import annotation_examples, labelled_instructions
-from jaxlangnav.training.fit import build_design, by_kind, to_device, loss, l2_vector, train_weights
+from jaxlangnav.training.fit import build_design, by_kind, on_device, loss, l2_vector, train_weights
 from jaxlangnav.viz import style
 
 jaxlangnav.keep_compiled_programs()
@@ -307,7 +307,7 @@ instructions = labelled_instructions(load_corpus(CORPUS), types)
 vocabulary, design = build_design(
     annotation_examples(instructions, types), ANNOTATION_KINDS, len(instructions)
 )
-factored = to_device(design)
+factored = on_device(design)
 is_test = draw_splits(len(instructions), SPLITS, 4)
 random = np.random.default_rng(1)
 fold = np.argsort(random.random(is_test.shape), axis=1) % FOLDS

@@ -19,7 +19,7 @@ from jaxlangnav.robots.ros2 import conversions, node
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.bags import Loopback
 from jaxlangnav.robots.ros2.inbox import Inbox
-from jaxlangnav.robots.ros2.robot import ProgressMonitor, RosRobot
+from jaxlangnav.robots.ros2.robot import GoalMonitor, RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import LossyChannel, RobotOptions, simulate
 
@@ -267,7 +267,7 @@ def test_odometry_at_zero_after_a_silence_begins_anew_and_any_other_goes_on() ->
 
 
 def test_headway_is_told_from_odometry_alone() -> None:
-    goal, headway = np.array([2.0, 0.0, 0.0]), ProgressMonitor()
+    goal, headway = np.array([2.0, 0.0, 0.0]), GoalMonitor()
     assert headway.progress(np.zeros(3), 0.0) is WaypointStatus.STANDING
     headway.set(goal, 0.0)
     assert headway.progress(np.array([0.5, 0.0, 0.0]), 2.0) is WaypointStatus.UNDER_WAY

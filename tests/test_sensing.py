@@ -122,7 +122,7 @@ def refusals(door: Navigator) -> Iterator[tuple[Callable[[], object], str]]:
     for one in POSES:
         yield lambda one=one: Observation.of(one, [], SENSOR), "^pose"
     for one in AREAS:
-        yield lambda one=one: observations.check_area(one), "^area"
+        yield lambda one=one: observations.validate_area(one), "^area"
     for one, words in SENSORS:
         yield lambda one=one: default_sensor(**one), words
     yield lambda: default_sensor(10**5000), "range_max is a whole number of 16610 bits, but"
@@ -235,7 +235,7 @@ def entrances(door: Navigator) -> Iterator[tuple[str, Callable[[Any], object]]]:
     yield "sensor", lambda one: door.observation(HERE, (), one)
     for place in range(4):
         yield "area's", lambda one, n=place: door.wait(HERE, at((-9.0, 9.0, -9.0, 9.0), n, one))
-    yield "area", lambda one: observations.check_area(one)
+    yield "area", lambda one: observations.validate_area(one)
     yield "warm_up", lambda one: refuse_only(door, one)
     yield "labels", lambda one: Navigator.pretrained(labels=one)
     yield "attributes", lambda one: Navigator.pretrained(attributes=one)

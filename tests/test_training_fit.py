@@ -31,7 +31,7 @@ from jaxlangnav.training.fit import (
     fit,
     l2_vector,
     loss,
-    to_device,
+    on_device,
     train_weights,
 )
 from jaxlangnav.training.optimum import Problem, gradient, minimise
@@ -203,7 +203,7 @@ def test_derivative_by_every_strength_is_that_of_the_minimum():
     held = jnp.asarray(rng.integers(0, 2, problem.counts.shape), jnp.float32)
     factors = np.asarray(problem.words), np.asarray(problem.properties)
     design = Design(*factors, {"symbol": slice(0, 6)}, *[np.zeros(0, int)] * 3, num_instructions=1)
-    factored, config = to_device(design), TrainingConfig(gap=1e-9, max_steps=200)
+    factored, config = on_device(design), TrainingConfig(gap=1e-9, max_steps=200)
     at = np.log(np.linspace(0.5, 3.0, len(groups)))
 
     def held_out_loss(log_l2):
@@ -239,7 +239,7 @@ def test_derivative_by_every_strength_is_that_of_the_minimum():
 def test_training_is_traced_once_for_all_strengths(small):
     """New regularisation is new data, not a new program."""
     _, vocabulary, design = small
-    factored, counts = to_device(design), jnp.asarray(all_counts(design))
+    factored, counts = on_device(design), jnp.asarray(all_counts(design))
     config = TrainingConfig(gap=0.1)
 
     @jax.jit
@@ -269,7 +269,7 @@ def test_bad_requests_are_refused(small):
         fit(design, np.ones((1, 3), np.float32), config=TrainingConfig(l2=0.0))
     with pytest.raises(AssertionError, match="shape"):
         train_weights(
-            to_device(design),
+            on_device(design),
             jnp.asarray(all_counts(design)[:1]),
             jnp.ones(design.words.shape[1]),
             config=TrainingConfig(),

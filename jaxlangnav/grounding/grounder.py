@@ -85,7 +85,7 @@ def names_of(grounder: Grounder) -> tuple[str, ...]:
     return getattr(grounder, "names", grounder.type_names)
 
 
-class GrounderWrapper:
+class WrappedGrounder:
     """Base class of grounders that wrap another grounder and share its object types."""
 
     def __init__(self, grounder: Grounder) -> None:
@@ -182,7 +182,7 @@ MIN_ASKED = 0.05
 """Alternatives less probable than this are not asked about."""
 
 
-class FirstGrounder(GrounderWrapper):
+class FirstGrounder(WrappedGrounder):
     """Fallback: grounds with one grounder, and with another if the first refuses."""
 
     def __init__(self, first: Grounder, then: Grounder) -> None:
@@ -206,7 +206,7 @@ class FirstGrounder(GrounderWrapper):
         return dataclasses.replace(reply, notes=(f"not read as it stands: {refusal}", *reply.notes))
 
 
-class ChoosingGrounder(GrounderWrapper):
+class ChoosingGrounder(WrappedGrounder):
     """Clarification: a person chooses among the alternatives of an ambiguous instruction."""
 
     def __init__(self, grounder: Grounder, choose: Chooser, *, least: float = MIN_ASKED) -> None:

@@ -21,7 +21,7 @@ from jax import Array
 
 from jaxlangnav.grounding.asked import CommandSummary, summarize_commands
 from jaxlangnav.grounding.form import quote
-from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, GrounderWrapper
+from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, WrappedGrounder
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
 from jaxlangnav.grounding.search import sum_by_key
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines
@@ -75,7 +75,7 @@ class Read:
     grounded: Grounded
 
 
-class RewriteGrounder(GrounderWrapper):
+class RewriteGrounder(WrappedGrounder):
     """Grounder of the rewritings of a sentence, in place of the sentence itself."""
 
     def __init__(

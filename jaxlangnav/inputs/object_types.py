@@ -98,7 +98,7 @@ def is_anything(code: Any) -> Any:
     return (code & (_SIGN | ANYTHING)) == ANYTHING
 
 
-def attributes_of(code: int) -> int:
+def attribute_bits(code: int) -> int:
     """Extract the attribute code of a type code, on the host."""
     return code >> LABEL_BITS if code >= 0 else 0
 
@@ -111,7 +111,7 @@ def noun_of(code: int, names: Sequence[str]) -> str:
 
 def name_of(code: int, names: Sequence[str]) -> str:
     """Format a type code, its attributes and its label among ``names``: "red ball"."""
-    return " ".join([*attribute_words(attributes_of(code)), noun_of(code, names)])
+    return " ".join([*attribute_words(attribute_bits(code)), noun_of(code, names)])
 
 
 def is_type(detected: Any, described: Any) -> Any:

@@ -105,7 +105,7 @@ def detection_arrays(
 ) -> dict[str, np.ndarray]:
     """Validate detections against their sensor model, and pad them.
 
-    Args as of ``Observation.of``, but ``sensor`` is as returned by ``check_sensor``.
+    Args as of ``Observation.of``, but ``sensor`` is as returned by ``validate_sensor``.
 
     Returns:
         Arrays of 8, 16, 32 or 64 slots on the host, by the fields of ``Observation``; the type is
@@ -154,7 +154,7 @@ MIN_NOISE = 0.01
 """Metres; lower bound of the sensor noise, which prevents division by zero."""
 
 
-def check_sensor(
+def validate_sensor(
     range_max: Any,
     field_of_view: Any,
     detection_probability: Any,
@@ -207,7 +207,7 @@ def _fixed_list(values: Any, count: int, what: str, remedy: str) -> list[Any]:
     return items
 
 
-def check_pose(pose: Sequence[Any]) -> np.ndarray:
+def validate_pose(pose: Sequence[Any]) -> np.ndarray:
     """Validate a pose (x, y, heading), metres and radians, map frame: f32[3].
 
     Raises:
@@ -222,7 +222,7 @@ def check_pose(pose: Sequence[Any]) -> np.ndarray:
     return np.array([x, y, heading], np.float32)
 
 
-def check_area(area: Sequence[Any]) -> np.ndarray:
+def validate_area(area: Sequence[Any]) -> np.ndarray:
     """Validate an operating area, x_min, x_max, y_min, y_max, metres, map frame: f32[4].
 
     Raises:

@@ -27,7 +27,7 @@ from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.limits import bounded
 from jaxlangnav.inputs.object_types import is_anything, name_of
-from jaxlangnav.inputs.observations import SLOTS, check_area, check_pose
+from jaxlangnav.inputs.observations import SLOTS, validate_area, validate_pose
 from jaxlangnav.inputs.sanitize import quote, shorten
 from jaxlangnav.language.halting import act_of
 from jaxlangnav.messages import Action, Observation, SensorParams, Status, default_sensor
@@ -169,9 +169,9 @@ class Navigator:
         sensor_model: SensorModel = RANGING,
     ) -> NavigatorState:
         """Build the initial state of a grounded instruction, padded to the dialogue's capacity."""
-        start = check_pose(pose).tolist()
+        start = validate_pose(pose).tolist()
         default = np.add(np.repeat(start[:2], 2), DEFAULT_EXTENT * np.array([-1, 1, -1, 1]))
-        bounds = default.tolist() if area is None else check_area(area).tolist()
+        bounds = default.tolist() if area is None else validate_area(area).tolist()
         check_start(start, bounds)
         check_metric_goals(grounded.spoken, start, bounds)
         readings = widen(grounded.instruction.readings, self.capacity)

@@ -61,7 +61,7 @@ class DeviceFactors(NamedTuple):
     properties: Array  # f32[U, G, F]
 
 
-def to_device(design: Design) -> DeviceFactors:
+def on_device(design: Design) -> DeviceFactors:
     """Copy the distinct factors of a design to the device."""
     return DeviceFactors(jnp.asarray(design.words), jnp.asarray(design.properties))
 
@@ -79,7 +79,7 @@ def train_weights(
     """Train one model: a pure function, differentiable in the counts and the regularisation.
 
     Args:
-        factors: of ``to_device``.
+        factors: of ``on_device``.
         counts: f32[U, G, 2], a row of ``design.counts``.
         l2: f32[W], λ of each word feature, above zero (``l2_vector``).
         config: stopping; its own ``l2`` is not read.
@@ -174,7 +174,7 @@ def fit(
     if not config.l2 > 0.0:
         raise ValueError(f"l2 is {config.l2:g}, but must be above 0")
     start = time.perf_counter()
-    factors, counts = to_device(design), jnp.asarray(design.counts(instruction_weights))
+    factors, counts = on_device(design), jnp.asarray(design.counts(instruction_weights))
     inputs = (factors, counts, jnp.full(design.words.shape[1:], config.l2, jnp.float32))
     prepare_seconds = time.perf_counter() - start
     start = time.perf_counter()

@@ -29,7 +29,7 @@ from jaxlangnav.language.reader.features import (
     featurize,
     load_verbs,
 )
-from jaxlangnav.language.reader.model import DELETE, KEEP, REFUSE, ReaderModel
+from jaxlangnav.language.reader.model import DELETE, KEEP, REJECT, ReaderModel
 from jaxlangnav.language.reader.proposals import Labelling
 from jaxlangnav.language.tokens import MARKS
 
@@ -129,7 +129,7 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
     for row in rows:
         words = tuple(token.text for token in split_text(row["text"], names))
         labels = (
-            (REFUSE,) * len(words) if row["read"] is None else align(words, row["read"].split())
+            (REJECT,) * len(words) if row["read"] is None else align(words, row["read"].split())
         )
         if words and labels is not None:
             examples.append(ReaderExample(words, labels, names))
@@ -317,7 +317,7 @@ def _fit(
     size = len(labels)
     weights = ReaderWeights(*map(jnp.zeros, ((num_features + 1, size), (size, size), size, size)))
     # Transitions between the refusal label and all others are impossible.
-    is_refused = np.array([label == REFUSE for label in labels])
+    is_refused = np.array([label == REJECT for label in labels])
     mask = np.where(is_refused[:, None] == is_refused, 0.0, _IMPOSSIBLE).astype(np.float32)
     num_steps = config.epochs * len(batches)
     optimizer = optax.adam(optax.cosine_decay_schedule(config.rate, num_steps))

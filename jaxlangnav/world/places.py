@@ -23,7 +23,7 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import field, pytree, replace, strong_types
 from jaxlangnav.world.state import CONE, HYDRANT, Errors, Scenario
 
-MAX_OBJECTS = 64
+PLACE_SLOTS = 64
 """O, object slots of a world."""
 NUM_FIXED_CLUTTER = 4
 """G, limit of fixed positions of recurring false detections."""
@@ -57,50 +57,50 @@ class PlaceParams:
     is_clutter: Array  # bool[T] types of false detections
 
 
-def draw_place(key: Array, params: PlaceParams) -> Scenario:
+def draw_place(key: Array, dist: PlaceParams) -> Scenario:
     """Sample one world.
 
     Args:
         key: random key.
-        params: of the distribution; traced. With more than ``MAX_OBJECTS`` objects it is invalid.
+        dist: distribution; traced. With more than ``PLACE_SLOTS`` objects it is invalid.
 
     Returns:
         The world; ``is_valid`` is False where an object could not be placed. Without a goal
         ``goal_index`` is NONE, and ``goal`` where it would have been.
     """
     pair_key, type_key, position_key, clutter_key = jax.random.split(key, 4)
-    goal, cone, is_met = _draw_pair(pair_key, params)
+    goal, cone, is_met = _draw_pair(pair_key, dist)
     # Types by slot, goal and cone first, and which slots are used.
-    slots, num_paired = jnp.arange(MAX_OBJECTS), 2 + 2 * params.num_pairs
+    slots, num_paired = jnp.arange(PLACE_SLOTS), 2 + 2 * dist.num_pairs
     pair_types = jnp.where(slots % 2 == 0, HYDRANT, CONE)
-    other_types = jax.random.randint(type_key, (MAX_OBJECTS,), 2, NUM_TYPES)
+    other_types = jax.random.randint(type_key, (PLACE_SLOTS,), 2, NUM_TYPES)
     types = jnp.where(slots < num_paired, pair_types, other_types).astype(jnp.int32)
-    count = num_paired + params.num_bystanders
-    is_present = ((slots != 0) | params.has_goal) & ((slots != 1) | params.has_cone)
+    count = num_paired + dist.num_bystanders
+    is_present = ((slots != 0) | dist.has_goal) & ((slots != 1) | dist.has_cone)
     is_object = (slots < count) & is_present
     pair_positions = jnp.stack([goal, cone], axis=1)
-    placed = jnp.pad(pair_positions, ((0, 0), (0, MAX_OBJECTS - 2)))
-    candidates = _uniform_points(position_key, params.area, (MAX_OBJECTS, _NUM_CANDIDATES))
+    placed = jnp.pad(pair_positions, ((0, 0), (0, PLACE_SLOTS - 2)))
+    candidates = _uniform_points(position_key, dist.area, (PLACE_SLOTS, _NUM_CANDIDATES))
 
     def insert(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         placed, is_met = carry
         is_set = is_object & (slots < index)
-        is_valid = _are_valid(candidates[:, index], types[index], placed, types, is_set, params)
+        is_valid = _are_valid(candidates[:, index], types[index], placed, types, is_set, dist)
         position = candidates[:, index, jnp.argmax(is_valid)]
         return placed.at[:, index].set(position), is_met & (jnp.any(is_valid) | ~is_object[index])
 
-    placed, is_met = jax.lax.fori_loop(2, MAX_OBJECTS, insert, (placed, is_met))
+    placed, is_met = jax.lax.fori_loop(2, PLACE_SLOTS, insert, (placed, is_met))
     return Scenario(
         object_type=jnp.where(is_object, types, NONE),
         object_x=jnp.where(is_object, placed[0], 0.0),
         object_y=jnp.where(is_object, placed[1], 0.0),
         is_object=is_object,
         goal=goal,
-        goal_index=jnp.where(params.has_goal, 0, NONE).astype(jnp.int32),
+        goal_index=jnp.where(dist.has_goal, 0, NONE).astype(jnp.int32),
         start=jnp.zeros(3, jnp.float32),
-        area=params.area,
-        is_valid=is_met & (count <= MAX_OBJECTS),
-        errors=_errors(clutter_key, params),
+        area=dist.area,
+        is_valid=is_met & (count <= PLACE_SLOTS),
+        errors=_errors(clutter_key, dist),
     )
 
 
@@ -116,25 +116,25 @@ def is_related(figure: Array, cone: Array, side: Array) -> Array:
     return is_near & (side != 0.0) & (side * along > PASSING_COSINE * distance)
 
 
-def _draw_pair(key: Array, params: PlaceParams) -> tuple[Array, Array, Array]:
+def _draw_pair(key: Array, dist: PlaceParams) -> tuple[Array, Array, Array]:
     """Sample positions of the goal and its cone, f32[2] each, and their validity, bool[]."""
     position_key, gap_key, turn_key = jax.random.split(key, 3)
-    cone = _uniform_points(position_key, params.area, (8 * _NUM_CANDIDATES,))
+    cone = _uniform_points(position_key, dist.area, (8 * _NUM_CANDIDATES,))
     uniform = jax.random.uniform(gap_key, cone.shape[1:])
     gap = PAIR_GAP[0] + (PAIR_GAP[1] - PAIR_GAP[0]) * uniform
     bearing = jnp.arctan2(cone[1], cone[0])
     direction = bearing + TURN_SD * jax.random.normal(turn_key, cone.shape[1:])
-    goal = cone + params.side * jnp.stack([gap * jnp.cos(direction), gap * jnp.sin(direction)])
-    is_valid = (jnp.hypot(cone[0], cone[1]) > _MIN_RANGE) & (jnp.abs(bearing) <= params.bearing)
+    goal = cone + dist.side * jnp.stack([gap * jnp.cos(direction), gap * jnp.sin(direction)])
+    is_valid = (jnp.hypot(cone[0], cone[1]) > _MIN_RANGE) & (jnp.abs(bearing) <= dist.bearing)
     is_valid &= jnp.hypot(goal[0], goal[1]) > _MIN_RANGE
-    low, high = _inner_corners(params.area)
+    low, high = _inner_corners(dist.area)
     is_valid &= jnp.all((goal >= low[:, None]) & (goal <= high[:, None]), axis=0)
     index = jnp.argmax(is_valid)
     return goal[:, index], cone[:, index], jnp.any(is_valid)
 
 
 def _are_valid(
-    point: Array, label: Array, placed: Array, labels: Array, is_placed: Array, params: PlaceParams
+    point: Array, label: Array, placed: Array, labels: Array, is_placed: Array, dist: PlaceParams
 ) -> Array:
     """Tell at which positions f32[2, K] an object of a type is valid given f32[2, O] others."""
 
@@ -145,24 +145,24 @@ def _are_valid(
         as_cone = is_related(other, point, side) & (other_label == HYDRANT) & (label == CONE)
         return (distance >= gap) & ~as_hydrant & ~as_cone
 
-    gaps, side = jnp.where(jnp.arange(labels.size) < 2, GOAL_GAP, params.gap), params.said
+    gaps, side = jnp.where(jnp.arange(labels.size) < 2, GOAL_GAP, dist.gap), dist.said
     is_free = jax.vmap(beside, in_axes=(1, 0, 0))(placed, labels, gaps)
     return jnp.all(is_free | ~is_placed[:, None], axis=0)
 
 
-def _errors(key: Array, params: PlaceParams) -> Errors:
+def _errors(key: Array, dist: PlaceParams) -> Errors:
     """Sample the fixed positions of recurring false detections of hydrants and cones."""
     position_key, type_key = jax.random.split(key)
-    position = _uniform_points(position_key, params.area, (NUM_FIXED_CLUTTER,))
+    position = _uniform_points(position_key, dist.area, (NUM_FIXED_CLUTTER,))
     types = jax.random.randint(type_key, (NUM_FIXED_CLUTTER,), HYDRANT, CONE + 1)
-    is_used = jnp.arange(NUM_FIXED_CLUTTER) < params.num_clutter
+    is_used = jnp.arange(NUM_FIXED_CLUTTER) < dist.num_clutter
     return Errors(
         is_type=jnp.ones(NUM_TYPES, bool),
-        is_clutter=params.is_clutter,
+        is_clutter=dist.is_clutter,
         clutter_type=jnp.where(is_used, types, NONE).astype(jnp.int32),
         clutter_x=position[0],
         clutter_y=position[1],
-        clutter_probability=params.clutter_probability,
+        clutter_probability=dist.clutter_probability,
     )
 
 
@@ -190,12 +190,12 @@ def place_params(*, area: tuple[float, float, float, float], **fields: Any) -> P
         ValueError: more objects or more fixed clutter than there are slots.
     """
     is_clutter = jnp.isin(jnp.arange(NUM_TYPES), jnp.array([HYDRANT, CONE]))
-    params = PlaceParams(area=jnp.array(area, jnp.float32), is_clutter=is_clutter, **fields)
-    count = 2 + 2 * int(params.num_pairs) + int(params.num_bystanders)
-    if count > MAX_OBJECTS or int(params.num_clutter) > NUM_FIXED_CLUTTER:
+    dist = PlaceParams(area=jnp.array(area, jnp.float32), is_clutter=is_clutter, **fields)
+    count = 2 + 2 * int(dist.num_pairs) + int(dist.num_bystanders)
+    if count > PLACE_SLOTS or int(dist.num_clutter) > NUM_FIXED_CLUTTER:
         raise ValueError(
-            f"a place of {count} things and {params.num_clutter} haunted places was asked for, but "
-            f"must have at most {MAX_OBJECTS} and {NUM_FIXED_CLUTTER}: take fewer"
+            f"a place of {count} things and {dist.num_clutter} haunted places was asked for, but "
+            f"must have at most {PLACE_SLOTS} and {NUM_FIXED_CLUTTER}: take fewer"
         )
     # So many objects would not fit with a metre between them.
-    return strong_types(replace(params, gap=0.5) if count > 30 else params)
+    return strong_types(replace(dist, gap=0.5) if count > 30 else dist)

@@ -76,26 +76,26 @@ class _Placement:
     is_met: Array  # bool[] all constraints are met
 
 
-def _area_depth(params: ScenarioParams) -> Array:
+def _area_depth(dist: ScenarioParams) -> Array:
     """Compute D, the depth of the operating area."""
-    return params.range_mean + AREA_SIGMAS * params.range_sd
+    return dist.range_mean + AREA_SIGMAS * dist.range_sd
 
 
-def _sample_placement(key: Array, params: ScenarioParams) -> _Placement:
+def _sample_placement(key: Array, dist: ScenarioParams) -> _Placement:
     """Sample one world, which may violate the constraints."""
-    points, offsets = _sample_candidates(key, params)
-    is_hydrant = jnp.arange(MAX_HYDRANTS) < params.num_hydrants
+    points, offsets = _sample_candidates(key, dist)
+    is_hydrant = jnp.arange(MAX_HYDRANTS) < dist.num_hydrants
     check = jax.vmap(_are_valid, in_axes=(-1, None, None))
-    is_fit = check(points[:, :MAX_HYDRANTS], is_hydrant, _area_depth(params))
+    is_fit = check(points[:, :MAX_HYDRANTS], is_hydrant, _area_depth(dist))
     hydrant = points[:, :MAX_HYDRANTS, jnp.argmax(is_fit)]
-    anchor_cone, is_anchor_met = _place_anchor_cones(offsets, params, hydrant, is_hydrant)
-    free_cone, is_free_met = _place_free_cones(points, offsets, params, hydrant, anchor_cone)
+    anchor_cone, is_anchor_met = _place_anchor_cones(offsets, dist, hydrant, is_hydrant)
+    free_cone, is_free_met = _place_free_cones(points, offsets, dist, hydrant, anchor_cone)
     is_met = jnp.any(is_fit) & is_anchor_met & is_free_met
     return _Placement(hydrant=hydrant, anchor_cone=anchor_cone, free_cone=free_cone, is_met=is_met)
 
 
 def _place_anchor_cones(
-    offset: Array, params: ScenarioParams, hydrant: Array, is_hydrant: Array
+    offset: Array, dist: ScenarioParams, hydrant: Array, is_hydrant: Array
 ) -> tuple[Array, Array]:
     """Place each hydrant's cone in case it is the anchor: f32[2, B]; bool[], all are placed."""
     cones, is_met = [], jnp.array(True)
@@ -104,45 +104,45 @@ def _place_anchor_cones(
         rest = is_hydrant & (jnp.arange(MAX_HYDRANTS) != i)
         candidate = _place_cones(figure, offset[:, i])
         is_sole = is_behind(figure, candidate) & ~_has_behind(candidate, hydrant, rest)
-        is_valid = _is_inside(candidate, _area_depth(params)) & _is_clear(candidate, hydrant, rest)
-        is_valid &= is_sole | (params.relation == _NEAREST)
-        is_met &= jnp.any(is_valid) | ~is_hydrant[i] | (params.num_cones == 0)
+        is_valid = _is_inside(candidate, _area_depth(dist)) & _is_clear(candidate, hydrant, rest)
+        is_valid &= is_sole | (dist.relation == _NEAREST)
+        is_met &= jnp.any(is_valid) | ~is_hydrant[i] | (dist.num_cones == 0)
         cones.append(candidate[:, jnp.argmax(is_valid)])
     return jnp.stack(cones, axis=1), is_met
 
 
 def _place_free_cones(
-    points: Array, offset: Array, params: ScenarioParams, hydrant: Array, anchor_cone: Array
+    points: Array, offset: Array, dist: ScenarioParams, hydrant: Array, anchor_cone: Array
 ) -> tuple[Array, Array]:
     """Place the cones without a hydrant: f32[2, F]; bool[], all are placed."""
-    depth, is_met = _area_depth(params), jnp.array(True)
-    is_hydrant = jnp.arange(MAX_HYDRANTS) < params.num_hydrants
+    depth, is_met = _area_depth(dist), jnp.array(True)
+    is_hydrant = jnp.arange(MAX_HYDRANTS) < dist.num_hydrants
     placed = jnp.concatenate([hydrant, anchor_cone], axis=1)
     is_placed = jnp.concatenate([is_hydrant, is_hydrant])
     for index in range(NUM_FREE):
         point = points[:, MAX_HYDRANTS + index]
         candidate = _place_cones(point, offset[:, MAX_HYDRANTS + index])
-        is_ambiguous = _has_behind(candidate, hydrant, is_hydrant) & (params.relation != _NEAREST)
+        is_ambiguous = _has_behind(candidate, hydrant, is_hydrant) & (dist.relation != _NEAREST)
         is_valid = _is_inside(point, depth) & _is_inside(candidate, depth) & ~is_ambiguous
         is_valid &= _is_clear(candidate, placed, is_placed)
-        is_used = index < params.num_cones - 1
+        is_used = index < dist.num_cones - 1
         is_met &= jnp.any(is_valid) | ~is_used
         placed = jnp.concatenate([placed, candidate[:, jnp.argmax(is_valid)][:, None]], axis=1)
         is_placed = jnp.concatenate([is_placed, is_used[None]])
     return placed[:, 2 * MAX_HYDRANTS :], is_met
 
 
-def _sample_candidates(key: Array, params: ScenarioParams) -> tuple[Array, Array]:
+def _sample_candidates(key: Array, dist: ScenarioParams) -> tuple[Array, Array]:
     """Sample candidates of hydrants and offsets to their cones, f32[2, B + F, K] each."""
     # Without constraints. Hydrants come first, then the free cones' points; offsets are along and
     # across the line of sight.
     shape = (MAX_HYDRANTS + NUM_FREE, NUM_CANDIDATES)
     uniform = batching.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
-    distance = params.range_mean + params.range_sd * batching.normal(uniform[0])
+    distance = dist.range_mean + dist.range_sd * batching.normal(uniform[0])
     bearing = batching.to_interval(uniform[1], -OBJECT_BEARING_MAX, OBJECT_BEARING_MAX)
     point = jnp.stack([distance * jnp.cos(bearing), distance * jnp.sin(bearing)])
 
-    is_nearest = params.relation == _NEAREST
+    is_nearest = dist.relation == _NEAREST
     gap_max = jnp.where(is_nearest, NEAREST_DISTANCE_MAX, CONE_DISTANCE_MAX)
     gap = CONE_DISTANCE_MIN + (gap_max - CONE_DISTANCE_MIN) * uniform[2]
     direction = batching.to_interval(uniform[3], -math.pi, math.pi)
@@ -248,33 +248,33 @@ def sample_scenario(key: Array, *, template: str | Template, relation: str) -> S
 
 
 @jax.jit
-def draw_scenario(key: Array, params: ScenarioParams) -> Scenario:
+def draw_scenario(key: Array, dist: ScenarioParams) -> Scenario:
     """Sample one world by rejection: the first of a fixed number of attempts that is valid.
 
     Args:
         key: random key.
-        params: of the distribution; traced.
+        dist: parameters of the distribution; traced.
 
     Returns:
         The world; where no attempt is valid, the first one with ``is_valid`` False.
     """
     key_place, key_goal = jax.random.split(key)
     keys = jax.random.split(key_place, NUM_ATTEMPTS)
-    attempts = jax.vmap(_sample_placement, in_axes=(0, None))(keys, params)
+    attempts = jax.vmap(_sample_placement, in_axes=(0, None))(keys, dist)
     placement = jax.tree.map(lambda leaf: leaf[jnp.argmax(attempts.is_met)], attempts)
-    choices = (jax.random.uniform(key_goal, (2,)) * params.num_hydrants).astype(jnp.int32)
-    anchor, other = jnp.minimum(choices, params.num_hydrants - 1)
-    goal_index = jnp.where(params.relation == NULL, other, anchor)
+    choices = (jax.random.uniform(key_goal, (2,)) * dist.num_hydrants).astype(jnp.int32)
+    anchor, other = jnp.minimum(choices, dist.num_hydrants - 1)
+    goal_index = jnp.where(dist.relation == NULL, other, anchor)
     # Slots: hydrants, then the anchor's cone, then the free cones.
     cone = placement.anchor_cone[:, anchor]
     position = jnp.concatenate([placement.hydrant, cone[:, None], placement.free_cone], axis=1)
     object_type = jnp.array([HYDRANT] * MAX_HYDRANTS + [CONE] * MAX_CONES, jnp.int32)
     is_object = jnp.concatenate(
-        [jnp.arange(MAX_HYDRANTS) < params.num_hydrants, jnp.arange(MAX_CONES) < params.num_cones]
+        [jnp.arange(MAX_HYDRANTS) < dist.num_hydrants, jnp.arange(MAX_CONES) < dist.num_cones]
     )
     order = jnp.argsort(~is_object, stable=True)
     is_slot = is_object[order]
-    depth = _area_depth(params)
+    depth = _area_depth(dist)
     half_width = depth / math.sqrt(2.0)
     return Scenario(
         object_type=jnp.where(is_slot, object_type[order], NONE),

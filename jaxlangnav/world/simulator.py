@@ -17,7 +17,7 @@ from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
 """Metres from the intended goal within which a stop is a success (section 4.2)."""
-ARRIVAL_RADIUS = 0.05
+GOAL_RADIUS = 0.05
 """Metres from the goal within which the known-map robot has arrived."""
 _MAX_STEPS = 200
 
@@ -60,14 +60,14 @@ def drive_known_map(
 ) -> tuple[WorldState, Array]:
     """Drive to the goal with a known map, with the same motion model as any other robot.
 
-    Limits: without odometry noise the distance is ``known_distance`` to within ``ARRIVAL_RADIUS``.
+    Limits: without odometry noise the distance is ``known_distance`` to within ``GOAL_RADIUS``.
 
     Returns:
         The robot at the end, and bool[], whether the run is a success.
     """
 
     def is_driving(drive: _Drive) -> Array:
-        is_far = goal_distance(drive.state, scenario) > ARRIVAL_RADIUS
+        is_far = goal_distance(drive.state, scenario) > GOAL_RADIUS
         return is_far & (drive.num_steps < _MAX_STEPS)
 
     def advance(drive: _Drive) -> _Drive:
@@ -81,5 +81,5 @@ def drive_known_map(
 
     start = _Drive(state=reset(scenario), num_steps=jnp.int32(0))
     state, _ = jax.lax.while_loop(is_driving, advance, start)
-    is_arrived = goal_distance(state, scenario) <= ARRIVAL_RADIUS
+    is_arrived = goal_distance(state, scenario) <= GOAL_RADIUS
     return state, is_success(state, scenario, is_arrived)

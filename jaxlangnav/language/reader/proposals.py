@@ -26,7 +26,7 @@ from jaxlangnav.language.reader.features import (
 from jaxlangnav.language.reader.model import (
     DELETE,
     KEEP,
-    REFUSE,
+    REJECT,
     ReaderModel,
     find_best,
     load_reader,
@@ -302,7 +302,7 @@ def propose_readings(
         names = tuple(model.labels[i] for i in path)
         labelled = Labelling(sentence, names, model.left_out, model.met)
         is_allowed = labelled.is_seen() if is_readable else labelled.is_safe()
-        if labelled.labels[0] == REFUSE or not is_allowed:
+        if labelled.labels[0] == REJECT or not is_allowed:
             continue
         proposal = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in proposal.tokens)

@@ -114,7 +114,7 @@ class TagReader:
 
 _SPIN_SECONDS = 0.05  # maximum wait for a message before the time is checked
 _WARNING_SECONDS, _WARNING_PREFIX = 5.0, 16  # between warnings with so long a common prefix
-FORMATS = ("cloud", "boxes", "tf")
+ENCODINGS = ("cloud", "boxes", "tf")
 """Message formats of detections."""
 
 
@@ -129,9 +129,9 @@ class RosBus:
         look: str = "cloud",
         tags: TagSetup | None = None,
     ) -> None:
-        """Open the topics, for one of ``FORMATS``; ``rclpy.init`` has been called."""
-        if look not in FORMATS:
-            raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(FORMATS)}")
+        """Open the topics, for one of ``ENCODINGS``; ``rclpy.init`` has been called."""
+        if look not in ENCODINGS:
+            raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(ENCODINGS)}")
         if look == "tf" and tags is None:
             raise ValueError("looks come as 'tf', but what the tags are on has not been said")
         self.inbox = Inbox()

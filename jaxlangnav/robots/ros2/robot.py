@@ -18,7 +18,7 @@ _STILL_SECONDS = 3.0  # without motion: then the robot is at rest; planning a pa
 _MOVED, _TURNED = 0.05, 0.05  # metres and radians that count as motion
 
 
-class ProgressMonitor:
+class GoalMonitor:
     """Monitor of a robot's progress towards its goals."""
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class RosRobot:
         if bus.inbox.track.pose is None:
             raise ValueError("no odometry has come from the robot: wait for it first")
         self._bus, self.sensor, self.area = bus, sensor, area
-        self._monitor = ProgressMonitor()
+        self._monitor = GoalMonitor()
         self._patience, self._on_silence = patience, on_silence
         self._newest, self._newest_time, self._is_silent = bus.inbox.track.newest, bus.now(), False
 
