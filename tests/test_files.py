@@ -13,7 +13,7 @@ import pytest
 
 from jaxlangnav.inputs import whole_files
 from jaxlangnav.inputs.arrays import parse_floats, value_errors
-from jaxlangnav.inputs.documents import NESTING, DocumentError, parse_json, parse_toml, read_text
+from jaxlangnav.inputs.documents import MAX_NEST, DocumentError, parse_json, parse_toml, read_text
 from jaxlangnav.inputs.whole_files import read_file, read_user_file, user_folder, write_user_file
 from jaxlangnav.planner import prior
 
@@ -330,7 +330,7 @@ def test_a_bad_document_is_one_line(parse: Callable, text: str, says: str) -> No
 
 def test_honest_documents_are_read() -> None:
     assert parse_toml("[a.b]\nc = 'a.b.c.d'  # 1.2.3\nd = -1\ne = 1e400\n")["a"]["b"]["d"] == -1
-    nested = "[" * NESTING + "]" * NESTING
+    nested = "[" * MAX_NEST + "]" * MAX_NEST
     assert parse_json(nested)
     assert parse_json('{"a": [1, 2.5, null, "x"]}') == {"a": [1, 2.5, None, "x"]}
     sentence = "go to the cone. " * 200 + "v1.2.3"

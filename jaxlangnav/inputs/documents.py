@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.inputs.whole_files import read_file
 
-NESTING = 32
+MAX_NEST = 32
 """Limit of the nesting depth of tables and lists."""
 _MAX_BITS = 64
 """Limit of an integer's size."""
@@ -26,7 +26,7 @@ _MAX_TEXT = 200
 """Length to which a parser's error message is shortened."""
 # The parser's time is quadratic in the parts of a dotted key. Matches only where a key may start.
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
-_LONG_KEY = re.compile(rf"""(?<![\w"'-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{NESTING}}}""")
+_LONG_KEY = re.compile(rf"""(?<![\w"'-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_NEST}}}""")
 
 
 class DocumentError(ValueError):
@@ -36,7 +36,7 @@ class DocumentError(ValueError):
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse TOML; DocumentError if invalid, too deep, or with an integer above 64 bits."""
     if _LONG_KEY.search(text):
-        raise DocumentError(f"has a key of more than {NESTING} parts: use fewer dots")
+        raise DocumentError(f"has a key of more than {MAX_NEST} parts: use fewer dots")
     return _parse(tomllib.loads, text, "TOML")
 
 
@@ -119,7 +119,7 @@ def read_shipped(subpackage: str, name: str) -> str:
 
 def _parse(loads: Callable[[str], Any], text: str, syntax: str) -> Any:
     """Parse a document, and check its depth and numbers."""
-    too_deep = f"is nested more than {NESTING} deep: use fewer tables inside tables"
+    too_deep = f"is nested more than {MAX_NEST} deep: use fewer tables inside tables"
     try:
         document = loads(text)
     except DocumentError:
@@ -134,7 +134,7 @@ def _parse(loads: Callable[[str], Any], text: str, syntax: str) -> Any:
         raise DocumentError(f"is no valid {syntax}: {reason}") from None
     level, depth = [document], 0
     while level:  # breadth-first, so that depth needs no recursion
-        if depth > NESTING:
+        if depth > MAX_NEST:
             raise DocumentError(too_deep)
         children: list[Any] = []
         for value in level:
