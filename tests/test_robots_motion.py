@@ -31,7 +31,7 @@ def go(robot: KinematicRobot, *waypoints, clearance=0.2, speed=1.0, seconds=90.0
     while progress is WaypointStatus.UNDER_WAY and robot.seconds < seconds:
         progress = robot.wait(0.1)
         pose = robot.true_pose
-        gap = disc_distance(*pose[:2, None], robot.things())[0] - robot.mover.body.radius
+        gap = disc_distance(*pose[:2, None], robot.disc_obstacles())[0] - robot.mover.body.radius
         least = min(least, float(gap))
     return progress, least
 

@@ -70,7 +70,7 @@ class _Expressed(NamedTuple):
     cost: Array  # f32[4, E, P] of the combinations
 
 
-def _child(row: BehaviorProgram, stack: _Stack, k: Array | int) -> Combinations:
+def _child_beam(row: BehaviorProgram, stack: _Stack, k: Array | int) -> Combinations:
     """Read a phrase's k-th child from the stack as a combination by itself."""
     exists = row.num_children > k
     sets = jnp.where(exists, stack.sets[k], 0)
@@ -160,8 +160,8 @@ def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_S
     joined = jax.lax.fori_loop(
         1,
         jnp.max(row.num_children),
-        lambda k, joined: _combine(joined, _child(row, stack, k)),
-        _child(row, stack, 0),
+        lambda k, joined: _combine(joined, _child_beam(row, stack, k)),
+        _child_beam(row, stack, 0),
     )
     # A phrase expresses objects or constraints, never both: they share the first N symbols.
     first = jax.lax.cond(
@@ -191,7 +191,7 @@ def _by_relation(values: Array, relation: Array) -> Array:
     return functools.reduce(jnp.add, spread)
 
 
-def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior:
+def _root_marginals(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior:
     """Compute the behavior marginals at the root, averaged over its children's combinations.
 
     A behavior has one goal: the probability that any goal is expressed is divided in proportion
@@ -201,11 +201,11 @@ def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior
     def mean(values: Array, weight: Array) -> Array:
         return functools.reduce(jnp.add, jnp.unstack(values * weight))
 
-    lanes = root.cost.shape[1:]
+    batch_shape = root.cost.shape[1:]
     # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
     probability = materialize(1.0 / (1.0 + jnp.exp(-root.odds)))
     constraint, goal = probability[:, :size], probability[:, size:]
-    goal = goal.reshape(_BEAM, NUM_REGION_SLOTS, size, *lanes)
+    goal = goal.reshape(_BEAM, NUM_REGION_SLOTS, size, *batch_shape)
     is_none = jnp.prod(functools.reduce(jnp.multiply, jnp.unstack(1.0 - goal, axis=1)), axis=1)
     total = jnp.sum(functools.reduce(jnp.add, jnp.unstack(goal, axis=1)), axis=1)
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
@@ -213,8 +213,8 @@ def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior
     scale = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
     by_slot = materialize((mean(goal, scale[:, None, None]), mean(constraint, weight[:, None])))
     return Behavior(
-        action=jnp.broadcast_to(program.action, (program.action.shape[0], *lanes)),
-        mode=jnp.broadcast_to(program.mode, (program.mode.shape[0], *lanes)),
+        action=jnp.broadcast_to(program.action, (program.action.shape[0], *batch_shape)),
+        mode=jnp.broadcast_to(program.mode, (program.mode.shape[0], *batch_shape)),
         goal=_by_relation(by_slot[0], program.region_relation[ROOT]),
         constraint=_by_relation(by_slot[1][None], program.constraint_relation[ROOT][None]),
     )
@@ -246,7 +246,7 @@ def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: A
 
     # Phrases are processed bottom-up.
     _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))
-    return _conclude(program, root, size)
+    return _root_marginals(program, root, size)
 
 
 @jax.custom_batching.custom_vmap

@@ -53,9 +53,9 @@ def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectS
     figures = jnp.append(figures, itself[None], axis=0)  # [18 + 1, N, E, P]: the last table is "at"
     previous = world.is_previous & is_object
     last_type = jnp.max(jnp.where(previous, kind, NONE - 9), axis=0)
-    alike = (label_of(kind) == label_of(last_type)[None]) & is_object
+    same_type = (label_of(kind) == label_of(last_type)[None]) & is_object
     is_robot = (kind == ROBOT) & is_object
-    goal, others, robot = to_mask(jnp.stack([previous, alike & ~previous, is_robot]))
+    goal, others, robot = to_mask(jnp.stack([previous, same_type & ~previous, is_robot]))
     rest = jnp.where(goal != 0, everything & ~(goal | others), 0)
     return ObjectSets(
         kind=kind,
@@ -99,14 +99,14 @@ def region_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, s
     """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
     inside = _is_in(joined.sets[:, _OBJECTS], size)[:, None]
     same = _is_in(joined.sets[:, _SLOTS], size)
-    base, expressed, alike, absent, own, robot = row.regions[:, :, None]
-    base = base + jnp.where(_is_in(_named(row, scene), size), own, 0.0)
+    base, expressed, same_region, absent, named_odds, robot = row.regions[:, :, None]
+    base = base + jnp.where(_is_in(_named(row, scene), size), named_odds, 0.0)
     base = base + jnp.where(_is_in(scene.robot, size), robot, 0.0)
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     return (
         base[None]
         + jnp.where(inside, expressed, 0.0)
-        + jnp.where(same, alike, 0.0)
+        + jnp.where(same, same_region, 0.0)
         + jnp.where(inside | same, 0.0, absent)
     )
 
@@ -115,17 +115,17 @@ def constraint_odds(
     row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int
 ) -> Array:
     """Evaluate the log-odds of the constraints, f32[4, N, E, P], of the row's one relation."""
-    base, alike, inside, part, untouched, again, first = row.constraints
+    base, same_region, inside, part, untouched, repeated, first = row.constraints
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     objects, touched, kept, near = (
         _is_in(joined.sets[:, index], size) for index in (_OBJECTS, _TOUCHED, _KEPT, _NEAR)
     )
     return (
         base[None]
-        + jnp.where(near, alike, 0.0)
+        + jnp.where(near, same_region, 0.0)
         + jnp.where(objects, inside, 0.0)
         + jnp.where(touched, part + jnp.where(kept, 0.0, first), untouched)
-        + jnp.where(kept, again, 0.0)
+        + jnp.where(kept, repeated, 0.0)
     )
 
 

@@ -33,17 +33,17 @@ class Capacity:
 
     def __post_init__(self) -> None:
         """Refuse sizes that cannot hold one sentence."""
-        for name, least in (("num_mentions", NUM_MENTIONS), ("num_relations", NUM_EDGES)):
+        for name, limit in (("num_mentions", NUM_MENTIONS), ("num_relations", NUM_EDGES)):
             value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
+            if not isinstance(value, int) or value < limit:
                 raise ValueError(
-                    f"{name} is {as_text(value)}, but must be a whole number and at least {least}: "
+                    f"{name} is {as_text(value)}, but must be a whole number and at least {limit}: "
                     "what one sentence may say"
                 )
 
 
 class Relation(NamedTuple):
-    """A spatial relation; figure and landmark are indices of things, types or mentions."""
+    """A spatial relation; figure and landmark are indices of objects, types or mentions."""
 
     figure: int
     relation: int  # index in ``relations.REGISTRY``; it and landmark NONE: figure exists
@@ -81,15 +81,15 @@ def topological_order(relations: Iterable[Entry]) -> list[Entry]:
     return ordered
 
 
-def untyped_last(relations: Sequence[Entry], kinds: Sequence[int]) -> list[Entry]:
+def untyped_last(relations: Sequence[Entry], types: Sequence[int]) -> list[Entry]:
     """Move relations of untyped figures ("the thing") last, as they exclude the other mentions.
 
-    If such a thing is a landmark, the order is unchanged. ``kinds`` are the types of all mentions.
+    If such a figure is a landmark, the order is unchanged. ``types`` are those of all mentions.
     """
-    things = {index for index, kind in enumerate(kinds) if is_anything(kind)}
-    if things & {entry[2] for entry in relations}:
+    untyped = {index for index, type_ in enumerate(types) if is_anything(type_)}
+    if untyped & {entry[2] for entry in relations}:
         return list(relations)
-    return sorted(relations, key=lambda entry: entry[0] in things)
+    return sorted(relations, key=lambda entry: entry[0] in untyped)
 
 
 Description = frozenset[tuple[int, int, int]]
@@ -106,33 +106,33 @@ class _ReadingBuilder:
 
     def read(self, annotations: RankedAnnotations) -> None:
         """Add the annotations of one clause."""
-        related = [
+        relations = [
             Relation(*symbol[1:], rank)
             for symbol, rank in annotations
             if symbol.kind not in (OBJECT, REGION)
         ]
         descriptions: dict[int, set[tuple[int, int, int]]] = {}
-        for figure, relation, landmark, rank in related:
+        for figure, relation, landmark, rank in relations:
             descriptions.setdefault(figure, set()).add((relation, landmark, rank))
         current: list[tuple[int, int]] = []  # mentions of this clause, with their rank
 
-        def mention(kind: int, *excluded: int, rank: int = 0, is_pair: bool = False) -> int:
+        def mention(type_: int, *excluded: int, rank: int = 0, is_pair: bool = False) -> int:
             for k, (i, old_rank) in enumerate(current):
-                is_same = self.mentions[i] == kind and i not in excluded
+                is_same = self.mentions[i] == type_ and i not in excluded
                 if is_same and 0 in (old_rank, rank, old_rank - rank):
                     current[k] = (i, old_rank or rank)
                     return i
-            is_second = any(self.mentions[i] == kind for i, _ in current) and not is_pair
-            description = frozenset(descriptions.get(kind, ()))
-            index = NONE if is_second else self._find(kind, description, excluded)
+            is_second = any(self.mentions[i] == type_ for i, _ in current) and not is_pair
+            description = frozenset(descriptions.get(type_, ()))
+            index = NONE if is_second else self._find(type_, description, excluded)
             if index == NONE:
                 index = len(self.mentions)
-                self.mentions.append(kind)
+                self.mentions.append(type_)
                 self.described.append(description)
             current.append((index, rank))
             return index
 
-        ordered = topological_order(related)
+        ordered = topological_order(relations)
         for position, edge in enumerate(ordered):
             if edge.relation != BETWEEN:
                 landmark = mention(edge.landmark)
@@ -144,10 +144,10 @@ class _ReadingBuilder:
                 self._add_between(edge, [ordered[k].landmark for k in pair], mention)
         # Objects and regions come last: they say that things without a relation exist.
         for symbol, _ in annotations:
-            for kind in (symbol.landmark, symbol.figure):
-                if symbol.kind in (OBJECT, REGION) and kind >= 0:
-                    is_new = kind not in self.mentions
-                    index = mention(kind)
+            for type_ in (symbol.landmark, symbol.figure):
+                if symbol.kind in (OBJECT, REGION) and type_ >= 0:
+                    is_new = type_ not in self.mentions
+                    index = mention(type_)
                     if is_new:
                         self.relations.append(Relation(index, NONE, NONE, 0))
 
@@ -165,16 +165,16 @@ class _ReadingBuilder:
                     sides_of.setdefault(figure_, set()).add(self.mentions[landmark])
             if {first, second} in sides_of.values():
                 return
-        one = mention(first)
-        other = mention(second, one, is_pair=first == second)
-        figure = mention(edge.figure, one, other)
-        self._add([edge._replace(figure=figure, landmark=side) for side in (one, other)])
+        end_a = mention(first)
+        end_b = mention(second, end_a, is_pair=first == second)
+        figure = mention(edge.figure, end_a, end_b)
+        self._add([edge._replace(figure=figure, landmark=side) for side in (end_a, end_b)])
 
-    def _find(self, kind: int, description: Description, excluded: Sequence[int]) -> int:
+    def _find(self, type_: int, description: Description, excluded: Sequence[int]) -> int:
         """Resolve coreference: find an earlier mention whose description is compatible."""
         for i in reversed(range(len(self.mentions))):
-            is_compatible = description <= self.described[i] or self.described[i] <= description
-            if self.mentions[i] == kind and i not in excluded and (kind == ROBOT or is_compatible):
+            matches = description <= self.described[i] or self.described[i] <= description
+            if self.mentions[i] == type_ and i not in excluded and (type_ == ROBOT or matches):
                 self.described[i] = self.described[i] | description
                 return i
         return NONE
@@ -188,47 +188,47 @@ def read(*clauses: RankedAnnotations) -> Reading:
     on your left, then to the cone on your right" has two. A region without a figure ("move behind
     the cone") says that its landmark exists.
     """
-    reader = _ReadingBuilder()
+    builder = _ReadingBuilder()
     for annotations in clauses:
-        reader.read(annotations)
-    relations = untyped_last(reader.relations, reader.mentions)
-    robots = {index for index, kind in enumerate(reader.mentions) if kind == ROBOT}
-    apart = [edge for edge in relations if edge.landmark not in robots | {NONE}]
-    paired = {end for edge in apart for end in (edge.figure, edge.landmark)}
+        builder.read(annotations)
+    relations = untyped_last(builder.relations, builder.mentions)
+    robots = {index for index, type_ in enumerate(builder.mentions) if type_ == ROBOT}
+    object_edges = [edge for edge in relations if edge.landmark not in robots | {NONE}]
+    paired = {end for edge in object_edges for end in (edge.figure, edge.landmark)}
     # Relations between objects locate a figure better than those to the robot: they come first.
     relations = sorted(relations, key=lambda e: e.landmark in robots and e.figure in paired)
-    return Reading(tuple(reader.mentions), tuple(relations))
+    return Reading(tuple(builder.mentions), tuple(relations))
 
 
-def _fits(reading: Reading) -> bool:
+def _fits_arrays(reading: Reading) -> bool:
     return len(reading.mentions) <= NUM_MENTIONS and len(reading.relations) <= NUM_EDGES
 
 
 def to_readings(
-    belief: AnnotationBelief, kinds_of: Callable[[int], tuple[int, ...]] = lambda kind: (kind,)
+    belief: AnnotationBelief, types_of: Callable[[int], tuple[int, ...]] = lambda type_: (type_,)
 ) -> Readings:
     """Pack the likeliest readings of a sentence, padded to K; their probabilities sum to one.
 
-    ``kinds_of`` lists candidate object types of each type of the sentence; by default, itself.
+    ``types_of`` lists candidate object types of each type of the sentence; by default, itself.
     Every assignment of candidates is a separate reading.
 
     Raises:
         CapacityError: the best reading has more mentions or relations than the arrays hold.
     """
-    ranked = sum_by_key(((read(*said), score) for said, score in belief.clauses), np.logaddexp)
-    if not _fits(ranked[0][0]):
+    ranked = sum_by_key(((read(*sets), score) for sets, score in belief.clauses), np.logaddexp)
+    if not _fits_arrays(ranked[0][0]):
         raise CapacityError(
             f"the sentence speaks of {len(ranked[0][0].mentions)} things and "
             f"{len(ranked[0][0].relations)} relations; at most {NUM_MENTIONS} and "
             f"{NUM_EDGES} are held: say less at once"
         )
     bound_readings = []
-    for reading, score in [item for item in ranked if _fits(item[0])][:NUM_READINGS]:
+    for reading, score in [item for item in ranked if _fits_arrays(item[0])][:NUM_READINGS]:
         types = tuple(dict.fromkeys(reading.mentions))
-        choices = list(itertools.product(*map(kinds_of, types)))
+        choices = list(itertools.product(*map(types_of, types)))
         for choice in choices:  # equally probable
-            kinds = dict(zip(types, choice, strict=True))
-            bound = dataclasses.replace(reading, mentions=tuple(map(kinds.get, reading.mentions)))
+            type_of = dict(zip(types, choice, strict=True))
+            bound = dataclasses.replace(reading, mentions=tuple(map(type_of.get, reading.mentions)))
             bound_readings.append((bound, score - math.log(len(choices))))
     return pad_readings(bound_readings[:NUM_READINGS])
 

@@ -197,7 +197,7 @@ class KinematicRobot(SimulatedRobot):
         """Ground-truth pose."""
         return self._true.copy()
 
-    def things(self) -> np.ndarray:
+    def disc_obstacles(self) -> np.ndarray:
         """List all obstacles as discs f64[K, 3], x, y, radius, metres, map frame."""
         scenario, present = self.scenario, np.asarray(self.scenario.is_object)
         x, y = np.asarray(scenario.object_x)[present], np.asarray(scenario.object_y)[present]
@@ -217,7 +217,7 @@ class KinematicRobot(SimulatedRobot):
 
     def _scan(self) -> np.ndarray:
         cos, sin = np.cos(BEAM_ANGLES + self._true[2]), np.sin(BEAM_ANGLES + self._true[2])
-        disc_x, disc_y, radius = self.things().T[..., None]
+        disc_x, disc_y, radius = self.disc_obstacles().T[..., None]
         to_disc_x, to_disc_y = disc_x - self._true[0], disc_y - self._true[1]
         along, across = to_disc_x * cos + to_disc_y * sin, to_disc_y * cos - to_disc_x * sin
         distance = along - np.sqrt(np.maximum(radius**2 - across**2, 0.0))

@@ -57,14 +57,14 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
     """Compile a scene with "husky" or "wheelchair" at its start; the seed turns the cubes."""
     mujoco = libraries.mujoco()
     folder = resources.files("jaxlangnav.robots.physics")
-    place, body = (folder / f"{name}.xml" for name in ("place", robot))
-    included = {"robot.xml": body.read_bytes()}
-    spec = mujoco.MjSpec.from_string(place.read_text("utf-8"), include=included)
+    scene_xml, robot_xml = (folder / f"{name}.xml" for name in ("place", robot))
+    included = {"robot.xml": robot_xml.read_bytes()}
+    spec = mujoco.MjSpec.from_string(scene_xml.read_text("utf-8"), include=included)
     random, counts = np.random.default_rng(seed), Counter[int]()
     for slot in np.flatnonzero(np.asarray(scenario.is_object)).tolist():
         object_type = int(np.asarray(scenario.object_type)[slot])
-        place = float(scenario.object_x[slot]), float(scenario.object_y[slot])
-        quat, pos = _yaw_quaternion(random.uniform(0.0, 0.5 * np.pi)), [*place, MIDDLE_HEIGHT]
+        position = float(scenario.object_x[slot]), float(scenario.object_y[slot])
+        quat, pos = _yaw_quaternion(random.uniform(0.0, 0.5 * np.pi)), [*position, MIDDLE_HEIGHT]
         body = spec.worldbody.add_body(name=f"thing{slot}", mocap=True, pos=pos, quat=quat)
         _add_cube(mujoco, body, _COLORS.get(object_type, (0.3, 0.4, 0.6, 1.0)))
         _add_tags(
