@@ -227,12 +227,10 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     behavior = dialogue.apply_answers(behavior, particles, talk)
     behavior = dialogue.pin_goals(behavior, particles, readings.mention_type, talk.words, clause)
     behavior = dialogue.add_avoidance(behavior, particles, readings.mention_type, talk.words)
-    belief = align_on_robot(
-        replace(state.belief, particles=dialogue.task_mentions(particles, talk.words))
-    )
+    particles = dialogue.task_mentions(particles, talk.words)
+    belief = align_on_robot(replace(state.belief, particles=particles))
     group = believed_groups(readings, belief.particles)
-    weight = jnp.exp(belief.log_weight)
-    robot = robot_position(belief)
+    weight, robot = jnp.exp(belief.log_weight), robot_position(belief)
     has_unseen = links_to_unseen(group, belief.particles)
     return InferredTask(
         fault=fault,

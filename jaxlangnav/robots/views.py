@@ -45,12 +45,13 @@ class Views:
             corners = tag.corners.round().astype(np.int32)
             color = _GREEN if robot.is_used(tag) else _ORANGE
             self._cv2.polylines(image, [corners[:, None]], True, color, 5)
-            object_type = tag.tag_id // TAGS_PER_TYPE
-            if object_type < len(self._type_names) and tag.tag_id not in labelled:
+            index, names = tag.tag_id // TAGS_PER_TYPE, self._type_names
+            if index < len(names) and tag.tag_id not in labelled:
                 labelled.add(tag.tag_id)
-                distance = np.hypot(*object_center(tag, robot.camera))
-                label = f"{self._type_names[object_type]} {distance:.1f} m"
-                self._draw_label(image, label, corners.min(axis=0), color)
+                metres = np.hypot(*object_center(tag, robot.camera))
+                self._draw_label(
+                    image, f"{names[index]} {metres:.1f} m", corners.min(axis=0), color
+                )
         return self._to_panel(image)
 
     def jpegs(self) -> dict[str, bytes]:

@@ -28,7 +28,7 @@ _HEADING_TOLERANCE = 0.15  # radians off the last waypoint within which the robo
 _MIN_OFFSET = 0.3  # metres from the last waypoint beyond which its direction is defined
 _STUCK_SECONDS = 8.0  # without motion: then it fails
 _MOVED = 0.1  # metres, or a fifth of a radian, that count as motion
-_BASE_SECONDS, _DETOUR_FACTOR = 15.0, 4.0  # time limit: base, and factor on the direct time
+_BASE, _DETOUR = 15.0, 4.0  # time limit: base seconds, and factor on the direct time
 _DISC_JITTER = np.array([0.0, 0.0, 0.06])  # metres by which discs may grow while a path stays free
 _REPLAN_SECONDS = 0.3  # from one planning, or shortening of a free path, to the next
 _MAX_FAILURES = 10  # consecutive failed plannings: then there is no path
@@ -161,8 +161,7 @@ class MotionPlanner:
         """Tell whether the robot has been at rest, or under way, for too long."""
         if math.isinf(self._time_left):
             straight = float(np.hypot(*(self._waypoints[-1] - pose[:2])))
-            speed = max(self.body.speed * self._speed, 0.05)
-            self._time_left = _BASE_SECONDS + _DETOUR_FACTOR * straight / speed
+            self._time_left = _BASE + _DETOUR * straight / max(self.body.speed * self._speed, 0.05)
         self._time_left -= TICK
         self._still_seconds += TICK
         has_moved = np.hypot(*(pose - self._last_pose)[:2]) > _MOVED
