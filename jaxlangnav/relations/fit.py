@@ -132,7 +132,7 @@ def _maximise(
     curvature = jax.lax.map(
         lambda unit: jax.jvp(jax.grad(loss), (optimum.point,), (unit,))[1], jnp.eye(len(init))
     )
-    is_converged = jnp.max(jnp.abs(optimum.slope)) < _CONVERGED_TOL
+    is_converged = jnp.max(jnp.abs(optimum.grad)) < _CONVERGED_TOL
     return unravel(optimum.point), curvature * num_pairs, is_converged
 
 
