@@ -44,6 +44,7 @@ class Scenario:
     area: tuple[float, float, float, float] = AREA
     steps: int = 110
     slip: float = 0.02  # metres per metre of way, standard deviation of either axis
+    wall: float = 0.0  # metres of a low wall across the way, which halts and is never told
 
     def furnish(self, random: np.random.Generator, types: tuple[str, ...]) -> "Place":
         """Draw a place."""
@@ -65,6 +66,7 @@ SCENARIOS = {
     "nowhere": Scenario(is_empty=True, bystanders=4),
     "drift": Scenario(drift=np.radians(3.0)),
     "steady_drift": Scenario(steady_drift=np.radians(3.0)),
+    "wall": Scenario(wall=4.0),
 }
 
 
@@ -176,6 +178,23 @@ def robot_of(steady_drift: float, drift: float, **numbers: float) -> jaxlangnav.
     return jaxlangnav.Navigator.pretrained("informed", None, **(known | numbers))
 
 
+def build_wall(random: np.random.Generator, length: float, goal: np.ndarray) -> np.ndarray:
+    """Build a wall across the straight way to a goal: its two ends."""
+    turn = np.arctan2(goal[1], goal[0]) + np.pi / 2 + random.uniform(-0.5, 0.5)
+    middle, half = goal * random.uniform(0.3, 0.7), 0.5 * length
+    return middle + half * np.array([[-1.0], [1.0]]) * [np.cos(turn), np.sin(turn)]
+
+
+def halted_by(wall: np.ndarray, position: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Cut a step short where the robot's body, 0.25 m in radius, meets a wall."""
+    along = wall[1] - wall[0]
+    at = position + np.linspace(0.0, 1.0, 41)[:, None] * step
+    share = np.clip((at - wall[0]) @ along / (along @ along), 0.0, 1.0)
+    gap = np.hypot(*(at - wall[0] - share[:, None] * along).T)
+    is_into = (gap[1:] < 0.25) & (gap[1:] < gap[:-1])
+    return step * (is_into.argmax() / 40.0 if is_into.any() else 1.0)
+
+
 class Ride:
     """One robot in its place; both hang on its seed alone."""
 
@@ -188,6 +207,8 @@ class Ride:
         self.drifting = np.random.default_rng([seed, 78])
         self.place = place or scenario.furnish(self.random, types)
         self.position, self.odometry = np.zeros((2, 2))
+        wall, goal = scenario.wall, self.place.at[0]
+        self.wall = build_wall(self.drifting, wall, goal) if wall else None
         # By how much the true heading exceeds that of odometry, which is all that the robot knows.
         self.turned, self.steady = 0.0, scenario.steady_drift * self.drifting.choice([-1.0, 1.0])
         self.path, self.metres, self.overflow = [self.position], 0.0, 0
@@ -202,7 +223,9 @@ class Ride:
         ]
 
     def move(self, step: np.ndarray) -> None:
-        """Go where odometry has it, but for drift and slip."""
+        """Go where odometry has it, but for drift, slip and walls."""
+        if self.wall is not None:
+            step = halted_by(self.wall, self.position, step)
         length = float(np.hypot(*step))
         self.metres += length
         self.odometry = self.odometry + step

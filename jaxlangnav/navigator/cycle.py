@@ -36,7 +36,7 @@ from jaxlangnav.navigator.records import (
 )
 from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph, policy
-from jaxlangnav.planner.blocked import init_progress, update_progress
+from jaxlangnav.planner.blocked import init_progress, sidestep, update_progress
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.relevance import believed_groups, links_to_goal, links_to_unseen
 from jaxlangnav.pytree import pytree, replace, strong_types
@@ -288,5 +288,17 @@ def _decide(
     memory, choice = policy.choose(params.policy_of(config), key, state.memory, situation)
     waypoint, patience = (choice.next_x, choice.next_y), config.patience
     is_moving = ~task.is_still & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
-    progress = update_progress(state.progress, waypoint, task.robot, is_moving, patience=patience)
+    progress = update_progress(
+        state.progress,
+        waypoint,
+        task.robot,
+        is_moving,
+        may_sidestep=~jnp.any(situation.forbidden.cost > 0.0),
+        patience=patience,
+    )
+    x_min, x_max, y_min, y_max = task.belief.coverage.area
+    side_x, side_y = sidestep(progress)
+    next_x = jnp.where(progress.leg > 0, jnp.clip(side_x, x_min, x_max), choice.next_x)
+    next_y = jnp.where(progress.leg > 0, jnp.clip(side_y, y_min, y_max), choice.next_y)
+    choice = replace(choice, next_x=next_x, next_y=next_y)
     return replace(state, visited=visited, memory=memory, progress=progress), choice

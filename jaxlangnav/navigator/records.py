@@ -46,9 +46,9 @@ class NavigatorConfig:
 
     map: MapConfig = dataclasses.field(default_factory=MapConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
-    patience: int = field("cycles without progress after which a waypoint is abandoned", default=10)
+    patience: int = field("cycles without progress after which the robot steps aside", default=5)
     num_detours: int = field(
-        "abandoned waypoints after which the robot counts as blocked", default=3
+        "stalls at one obstacle after which the robot counts as blocked", default=8
     )
 
     def __post_init__(self) -> None:
