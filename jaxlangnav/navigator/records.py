@@ -159,7 +159,7 @@ def _status(
     status = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), active)
     status = jnp.where(is_arrived, int(Status.ARRIVED), status)
     status = jnp.where(choice.doubt.asks, int(Status.WHICH_ONE), status)
-    is_blocked = state.progress.num_closed > config.num_detours
+    is_blocked = state.progress.num_stalls > config.num_detours
     status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
     return jnp.where(task.is_still, state.status, status)
 
@@ -245,5 +245,5 @@ def update_task_state(
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
         status=_status(state, task, choice, config),
         talk=talk,
-        progress=replace(progress, num_closed=jnp.where(is_advanced, 0, progress.num_closed)),
+        progress=replace(progress, num_stalls=jnp.where(is_advanced, 0, progress.num_stalls)),
     )

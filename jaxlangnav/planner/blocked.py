@@ -37,7 +37,7 @@ class ProgressMonitor:
     closed_x: Array  # f32[NUM_CLOSED] metres, map frame: abandoned waypoints, latest first
     closed_y: Array  # f32[NUM_CLOSED]
     closed_for: Array  # i32[NUM_CLOSED] remaining cycles of their closure
-    num_closed: Array  # i32[] number of stalls on the way past one obstacle, in this task
+    num_stalls: Array  # i32[] number of stalls on the way past one obstacle, in this task
     stall_x: Array  # f32[] metres, map frame: the last of them
     stall_y: Array  # f32[]
     stall_heading: Array  # f32[] radians, map frame: towards the waypoint then
@@ -60,7 +60,7 @@ def init_progress(pose: Array) -> ProgressMonitor:
         closed_x=zero,
         closed_y=zero,
         closed_for=jnp.zeros(NUM_CLOSED, jnp.int32),
-        num_closed=jnp.int32(0),
+        num_stalls=jnp.int32(0),
         stall_x=pose[0],
         stall_y=pose[1],
         stall_heading=pose[2],
@@ -112,7 +112,7 @@ def update_progress(
     waited = jnp.where(is_driving & ~has_moved, monitor.waited + 1, 0)
     is_stalled = waited > patience
     gone = jnp.hypot(robot_x - monitor.stall_x, robot_y - monitor.stall_y)
-    num_before = jnp.where(gone > _PASSED, 0, monitor.num_closed)
+    num_before = jnp.where(gone > _PASSED, 0, monitor.num_stalls)
     is_stuck = (num_before == 0) | (gone < _MIN_ASIDE)
     heading = jnp.arctan2(waypoint[1] - robot_y, waypoint[0] - robot_x)
     side_x, side_y = sidestep(monitor)
@@ -133,7 +133,7 @@ def update_progress(
         closed_x=push(monitor.closed_x, waypoint[0]),
         closed_y=push(monitor.closed_y, waypoint[1]),
         closed_for=push(remaining, jnp.int32(_CLOSED_CYCLES)),
-        num_closed=num_before + is_stalled.astype(jnp.int32),
+        num_stalls=num_before + is_stalled.astype(jnp.int32),
         stall_x=jnp.where(is_stalled, robot_x, monitor.stall_x),
         stall_y=jnp.where(is_stalled, robot_y, monitor.stall_y),
         stall_heading=jnp.where(is_stalled, heading, monitor.stall_heading),
