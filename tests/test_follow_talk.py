@@ -173,13 +173,14 @@ def test_a_simulated_person_corrects_and_answers(capsys) -> None:
 # ------------ who sits at a real terminal (a pseudo one)
 
 TYPIST = """
-import sys
+import gc, sys
 from types import SimpleNamespace as Made
 import numpy as np
 from jaxlangnav.cli.output import Output
 from jaxlangnav.cli.speech import TerminalUser
 from jaxlangnav.navigator import candidates
 candidates.believed_pose = lambda state: np.zeros(3)
+gc.disable()  # JAX's callback of it may swallow the one Ctrl-C
 is_talking = sys.argv[1] == "talk"
 things = [Made(type_name="hydrant", x=x, y=1.0, probability=0.5) for x in (3.0, 5.0)]
 typist = TerminalUser(Output(is_json=False), is_talking=is_talking)
