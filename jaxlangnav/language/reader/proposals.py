@@ -105,18 +105,12 @@ class Labelling:
         return self.met.issuperset(map(self.span_key, self.runs))
 
     def is_safe(self) -> bool:
-        """Check that deleted words neither select an object nor reverse the meaning.
-
-        Edited spans of the training data are always allowed.
-        """
+        """Check that deleted words not met in training neither select a thing nor negate."""
         unseen = [run for run in self.runs if self.span_key(run) not in self.met]
         touched = {self.sentence.clause[i] for run in unseen for i in run}
         return (
             all(self._keeps_verb(self.sentence.clauses[k]) for k in touched)
-            and all(
-                PREPOSITION not in classes or self._is_converse(index)
-                for index, classes in enumerate(self.sentence.classes)
-            )
+            and all(self._is_converse(i) for i, label in enumerate(self.labels) if label[0] == "=")
             and all(map(self._is_span_safe, unseen))
             and not self._has_dangling_pronoun()
         )
@@ -124,7 +118,8 @@ class Labelling:
     def _is_span_safe(self, run: range) -> bool:
         words, is_name, classes = self.sentence.words, self.sentence.is_name, self.sentence.classes
         named = [i for i in run if is_name[i]]
-        is_undone = bool(named) and any(words[i] in WORDS["undoing"] for i in run if i > named[0])
+        end = max((i for i in run if words[i] in WORDS["undoing"]), default=run.start)
+        is_undone = any(is_name[i] or self._may_be_thing(i) for i in range(run.start, end))
         if named and not is_undone:
             kept = {singular(words[i]) for i, k in enumerate(self.kept) if k and is_name[i]}
             is_chosen = any(not WORDS["choosing"].isdisjoint(classes[i]) for i in run)
@@ -136,7 +131,7 @@ class Labelling:
             if is_joined and self.labels[run.start] == DELETE:
                 return False
         is_refused = any(
-            words[i : min(i + len(key), run.stop)] == key and not self.is_deleted(i)
+            words[i : min(i + len(key), run.stop)] == key and not (is_undone or self.is_deleted(i))
             for i in run
             for key in load_lexicon().refused_expressions  # "a bit"
         )
@@ -172,20 +167,23 @@ class Labelling:
         if self.labels[index] != DELETE:
             return True
         is_choosing = not WORDS["choosing"].isdisjoint(classes) or word in WORDS["degrees"]
-        if index and classes[0][0] == "?" and self.sentence.words[index - 1] in WORDS["articles"]:
-            is_choosing = True  # it may be an unknown object
         is_moved = any(label == f"{KEEP}>{word}" for label in self.labels)
-        return not is_choosing or is_moved or self.is_deleted(index)
+        return is_moved or self.is_deleted(index) or not (is_choosing or self._may_be_thing(index))
+
+    def _may_be_thing(self, index: int) -> bool:
+        """Check whether an unknown word may be an object: it follows an article."""
+        is_unknown = self.sentence.classes[index][0][0] == "?"
+        return is_unknown and self.sentence.words[max(index - 1, 0)] in WORDS["articles"]
 
     def _is_converse(self, index: int) -> bool:
-        """Check that a relation replacing a preposition is the converse of a deleted relation."""
+        """Check that a relation replacing "with" or "that's" is the converse of the deleted one."""
         # "The house with the truck in front" is the house behind the truck.
         new = _relations(self.labels[index][1:].split())
-        if not new:
-            return True
         clause = self.sentence.clauses[self.sentence.clause[index]]
         deleted = _relations([self.sentence.words[i] for i in clause if self.labels[i] == DELETE])
-        return new <= {REGISTRY[relation].converse for relation in deleted}
+        binding = {PREPOSITION, *(WORDS["telling"] if deleted else ())}
+        is_free = binding.isdisjoint(self.sentence.classes[index])
+        return is_free or new <= {REGISTRY[relation].converse for relation in deleted}
 
     def _is_object_kept(self, index: int) -> bool:
         """Check whether the name after a preposition is kept."""
