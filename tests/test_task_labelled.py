@@ -121,12 +121,13 @@ PARTS = {
     "third": (267, 1),
     "fourth": (279, 5),
     "fifth": (177, 4),
-    "sixth": (92, 0),
+    "sixth": (91, 0),
     "seventh": (81, 1),
-    "eighth": (116, 5),
-    "ninth dev": (134, 1),
-    "ninth test": (100, 5),
-    "tenth": (84, 2),
+    "eighth": (118, 3),
+    "ninth dev": (134, 2),
+    "ninth test": (104, 4),
+    "tenth": (86, 2),
+    "eleventh": (134, 8),
 }
 """How many of a set are right, at least, and wrong, at most."""
 
