@@ -89,8 +89,7 @@ SCORED = [
 
 def test_sentences_are_scored_by_what_they_ask_for(tmp_path):
     lines = [{"text": t, "label": m, "construction": o} for t, m, o in SCORED]
-    sentences = read_sentences(write(tmp_path / "a.jsonl", *lines))
-    scores = score_sentences(sentences, load_shipped())
+    scores = score_sentences(read_sentences(write(tmp_path / "a.jsonl", *lines)), load_shipped())
     assert [(one.sentence.text, one.outcome) for one in scores] == [(t, o) for t, _, o in SCORED]
     document = summarize_scores(scores)
     assert document["sentences"] == len(SCORED)
