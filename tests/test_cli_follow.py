@@ -209,6 +209,8 @@ def test_the_known_way_goes_by_where_earlier_commands_end(tmp_path):
     found = follow_text(text, world=world, max_steps=1).scene
     assert found.known_distance == pytest.approx(math.hypot(18.0, 9.0) + math.hypot(12.0, 9.0))
     assert step_limit(found.scenario, found.sensor) == 3 * 400 / 6.0
+    with pytest.raises(ValueError, match="max_steps"):
+        follow_text(text, world=world, max_steps=0)
 
 
 def bare(path: Path, number: int) -> str:

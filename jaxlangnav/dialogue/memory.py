@@ -68,10 +68,9 @@ def begin_conversation(
         num_objects: O.
         words: discourse information on the readings; by default the task requests all mentions.
     """
-    readings = instruction.readings
     return Conversation(
         words=default_discourse(instruction) if words is None else words,
-        context=current_context(readings, pose),
+        context=current_context(instruction.readings, pose),
         viewer=compose_poses(pose, instruction.frame),
         home=pose,
         approached=jnp.int32(NONE),
@@ -168,8 +167,7 @@ def pin_goals(
     num_objects, reading = particles.object_type.shape[0], particles.reading
     by_reading = [jnp.take(field, clause, axis=1) for field in (words.goal, words.is_pinned)]
     goal, is_pinned = (jnp.take(field, reading, mode="clip") for field in by_reading)  # [P]
-    mentions = jnp.arange(types.shape[1])[:, None]
-    is_goal = mentions == goal[None]
+    is_goal = jnp.arange(types.shape[1])[:, None] == goal[None]
     mention_type = _per_particle(types, particles)  # [M, P]
     goal_type = jnp.sum(jnp.where(is_goal, mention_type, 0), axis=0)
     referent = jnp.sum(jnp.where(is_goal, particles.referent, 0), axis=0)

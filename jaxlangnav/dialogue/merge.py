@@ -83,8 +83,7 @@ def _product(
     for edge in (edge.renumber(indices) for edge in new.edges):
         # From another viewpoint "behind the cone" is another side of it: repeated, it adds a
         # relation. "Between" does not depend on the viewpoint.
-        is_viewed = edge.relation not in (NONE, BETWEEN)
-        if is_viewed or edge._replace(utterance=0) not in old_edges:
+        if edge.relation not in (NONE, BETWEEN) or edge._replace(utterance=0) not in old_edges:
             edges.append(edge)
     total, goals = old.log_probability + new.log_probability, renumber(new.new_goals, indices)
     return History(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
@@ -192,5 +191,4 @@ def merge_utterance(
     (k_size, m_size), j_size = readings.mention_type.shape, readings.relation.shape[1]
     ranked = [_fit_capacity(_simplify(history), m_size, j_size) for history in merged[:k_size]]
     ranked[0].num_dropped += int(words.num_dropped)
-    sizes = k_size, m_size, j_size, words.goal.shape[1]
-    return to_arrays(ranked, sizes, instruction, utterance)
+    return to_arrays(ranked, (k_size, m_size, j_size, words.goal.shape[1]), instruction, utterance)

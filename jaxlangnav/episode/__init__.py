@@ -183,5 +183,4 @@ def run(
     def body(state: EpisodeState) -> EpisodeState:
         return advance(state, params=params, config=config)[0]
 
-    state0 = begin(task, instructions, config=config)
-    return finish(jax.lax.while_loop(is_running, body, state0))
+    return finish(jax.lax.while_loop(is_running, body, begin(task, instructions, config=config)))

@@ -159,14 +159,13 @@ def make_frame(
         "miss": jnp.exp(belief.coverage.log_miss),
         "is_goal": goals.is_object,
         "goal_region": jnp.append(region[: goals.object_x.shape[0] - 1], region[-1]),
-        **{
-            f"goal_{name}": vars(goals)[f"object_{name}"]
-            for name in ("x", "y", "mass", "confirmed")
-        },
-        **{
-            f"hypothesis_goal_{name}": vars(goals)[f"hypothesis_{name}"]
-            for name in ("x", "y", "mass")
-        },
+        "goal_x": goals.object_x,
+        "goal_y": goals.object_y,
+        "goal_mass": goals.object_mass,
+        "goal_confirmed": goals.object_confirmed,
+        "hypothesis_goal_x": goals.hypothesis_x,
+        "hypothesis_goal_y": goals.hypothesis_y,
+        "hypothesis_goal_mass": goals.hypothesis_mass,
         **{f"node_{name}": vars(nodes)[name] for name in ("x", "y", "kind")},
         "is_node": nodes.is_node,
         "waypoint": jnp.stack([decision.waypoint_x, decision.waypoint_y]),

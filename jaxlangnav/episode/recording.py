@@ -81,7 +81,7 @@ class Snapshot:
     node_x: Leaf  # f32[A]
     node_y: Leaf  # f32[A]
     is_node: Leaf  # bool[A]
-    node_kind: Leaf  # i32[A] planner.graph.FRONTIER, VISITED or OBJECT
+    node_kind: Leaf  # i32[A] planner.graph.FRONTIER, VISITED or OBJECT_NODE
     value: Leaf  # f32[A] −∞ where closed
     goal_value: Leaf  # f32[A]
     information_value: Leaf  # f32[A]
@@ -162,9 +162,7 @@ class StepView:
 
 
 def replay(
-    scene: StaticScene,
-    steps: Iterable[tuple[Snapshot, EpisodeResult]],
-    dialogue: Sequence[Remark],
+    scene: StaticScene, steps: Iterable[tuple[Snapshot, EpisodeResult]], dialogue: Sequence[Remark]
 ) -> Iterator[StepView]:
     """Yield each step with the previous frame and the utterances heard before it.
 

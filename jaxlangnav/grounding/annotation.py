@@ -178,8 +178,7 @@ def infer_annotations(
         log_ranks = tree.log_ranks()
         rank |= {path: int(np.argmax(values)) for path, values in log_ranks.items()}
         sets = _clause_sets(space.symbols_in(None), beam, root, clause, log_ranks)
-        best = sorted(sets, key=lambda pair: -pair[1])[:width]
-        pairs = itertools.product(joint, best)
+        pairs = itertools.product(joint, sorted(sets, key=lambda pair: -pair[1])[:width])
         both = [((*done, new), score + more) for (done, score), (new, more) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
     return AnnotationBelief(tuple(joint), rank)

@@ -170,8 +170,7 @@ def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_S
         lambda noun: noun,
         object_odds(row, scene, joined, size),
     )
-    regions = region_odds(row, scene, joined, size)
-    odds = jnp.concatenate([first[:, None], regions], axis=1)
+    odds = jnp.concatenate([first[:, None], region_odds(row, scene, joined, size)], axis=1)
     odds = materialize(odds.reshape(_BEAM, -1, *odds.shape[-2:]))
     sets, cost = materialize(_four_best_sets(odds, joined.cost, size))
     both, slots = sets[:, 0], sets[:, 1:]
@@ -241,8 +240,7 @@ def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: A
     def infer(index: Array, carry: tuple[_Stack, _Expressed]) -> tuple[_Stack, _Expressed]:
         # The root comes last in every lane, however many phrases a lane has.
         phrase = jnp.where(index == num_phrases - 1, NUM_PHRASES - 1, index)
-        row = replace(program, **select_row(rows, phrase))
-        return _advance(row, scene, carry[0])
+        return _advance(replace(program, **select_row(rows, phrase)), scene, carry[0])
 
     # Phrases are processed bottom-up.
     _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))

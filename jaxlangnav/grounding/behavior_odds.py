@@ -167,8 +167,7 @@ def smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
     """
     size = cost.shape[-3]
     low = (1 << (size - 1).bit_length()) - 1
-    bits = jax.lax.bitcast_convert_type(cost, jnp.int32)
-    packed = (bits & ~low) | iota(size, cost.ndim)
+    packed = (jax.lax.bitcast_convert_type(cost, jnp.int32) & ~low) | iota(size, cost.ndim)
     lowest = jnp.min(packed, axis=-3)
     minima = [lowest]
     for _ in range(count - 1):
@@ -181,7 +180,6 @@ def smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
 
 def pick_of_four(values: Array, index: Array) -> Array:
     """Read one of four: values i32[4, ..., E, P], index i32[m, ..., E, P] → i32[m, ..., E, P]."""
-    high = index >= 2
     odd = (index & 1) == 1
     low_part = jnp.where(odd, values[1:2], values[0:1])
-    return jnp.where(high, jnp.where(odd, values[3:4], values[2:3]), low_part)
+    return jnp.where(index >= 2, jnp.where(odd, values[3:4], values[2:3]), low_part)

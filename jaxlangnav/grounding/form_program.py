@@ -162,8 +162,7 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
         )
     phrases = []
     for end, prob in probabilities.items():
-        inside = CERTAIN + _log_odds(prob)
-        row = _slot_fields(regions.index(end.region), end.region, inside)
+        row = _slot_fields(regions.index(end.region), end.region, CERTAIN + _log_odds(prob))
         phrases.append(_Phrase(row, (_object_phrase(end.thing, CERTAIN, end.before),)))
     avoided = [
         [Destination(_description_of(r, thing), NEAR) for thing in r.commands[index].avoid]

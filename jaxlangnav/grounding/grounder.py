@@ -151,15 +151,12 @@ class GraphGrounder:
         """Ground a sentence; see ``Grounder.ground``."""
         earlier = None
         if context.about != NONE:
-            noun = noun_of(context.about, self.names)
-            earlier = Antecedent(kind=noun, is_at=context.is_at)
-        threshold = self.least_probability
-        understood = understand(text, self.model, self.detector, earlier, threshold)
+            earlier = Antecedent(kind=noun_of(context.about, self.names), is_at=context.is_at)
+        understood = understand(text, self.model, self.detector, earlier, self.least_probability)
         # A robot under way also accepts statements and constraints.
         if not context.is_under_way or int(understood.instruction.num_clauses):
             understood.check_task(is_first=not context.is_under_way)
-        bound = understood.type_names
-        unknown = [word for word in understood.unknown_words if word not in bound]
+        unknown = [w for w in understood.unknown_words if w not in understood.type_names]
         unread = understood.parse.unread
         return Grounded(
             instruction=understood.instruction,

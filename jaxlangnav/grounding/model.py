@@ -112,11 +112,9 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
         for name in classes or {"none"}:
             features[f"below={child.label}:{name}"] = 0.5
     features[f"children={min(len(phrase.children), 3)}"] = 0.5
-    return {
-        name: value
-        for name, value in features.items()
-        if not without or feature_group(name) not in without
-    }
+    if not without:
+        return features
+    return {name: value for name, value in features.items() if feature_group(name) not in without}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -238,8 +238,7 @@ def widen(readings: Readings, capacity: Capacity) -> Readings:
     padded = {}
     for name in ("mention_type", "figure", "relation", "landmark", "rank"):
         leaf = np.asarray(getattr(readings, name))
-        is_mention = name == "mention_type"
-        size = capacity.num_mentions if is_mention else capacity.num_relations
+        size = capacity.num_mentions if name == "mention_type" else capacity.num_relations
         widths = ((0, 0), (0, size - leaf.shape[1]))
         padded[name] = np.pad(leaf, widths, constant_values=0 if name == "rank" else NONE)
     return replace(readings, **jax.device_put(padded))

@@ -70,8 +70,7 @@ def search(
     """
     combined: list[tuple[tuple[Hypothesis, ...], float]] = [((), 0.0)]
     for i, child in enumerate(root.children):
-        beam = search(child, log_odds, width=width, path=(*path, i))
-        pairs = itertools.product(combined, beam)
+        pairs = itertools.product(combined, search(child, log_odds, width=width, path=(*path, i)))
         joint = [((*done, new), score + new.log_probability) for (done, score), new in pairs]
         combined = sorted(joint, key=lambda pair: -pair[1])[:width]
     results = [

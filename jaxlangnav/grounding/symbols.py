@@ -96,8 +96,7 @@ class AnnotationSpace(SymbolDomain[AnnotationSymbol]):
     def __init__(self, num_types: int) -> None:
         """List the symbols of T types; the robot has the last landmark index."""
         self.num_types, self.num_landmarks = num_types, num_types + 1
-        landmarks = (*range(num_types), ROBOT)
-        regions = [(r, m) for r in range(NUM_RELATIONS) for m in landmarks]
+        regions = [(r, m) for r in range(NUM_RELATIONS) for m in (*range(num_types), ROBOT)]
         objects = [object_symbol(t) for t in range(num_types)]
         relations = [relation_symbol(f, r, m) for f in range(num_types) for r, m in regions]
         super().__init__([*objects, *itertools.starmap(region_symbol, regions), *relations])

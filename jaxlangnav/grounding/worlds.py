@@ -93,8 +93,7 @@ def reading_world(placed: PlacedWorld, type_names: tuple[str, ...], readings: Re
     if not placed.objects or not ((edges[:, 1] == BETWEEN) | (edges[:, 3] > 0)).any():
         return world
     strength = Geometry(placed).strength
-    types = np.asarray(readings.mention_type[0])
-    is_kind = [is_type(world.object_type, kind) for kind in types]
+    is_kind = [is_type(world.object_type, kind) for kind in np.asarray(readings.mention_type[0])]
     _encode_between(world, placed, is_kind, edges)
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
         is_figure = allowed = is_kind[figure][:-1]

@@ -164,9 +164,8 @@ def _read_world(record: _World, parsed: Parse) -> WorldLabels:
         phrases = len(list(root.walk()))
         _check(len(labels) == phrases, f"behavior: {len(labels)} labels for {phrases} phrases")
         _check_symbols(labels, legal)
-    objects = tuple(record.objects)
     return WorldLabels(
-        world=PlacedWorld(objects=objects, robot=record.robot, previous=previous),
+        world=PlacedWorld(objects=tuple(record.objects), robot=record.robot, previous=previous),
         behavior=tuple(tuple(map(frozenset, labels)) for labels in record.behavior),
     )
 

@@ -43,8 +43,7 @@ def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
     rules = exported_rules(load_grammar(), nouns)
     names = {left: _name(left, form) for left in rules}
     arrow, bar, comment = {"lark": (": ", "\n  | ", "//"), "gbnf": (" ::= ", " | ", "#")}[form]
-    header = f"{comment} The controlled language of jaxlangnav. Every word has a space before it."
-    lines = [header]
+    lines = [f"{comment} The controlled language of jaxlangnav. Every word has a space before it."]
     for left, rights in rules.items():
         bodies = [" ".join(names.get(s) or _literal(s) for s in right) for right in rights]
         lines.append(names[left] + arrow + bar.join(bodies))
@@ -70,11 +69,6 @@ def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
     rules[_UNKNOWN_NOUN] = [tuple(f'"{word}"' for word in _words(noun)) for noun in nouns]
     rules = {left: list(dict.fromkeys(rights)) for left, rights in rules.items()}
     return _reachable(_productive(rules))
-
-
-def spaced(text: str) -> str:
-    """Format a sentence for the exported grammar: lower case, with a space before each word."""
-    return " " + " ".join(normalize(text).split())
 
 
 def _words(noun: str) -> list[str]:

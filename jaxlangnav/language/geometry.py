@@ -5,7 +5,6 @@ or the leftmost is a comparison of degrees among the objects of one type.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -35,11 +34,10 @@ class PlacedWorld:
 @cached_jit()
 def _all_relations(positions: Array, viewer: Array, heading: Array) -> Array:
     """Evaluate all relations for all pairs, bool[6, N, N + 1]; landmark N is the robot."""
-    own_heading: Any = heading
 
     def table(relation: int) -> Array:
         pairs = holds(relation, positions[:, None], positions[None, :], viewer)
-        to_robot = holds(relation, positions, viewer, viewer, own_heading)
+        to_robot = holds(relation, positions, viewer, viewer, heading)
         return jnp.concatenate([pairs, to_robot[:, None]], axis=1)
 
     return jnp.stack([table(relation) for relation in range(len(RELATIONS))])
@@ -59,11 +57,9 @@ class Geometry:
         heading = world.robot[2]
         inputs = jax.device_put((positions, viewer, np.float32(heading)))
         self.holds = np.array(_all_relations(*inputs))
-        points = np.concatenate([positions, viewer[None]], 0)
-        offset = positions[:, None] - points[None]
+        offset = positions[:, None] - np.concatenate([positions, viewer[None]])[None]
         distance = np.linalg.norm(offset, axis=-1)
-        sides = np.ix_(SIDES, range(count), [count])
-        self.holds[sides] &= distance[:, -1:] <= side_range
+        self.holds[np.ix_(SIDES, range(count), [count])] &= distance[:, -1:] <= side_range
         lateral = offset @ np.array([-np.sin(heading), np.cos(heading)])
         # Degree of each relation, f64[6, N, N + 1]; larger is stronger.
         self.strength = np.stack([degree(r, distance, lateral) for r in range(len(RELATIONS))])

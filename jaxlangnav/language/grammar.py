@@ -71,10 +71,9 @@ def read_rules(text: str) -> list[tuple[str, tuple[str, ...], float]]:
     """
     rules = []
     for line_number, line in enumerate(text.splitlines(), start=1):
-        line = line.split("#")[0].strip()
-        if not line:
+        parts = line.split("#")[0].split()
+        if not parts:
             continue
-        parts = line.split()
         weight = parts[-1]
         if len(parts) < 4 or parts[1] != "->" or not (weight[0] == "[" and weight[-1] == "]"):
             raise ValueError(f"grammar line {line_number}: expected 'left -> right [weight]'")

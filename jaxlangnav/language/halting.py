@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
-from jaxlangnav.language.tokens import normalize, words_of
+from jaxlangnav.language.tokens import APOSTROPHES, normalize, words_of
 
 MAX_HALTING_CHARACTERS = 400
 """Length limit of utterances that only halt, resume or cancel."""
@@ -21,7 +21,6 @@ _MAX_ALARM_CHARACTERS = 10_000
 """Length limit of sentences (``language.parser``)."""
 _CLASSES = ("verb", "manner", "warning", "not", "denial", "place", "when", "and", "go")
 _BREAK = re.compile(r"[^\w\s]+")
-_APOSTROPHES = re.compile(r"['\u2018\u2019`]")
 _REPEATS = re.compile(r"(.)\1+")
 _VOWELS = "aeiou"
 _MIN_LETTERS = 4
@@ -145,7 +144,7 @@ def _parts(text: str, limit: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
     """Split an utterance at punctuation into lists of words; empty if it is too long."""
     if len(text) > limit:
         return []
-    plain = _APOSTROPHES.sub("", normalize(text)).replace("-", " ").replace("_", " ")
+    plain = APOSTROPHES.sub("", normalize(text)).replace("-", " ").replace("_", " ")
     return [part.split() for part in _BREAK.split(plain) if part.strip()]
 
 

@@ -168,9 +168,8 @@ def name_nouns(phrase: Phrase) -> Phrase:
     while start and words[start - 1].tag == "NN" and not words[start - 1].senses:
         start -= 1
     head = words[last]
-    lemma = singular(head.lemma) if head.tag == "NN" else head.lemma
     modifiers = [word.text for word in words[start:last]]
-    name = " ".join([*modifiers, lemma])
+    name = " ".join([*modifiers, singular(head.lemma) if head.tag == "NN" else head.lemma])
     noun = Word(
         text=" ".join([*modifiers, head.text]),
         tag="NNS" if singular(head.text) != head.text else "NN",

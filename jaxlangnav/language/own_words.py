@@ -157,10 +157,8 @@ class _SenseIndex:
 
     def is_word_of_grammar(self, name: str) -> bool:
         """Check whether a name is a word of the grammar; "thing" and "well" may be labels."""
-        uses = (
-            {use for use, _ in self._senses.get(name, ())} - WORDS["open"] - WORDS["talk"] - {"one"}
-        )
-        return self._is_closed(name) or any(not use.startswith("v_") for use in uses)
+        uses = {use for use, _ in self._senses.get(name, ())} - WORDS["open"] - WORDS["talk"]
+        return self._is_closed(name) or any(not use.startswith("v_") for use in uses - {"one"})
 
     def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
         """Check whether a word cannot be a name, or cannot begin or end one."""

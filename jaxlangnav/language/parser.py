@@ -139,9 +139,8 @@ def _check_symbols(spoken: list[RawToken]) -> None:
         if text[0].isdigit():
             reason = "numbers are not supported; name a place, as in 'behind the cone'"
             following = spoken[index + 1].text if index + 1 < len(spoken) else ""
-            refused = load_lexicon().refused
-            if refused.get(following) == REASONS["a distance"] or text[-1] == "m":
-                reason = REASONS["a distance"]
+            is_distance = load_lexicon().refused.get(following) == REASONS["a distance"]
+            reason = REASONS["a distance"] if is_distance or text[-1] == "m" else reason
         raise LanguageError.at(text[:30], position, reason)
 
 
@@ -231,11 +230,7 @@ def _parse_rewriting(sentence: _Sentence, verbatim: Parse | None, min_prob: floa
 
 
 def _parse_tokens(
-    sentence: _Sentence,
-    words: list[RawToken],
-    *,
-    is_measured: bool = True,
-    is_located: bool = True,
+    sentence: _Sentence, words: list[RawToken], *, is_measured: bool = True, is_located: bool = True
 ) -> Parse:
     """Parse the tokens of an instruction; ``is_located``: locate the cause of a failure."""
     spoken, measures = split_measures(words) if is_measured else (words, [])

@@ -69,8 +69,7 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
 
 
 def _refusal(words: Sequence[Token | Word], reason: str) -> LanguageError:
-    text = " ".join(word.text[:30] for word in words)
-    return LanguageError.at(text, words[0].position, reason)
+    return LanguageError.at(" ".join(w.text[:30] for w in words), words[0].position, reason)
 
 
 def _is_unknown(token: Token) -> bool:

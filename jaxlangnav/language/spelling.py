@@ -27,10 +27,8 @@ def edits(word: str) -> set[str]:
 def repairable() -> frozenset[str]:
     """Collect the words of the lexicon that are candidates for corrections."""
     lexicon = load_lexicon()
-    classes = [
-        entries for name, entries in lexicon.entries.items() if name not in WORDS["small_talk"]
-    ]
-    words = {word for entries in classes for key in entries for word in key}
+    names = lexicon.entries.keys() - WORDS["small_talk"]
+    words = {word for name in names for key in lexicon.entries[name] for word in key}
     return frozenset(words | set(lexicon.refused) | WORDS["courtesies"])
 
 

@@ -13,7 +13,7 @@ TOKEN = re.compile(
 MARKS = (COMMA_MARK, FULLSTOP_MARK) = (",", ".")
 """Tokens of a pause and of the end of a sentence."""
 _WORD = re.compile(r"[^\W_]+(?:['\u2018\u2019`][^\W_]+)*")
-_APOSTROPHES = re.compile(r"['\u2018\u2019`]")
+APOSTROPHES = re.compile(r"['\u2018\u2019`]")
 _SPLIT_CONTRACTION = re.compile(r"\b([^\W\d_]+) ('(?:s|d|m|ll|re|ve|t)\b)")
 _SPLIT_NEGATION = re.compile(r"\b(do|does|did|ca|wo|is|are|was|could|would|should|must) (n't\b)")
 
@@ -39,7 +39,7 @@ def normalize(text: str) -> str:
 def words_of(text: str) -> list[tuple[str, int, int]]:
     """Find the words of a text, normalized, without apostrophes: (word, start, end) of each."""
     matches = _WORD.finditer(text)
-    return [(_APOSTROPHES.sub("", normalize(m[0])), m.start(), m.end()) for m in matches]
+    return [(APOSTROPHES.sub("", normalize(m[0])), m.start(), m.end()) for m in matches]
 
 
 def join_contractions(text: str) -> str:

@@ -88,8 +88,7 @@ def _classify_opening(text: str) -> Utterance:
     rest = inner_rest or rest
     if _match_whole(rest, is_asked=False) == Wording.OTHER:
         return Utterance(kind=Kind.CORRECTION, wording=Wording.OTHER)
-    rejects_goal = "not_that" in (opening, inner)
-    return Utterance(kind=Kind.CORRECTION, rest=rest, rejects_goal=rejects_goal)
+    return Utterance(kind=Kind.CORRECTION, rest=rest, rejects_goal="not_that" in (opening, inner))
 
 
 def _match_whole(text: str, *, is_asked: bool) -> Wording | None:

@@ -90,11 +90,10 @@ def start(
             all mentions belong to the task.
     """
     chex.assert_shape([pose, area], [(3,), (4,)])
-    num_mentions = instruction.readings.mention_type.shape[-1]
     belief = semantic_filter.start(
         pose,
         area,
-        num_mentions,
+        instruction.readings.mention_type.shape[-1],
         config=config.map,
         num_types=num_types,
         terrain=terrain,
@@ -185,11 +184,10 @@ def _observe(
     # The longest step of a cycle, with the error of odometry.
     max_travel = jnp.max(params.mode_speed) * motion.step_length
     max_travel = max_travel * (1.0 + GATE_SIGMAS * motion.odometry_noise) + _ROUNDING
-    # Relations of a command are relative to the pose at which it was heard.
-    viewer = select_row(state.talk.viewer, state.clause)
     belief, info = semantic_filter.step(
         key,
-        replace(state.belief, viewer=viewer),
+        # Relations of a command are relative to the pose at which it was heard.
+        replace(state.belief, viewer=select_row(state.talk.viewer, state.clause)),
         state.instruction.readings,
         observation,
         params=params.policy_of(config).map_params(params.map),
@@ -286,15 +284,14 @@ def _decide(
     )
     key = jax.random.fold_in(key, _PLANNER_KEY)
     memory, choice = policy.choose(params.policy_of(config), key, state.memory, situation)
-    waypoint, patience = (choice.next_x, choice.next_y), config.patience
     is_moving = ~task.is_still & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
     progress = update_progress(
         state.progress,
-        waypoint,
+        (choice.next_x, choice.next_y),
         task.robot,
         is_moving,
         may_sidestep=~jnp.any(situation.forbidden.cost > 0.0),
-        patience=patience,
+        patience=config.patience,
     )
     x_min, x_max, y_min, y_max = task.belief.coverage.area
     side_x, side_y = sidestep(progress)

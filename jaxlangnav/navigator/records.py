@@ -119,7 +119,7 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
     for name, value in {"discount": gamma, "stop_probability": tau}.items():
         if not 0.0 < value < 1.0:
             raise ValueError(f"{name} is {value:g}, but must be above 0 and below 1")
-    if alpha <= 0.0:
+    if not alpha > 0.0:
         raise ValueError(f"concentration is {alpha:g}, but must be positive")
     odds = 1.0 / tau - 1.0
     observed = (alpha - odds) / (alpha + odds * kappa)
@@ -191,14 +191,13 @@ def make_action(
     margin = jnp.where(is_object, policy.APPROACH * params.planner.reach, 0.0)
     length = jnp.clip(remaining - margin, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
-    is_idle = state.instruction.num_clauses == 0
     step_x, step_y = next_x - start[0], next_y - start[1]
     step, forbidden = jnp.stack([step_x, step_y]) / distance * length, task.behavior.constraint
     frac = safe_fraction(task.belief, forbidden, start, step, sensor, params.planner.unseen_risk)
     drift = mean_drift(state.belief)
     if drift is not None:
         step_x, step_y = rotate(step_x, step_y, -drift)
-    status = jnp.where(is_idle, int(Status.IDLE), state.status)
+    status = jnp.where(state.instruction.num_clauses == 0, int(Status.IDLE), state.status)
     return Action(
         waypoint=waypoint,
         step=jnp.stack([step_x, step_y]) / distance * (length * frac),

@@ -109,8 +109,7 @@ def tell(state: NavigatorState, merged: Merged, pose: Array, *, effect: Effect) 
 
 def _merged_context(context: UtteranceContext, merged: Merged, pose: Array) -> UtteranceContext:
     """Carry over the viewer pose of earlier relations and the exclusions of earlier mentions."""
-    source = jnp.maximum(merged.from_relation, 0)
-    viewer = context.viewer.reshape(-1, 3)[source]
+    viewer = context.viewer.reshape(-1, 3)[jnp.maximum(merged.from_relation, 0)]
     excluded = context.excluded.reshape(-1)[jnp.maximum(merged.from_mention, 0)]
     return UtteranceContext(
         viewer=jnp.where((merged.from_relation == NONE)[..., None], pose[None, None], viewer),

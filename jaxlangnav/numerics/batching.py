@@ -109,8 +109,7 @@ def skip_unless_any(is_needed: Array, evaluate: Callable[[T], Array], records: T
         return evaluate(jax.tree.map(lambda leaf: leaf + zero[leaf.dtype], records))
 
     num_rounds = jnp.any(is_needed).astype(jnp.int32)
-    zeros = jnp.zeros_like(jax.tree.leaves(records)[0])
-    result = jax.lax.fori_loop(0, num_rounds, body, zeros)
+    result = jax.lax.fori_loop(0, num_rounds, body, jnp.zeros_like(jax.tree.leaves(records)[0]))
     return jnp.where(is_needed[None], result, 0.0)
 
 

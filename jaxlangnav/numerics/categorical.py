@@ -16,7 +16,7 @@ def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
 
     Two levels of about √n: the group first, then the offset in it. XLA's own cumulative sum takes
     log n passes over memory, which for all particles costs more than all the weights before it.
-    Limits: one finite weight is always drawn; all −∞ gives index 0 and a total of −∞.
+    Limits: one finite weight is always drawn; all −∞ gives any index and a total of −∞.
 
     Args:
         log_weight: f32[n, ...], unnormalised; −∞ excludes.

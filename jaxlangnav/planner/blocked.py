@@ -122,17 +122,15 @@ def update_progress(
     is_new = is_abandoned & (jnp.arange(NUM_CLOSED) == 0)
 
     def push(old: Array, new: Array) -> Array:
-        shifted = jnp.where(is_abandoned, jnp.roll(old, 1), old)
-        return jnp.where(is_new, new, shifted)
+        return jnp.where(is_new, new, jnp.where(is_abandoned, jnp.roll(old, 1), old))
 
-    remaining = jnp.maximum(monitor.closed_for - 1, 0)
     return ProgressMonitor(
         x=jnp.where(has_moved | ~is_driving, robot_x, monitor.x),
         y=jnp.where(has_moved | ~is_driving, robot_y, monitor.y),
         waited=jnp.where(is_stalled, 0, waited).astype(jnp.int32),
         closed_x=push(monitor.closed_x, waypoint[0]),
         closed_y=push(monitor.closed_y, waypoint[1]),
-        closed_for=push(remaining, jnp.int32(_CLOSED_CYCLES)),
+        closed_for=push(jnp.maximum(monitor.closed_for - 1, 0), jnp.int32(_CLOSED_CYCLES)),
         num_stalls=num_before + is_stalled.astype(jnp.int32),
         stall_x=jnp.where(is_stalled, robot_x, monitor.stall_x),
         stall_y=jnp.where(is_stalled, robot_y, monitor.stall_y),

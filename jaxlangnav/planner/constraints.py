@@ -37,7 +37,7 @@ _FRACTIONS = np.array([1.0, 0.5, 0.25], np.float32)  # of a step
 
 @pytree
 class Zones:
-    """Keep-out zones; K = MAX_FORBIDDEN."""
+    """Keep-out zones; K = MAX_ZONES."""
 
     x: Array  # f32[K] metres, map frame
     y: Array  # f32[K]

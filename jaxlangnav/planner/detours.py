@@ -44,8 +44,7 @@ def _corners(zones: Zones, situation: Situation) -> Nodes:
     is_corner = jnp.append(jnp.repeat(is_active, NUM_CORNERS), is_active[first] & is_active[second])
     area = situation.belief.coverage.area
     is_corner &= (x >= area[0]) & (x <= area[1]) & (y >= area[2]) & (y <= area[3])
-    squared = (x - situation.robot_x) ** 2 + (y - situation.robot_y) ** 2
-    is_corner &= squared > _ARRIVAL**2
+    is_corner &= (x - situation.robot_x) ** 2 + (y - situation.robot_y) ** 2 > _ARRIVAL**2
     nodes = Nodes(x=x, y=y, is_node=is_corner, kind=jnp.full(x.shape, VISITED))
     return open_nodes(nodes, situation.progress)
 
@@ -99,11 +98,10 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> tuple[Arr
     """
     zones = situation.forbidden
     is_active = jnp.broadcast_to(jnp.any(zones.cost > 0.0), x.shape)
-    targets = jnp.stack([x, y, spare])
 
     def solve(records: tuple[Array, Zones]) -> Array:
         (x, y, spare), zones = records
         return _shortest(x, y, spare, zones, situation)
 
-    extra, first_x, first_y = skip_unless_any(is_active, solve, (targets, zones))
+    extra, first_x, first_y = skip_unless_any(is_active, solve, (jnp.stack([x, y, spare]), zones))
     return extra, jnp.where(is_active, first_x, x), jnp.where(is_active, first_y, y)

@@ -136,8 +136,7 @@ def gather(
     frac = jnp.where(total[:, None] > 1e-6, slot_mass, weight[None, :])
     frac = frac / jnp.sum(frac, axis=1, keepdims=True)
     # An object that fits, in its particle, as well as any other is accepted: either of two equals.
-    best_fit = jnp.max(behavior.goal, axis=(0, 1))
-    fit = weights[idx] / jnp.maximum(weight * best_fit, 1e-9)[None, :]
+    fit = weights[idx] / jnp.maximum(weight * jnp.max(behavior.goal, axis=(0, 1)), 1e-9)[None, :]
     accepted = fit * (weight * jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0))[None, :]
     # It is confirmed unless a mention of it is related to an unseen object.
     slots = jnp.arange(num_objects + 1)[:, None, None]

@@ -26,7 +26,7 @@ class Nodes:
     x: Array  # f32[A] metres, map frame
     y: Array  # f32[A]
     is_node: Array  # bool[A]
-    kind: Array  # i32[A] FRONTIER, VISITED or OBJECT
+    kind: Array  # i32[A] FRONTIER, VISITED or OBJECT_NODE
 
 
 @pytree
@@ -64,8 +64,7 @@ def add_visited(visited: Visited, x: Array, y: Array, spacing: Array) -> Visited
 
 def unexplored_cells(coverage: Coverage, frontier_miss: Array) -> Array:
     """Mark the cells that count as unexplored, bool[G, G]."""
-    max_log_miss = jnp.max(coverage.log_miss)
-    return coverage.log_miss > max_log_miss + jnp.log(frontier_miss)
+    return coverage.log_miss > jnp.max(coverage.log_miss) + jnp.log(frontier_miss)
 
 
 def frontiers(
@@ -82,9 +81,8 @@ def frontiers(
         x, y f32[blocks²] metres, map frame: mean of the block's frontier cells; bool[blocks²].
     """
     unexplored = unexplored_cells(coverage, frontier_miss)
-    explored = ~unexplored
     # Edges of the operating area are no frontier: neighbours outside count as unexplored.
-    padded = jnp.pad(explored, 1)
+    padded = jnp.pad(~unexplored, 1)
     is_adjacent = padded[2:, 1:-1] | padded[:-2, 1:-1] | padded[1:-1, 2:] | padded[1:-1, :-2]
     frontier = (unexplored & is_adjacent).astype(jnp.float32)
     centre_x, centre_y = cell_centres(coverage)
@@ -112,6 +110,5 @@ def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes
 
 def prepend_nodes(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
     """Prepend frontiers [K], or a policy's custom waypoints, to other nodes [A] (eq. 9)."""
-    kind = jnp.full(x.shape, FRONTIER, jnp.int32)
-    leading = Nodes(x=x, y=y, is_node=is_node, kind=kind)
+    leading = Nodes(x=x, y=y, is_node=is_node, kind=jnp.full(x.shape, FRONTIER, jnp.int32))
     return jax.tree.map(lambda *both: jnp.concatenate(both), leading, nodes)

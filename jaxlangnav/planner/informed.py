@@ -128,8 +128,7 @@ def assess(situation: Situation, plan: tours.Plan, probs: Presence) -> Assessmen
     has_object = jnp.any(goals.is_object[:-1])
     is_finished = jnp.where(has_object, probs.prob_fitting, probs.prob_any) < params.give_up
     # A keep-out zone hides its unseen mass in one place, so the limit is stricter.
-    has_detour = jnp.any(situation.forbidden.cost > 0.0)
-    limit = jnp.where(has_detour, MAX_UNSEEN_DETOUR, MAX_UNSEEN)
+    limit = jnp.where(jnp.any(situation.forbidden.cost > 0.0), MAX_UNSEEN_DETOUR, MAX_UNSEEN)
     is_finished = is_finished & ((probs.miss <= limit) | (params.absent <= 0.0))
     confirmed = jnp.where(is_exhausted, goals.object_accepted, goals.object_confirmed)
     goals = replace(goals, object_confirmed=confirmed)

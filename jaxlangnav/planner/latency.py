@@ -155,9 +155,8 @@ def latency(
     mass = search.mass
     # Cells of negligible mass are not worth a detour.
     is_relevant = (mass > 0.1 * jnp.mean(mass))[None, :]
-    never_seen = (either >= LARGE) & is_relevant
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
-    sweep = jnp.sum(never_seen, axis=1) * cell / (4.0 * half_width)
+    sweep = jnp.sum((either >= LARGE) & is_relevant, axis=1) * cell / (4.0 * half_width)
     remaining = (length + sweep)[:, None] + distance
     cost_unanchored = search.unanchored[None, :] * jnp.where(either < LARGE, either, remaining)
     cost_anchored = search.anchored[None, :] * jnp.where(anchored < LARGE, anchored, remaining)

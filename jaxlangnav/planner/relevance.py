@@ -46,8 +46,7 @@ def _bitset(is_member: Array) -> Array:
 def believed_groups(readings: Readings, particles: SemanticMap) -> Array:
     """Look up the groups under each particle's interpretation, i32[M, P]."""
     table = groups(readings).T  # [K, M]
-    num_particles = particles.reading.shape[-1]
-    index = jnp.broadcast_to(particles.reading, (table.shape[1], num_particles))
+    index = jnp.broadcast_to(particles.reading, (table.shape[1], particles.reading.shape[-1]))
     return lookup(table[:, :, None], index)
 
 

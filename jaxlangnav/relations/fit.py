@@ -153,8 +153,7 @@ def _standard_errors(
     def error(leaf: Array) -> Array:
         jacobian = np.asarray(leaf, np.float64)
         variance = np.einsum("...i,ij,...j->...", jacobian, covariance, jacobian)
-        is_fitted = has_pairs.reshape(-1, *(1,) * (variance.ndim - 1))
-        variance = np.where(is_fitted, variance, 0.0)
+        variance = np.where(has_pairs.reshape(-1, *(1,) * (variance.ndim - 1)), variance, 0.0)
         return jnp.asarray(np.sqrt(np.maximum(variance, 0.0)), jnp.float32)
 
     return jax.tree.map(error, params), error(weight)
@@ -174,7 +173,7 @@ def fit_relations(
     ``MapParams.relations``.
 
     Args:
-        pairs: N labelled pairs; see ``relation_pairs.make_pairs``.
+        pairs: N labelled pairs; see ``pairs.make_pairs``.
         init: start of the fit and centre of the prior; the defaults if None.
         prior: standard deviations; worth about one pair if None.
         max_iterations: of L-BFGS.

@@ -48,8 +48,7 @@ def count_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
 
     Arguments are f[..., n] of ``degree``, and bool[..., n, n], the rivals of each figure.
     """
-    is_ahead = strength[..., None, :] > strength[..., :, None]
-    return (is_ahead & is_rival).sum(-1)
+    return ((strength[..., None, :] > strength[..., :, None]) & is_rival).sum(-1)
 
 
 def kth_smallest(rank: Array, values: Array, *, tie: float) -> Array:
@@ -107,7 +106,7 @@ def holds(
     figure: ArrayLike,
     landmark: ArrayLike,
     viewer: ArrayLike,
-    heading: float | None = None,
+    heading: ArrayLike | None = None,
 ) -> Array:
     """Test whether a relation holds between positions: ``holds_at`` in its frame, bool[...].
 

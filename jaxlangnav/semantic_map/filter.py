@@ -77,18 +77,17 @@ def start(
     """
     pose, area, is_placed = valid_start(pose, area)
     coverage, count = empty_coverage(area, config.num_cells), config.num_particles
-    has_drift = config.has_drift
-    options = {"has_doubts": config.has_doubts, "has_drift": has_drift}
+    options = {"has_doubts": config.has_doubts, "has_drift": config.has_drift}
     empty = particle.empty(config.num_objects, num_mentions, pose[0], pose[1], **options)
     particles = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count)), empty)
-    if has_drift:
+    if config.has_drift:
         sign = jnp.where(jnp.arange(count) % 2 == 0, 1.0, -1.0)
         particles = replace(particles, drift=particles.drift.at[1].set(sign))
     return ParticleBelief(
         particles=particles,
         log_weight=jnp.full(count, -jnp.log(float(count)), jnp.float32),
         coverage=coverage,
-        alternate_miss=coverage.log_miss if has_drift else jnp.zeros((0, 0), jnp.float32),
+        alternate_miss=coverage.log_miss if config.has_drift else jnp.zeros((0, 0), jnp.float32),
         bias_sign=jnp.float32(1.0),
         terrain=terrain,
         sensor_model=sensor_model,

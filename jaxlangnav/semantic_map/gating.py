@@ -166,7 +166,6 @@ def gate(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, Gate
     is_jump = (fault == int(Fault.JUMP)) & is_repeated
     is_used = detected & is_valid
     blind = replace(default_sensor(), detection_probability=jnp.float32(0.0))
-    sensor = jax.tree.map(partial(jnp.where, is_valid), observation.sensor, blind)
     accepted = replace(
         observation,
         pose=jnp.where(is_valid | is_jump, pose, last),
@@ -174,8 +173,7 @@ def gate(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, Gate
         detection_range=jnp.where(is_used, observation.detection_range, 0.0),
         detection_bearing=jnp.where(is_used, observation.detection_bearing, 0.0),
         is_detection=is_used,
-        sensor=sensor,
+        sensor=jax.tree.map(partial(jnp.where, is_valid), observation.sensor, blind),
     )
-    reported = jnp.where(has_pose, pose, belief.reported_pose)
     gated = gated._replace(observation=accepted, fault=fault, is_jump=is_jump)
-    return replace(belief, reported_pose=reported), gated
+    return replace(belief, reported_pose=jnp.where(has_pose, pose, belief.reported_pose)), gated

@@ -42,8 +42,7 @@ def predict(
         distance, turn = jnp.sqrt(squared), wrapped(pose[2] - belief.last_pose[2])
         drift = add_drift(particles.drift, distance, turn, noise, motion=params.motion)
         # The mean drift over the step.
-        mid_drift = 0.5 * (particles.drift[:1] + drift[:1])
-        step_x, step_y = rotate(step_x, step_y, mid_drift)
+        step_x, step_y = rotate(step_x, step_y, 0.5 * (particles.drift[:1] + drift[:1]))
         particles = replace(particles, drift=drift)
     particles = move(particles, step_x, step_y, variance)
     return replace(belief, particles=particles, last_pose=pose)

@@ -51,8 +51,7 @@ class SemanticMap:
         """Which observed slots are referents of mentions, bool[O, ...]."""
         slots = jnp.arange(self.object_type.shape[0])
         slots = slots.reshape(-1, *(1,) * self.referent.ndim)
-        refers = jnp.where(self.is_mentioned, self.referent, NONE)
-        return jnp.any(refers[None] == slots, axis=1)
+        return jnp.any(jnp.where(self.is_mentioned, self.referent, NONE)[None] == slots, axis=1)
 
     @property
     def is_hypothesised(self) -> Array:

@@ -42,14 +42,12 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         & (figure[:, None] == slots[None])[:, None, :, None]
         & (landmark[:, None] == slots[None])[:, None, None, :]
     )
-    is_superlative = (reading.rank == 1)[:, None, None, None]
-    is_later = (reading.rank > 1)[:, None, None, None]
     return BehaviorWorld(
         object_type=object_type,
         is_object=is_object,
         is_related=jnp.any(edge, axis=0),
-        is_superlative=jnp.any(edge & is_superlative, axis=0),
-        is_later=jnp.any(edge & is_later, axis=0),
+        is_superlative=jnp.any(edge & (reading.rank == 1)[:, None, None, None], axis=0),
+        is_later=jnp.any(edge & (reading.rank > 1)[:, None, None, None], axis=0),
         is_previous=(slots == previous) & (previous != NONE),
     )
 

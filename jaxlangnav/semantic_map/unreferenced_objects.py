@@ -87,11 +87,10 @@ def _add(listed: Bystanders, sighting: Bystanders) -> tuple[Bystanders, Array]:
     squared = (listed.x - sighting.x) ** 2 + (listed.y - sighting.y) ** 2
     is_near = squared <= _MAX_DEVIATIONS**2 * (listed.variance + sighting.variance)
     is_candidate = (listed.object_type == sighting.object_type) & is_near
-    slots = jnp.arange(listed.x.shape[0])
     nearest = jnp.argmin(jnp.where(is_candidate, squared, jnp.inf))
     free_slot = jnp.argmax(~listed.is_filled)
     is_listed, has_room = jnp.any(is_candidate), jnp.any(~listed.is_filled)
-    is_target = slots == jnp.where(is_listed, nearest, free_slot)
+    is_target = jnp.arange(listed.x.shape[0]) == jnp.where(is_listed, nearest, free_slot)
     is_target = is_target & sighting.is_filled & (is_listed | has_room)
     gain = jnp.where(is_listed, listed.variance / (listed.variance + sighting.variance), 1.0)
     updated = Bystanders(

@@ -192,7 +192,7 @@ def record_episode(opened: OpenedEpisode, max_steps: int | None = None) -> Recor
         batched(understood),
         params=opened.params,
         config=opened.config,
-        max_steps=max_steps or step_limit(task.scenario, task.sensor),
+        max_steps=step_limit(task.scenario, task.sensor) if max_steps is None else max_steps,
         text=opened.text,
         type_names=understood.type_names,
     )
@@ -211,11 +211,10 @@ def score(recording: Recording, prepared: PreparedTask, *, has_person: bool = Fa
     radius = max(sensor_range, SUCCESS_RADIUS)
     is_scored = prepared.is_meant and (has_person or not prepared.unscored)
     is_arrived = (result.ending == Status.ARRIVED) & is_scored
-    is_success = np.asarray(is_arrived & (result.goal_distance <= radius))
     world = scene.scenario
     stops = [tuple(world.start[:2]), *prepared.via, tuple(world.goal)]
     legs = (world.terrain.travel.metres(*a, *b) for a, b in itertools.pairwise(stops))
     fields = {"known_distance": float(sum(legs)), "unscored": prepared.unscored or scene.unscored}
     scene = dataclasses.replace(scene, stop_radius=radius, is_scored=is_scored, **fields)
-    result = replace(result, is_success=is_success)
+    result = replace(result, is_success=np.asarray(is_arrived & (result.goal_distance <= radius)))
     return dataclasses.replace(recording, scene=scene, result=result)

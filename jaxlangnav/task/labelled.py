@@ -239,11 +239,7 @@ def list_behaviors(
     """
     rows: list[dict[str, Any]] = []
     for clause, behavior in enumerate(_infer_in(instruction, placed, names)):
-        joint = (
-            behavior.action[:, None, None, None]
-            * behavior.mode[None, :, None, None]
-            * behavior.goal[None, None]
-        )
+        joint = np.einsum("a,m,rs->amrs", behavior.action, behavior.mode, behavior.goal)
         for index in map(tuple, np.argwhere(joint >= _MIN_LISTED_PROB).tolist()):
             action, mode, region, slot = index
             is_robot = slot == len(placed.objects)

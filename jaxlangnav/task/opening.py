@@ -218,8 +218,7 @@ def _draw(
         if (each["figure"], each["landmark"]) == ("hydrant", "cone")
         and (each["relation"] == "behind" or (each["relation"] == "near" and each["superlative"]))
     )
-    relation = next(matches, "null")
-    tasks = _tasks_of(template, relation, sensing_range, seed, 1)
+    tasks = _tasks_of(template, next(matches, "null"), sensing_range, seed, 1)
     prepared = _set_goal(template.name, tasks[0], understood, is_drawn=True)
     absent = absent_types(tasks[0].scenario, understood.annotations, understood.type_names)
     if prepared.is_meant or absent:

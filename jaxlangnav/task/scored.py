@@ -115,11 +115,10 @@ def render_scores(document: dict[str, Any]) -> tuple[Any, list[str]]:
 
 def _count_scores(scores: Sequence[Score]) -> dict[str, Any]:
     counts = Counter(score.outcome for score in scores)
-    percent = 100.0 * counts[CORRECT] / max(len(scores), 1)
     return {
         "sentences": len(scores),
         **{outcome: counts[outcome] for outcome in OUTCOMES},
-        "right_share": round(percent, 2),
+        "right_share": round(100.0 * counts[CORRECT] / max(len(scores), 1), 2),
     }
 
 
@@ -184,7 +183,7 @@ def score_variants(
     sentence of each grounder.
 
     Returns:
-        A JSON document: ``temperature``; ``summaries``, a summary of ``summarize_scores`` for each
+        A JSON document: ``temperature``; ``arms``, a summary of ``summarize_scores`` for each
         grounder, with the same counts of the sentences ``meant`` to be read and ``to_refuse``.
     """
     params = default_rewrite_params(temperature)

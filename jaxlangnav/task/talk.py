@@ -20,7 +20,7 @@ from jaxlangnav.experiments.dialogue import speak
 from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import summarize_commands
 from jaxlangnav.grounding.grounder import names_of
-from jaxlangnav.grounding.instruction import Instruction, Understanding
+from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.inputs.program_cache import cached_jit
@@ -159,8 +159,7 @@ class Speech:
     def expects(self, state: EpisodeState) -> bool:
         """Test whether a further utterance may reach a robot that stands still."""
         self.candidates = tuple(self._candidates(state))
-        is_scripted = any(step > self._step for step in self.script)
-        return is_scripted or self.is_present(state)
+        return any(step > self._step for step in self.script) or self.is_present(state)
 
     def _candidates(self, state: EpisodeState) -> list[Candidate]:
         navigator = state.navigator
@@ -193,7 +192,6 @@ class Speech:
 
     def _updated_scene(self, before: NavigatorState, after: NavigatorState) -> StaticScene | None:
         """Build the scene of the merged instruction; None where an utterance left it unchanged."""
-        merged: Instruction
         merged, previous = jax.device_get((after.instruction, before.instruction))
         if jax.tree.all(jax.tree.map(np.array_equal, merged, previous)):
             return None

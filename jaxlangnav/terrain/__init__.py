@@ -6,20 +6,14 @@ arrays, and costs nothing.
 """
 
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain.sensor_model import RANGING, SensorModel
-from jaxlangnav.terrain.view import Eye, OpenField, StraightLines, Travel, View
-
-__all__ = [
-    "OPEN",
-    "RANGING",
-    "Eye",
-    "OpenField",
-    "SensorModel",
-    "StraightLines",
-    "Terrain",
-    "Travel",
-    "View",
-]
+from jaxlangnav.terrain.sensor_model import RANGING as RANGING, SensorModel as SensorModel
+from jaxlangnav.terrain.view import (
+    Eye as Eye,
+    OpenField as OpenField,
+    StraightLines as StraightLines,
+    Travel as Travel,
+    View as View,
+)
 
 
 @pytree

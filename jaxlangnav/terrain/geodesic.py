@@ -104,8 +104,7 @@ def geodesic(walls: Walls) -> Geodesic:
         return jnp.minimum(lengths, lengths[:, turn][:, None] + lengths[turn][None])
 
     lengths = jax.lax.fori_loop(0, x.size, relax, start) if x.size else start
-    between = jnp.minimum(lengths, LARGE)
-    return Geodesic(walls=walls, turn_x=x, turn_y=y, between=between)
+    return Geodesic(walls=walls, turn_x=x, turn_y=y, between=jnp.minimum(lengths, LARGE))
 
 
 _SIZES = (4, 8, 16, 32)

@@ -76,12 +76,8 @@ class Walls:
         reach = (length + clearance) / length
         span_x, span_y = reach * (to_x - from_x), reach * (to_y - from_y)
         one_x, one_y, other_x, other_y = (append_axes(end, span_x.ndim) for end in self.ends.T)
-        wall_x, wall_y, off_x, off_y = (
-            other_x - one_x,
-            other_y - one_y,
-            one_x - from_x,
-            one_y - from_y,
-        )
+        wall_x, wall_y = other_x - one_x, other_y - one_y
+        off_x, off_y = one_x - from_x, one_y - from_y
         across = span_x * wall_y - span_y * wall_x
         across = jnp.where(jnp.abs(across) < 1e-9, 1e-9, across)
         along = (off_x * wall_y - off_y * wall_x) / across

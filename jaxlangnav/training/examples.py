@@ -63,8 +63,7 @@ def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
     name, first, *rest = re.split(r"[(,)]", text)[:-1]
     kind = KINDS.index(name)
     if name in ("action", "mode"):
-        names = ACTIONS if name == "action" else MODES
-        return BehaviorSymbol(kind, NONE, names.index(first))
+        return BehaviorSymbol(kind, NONE, (ACTIONS if name == "action" else MODES).index(first))
     slot = rest[0] if rest else first
     region = REGIONS.index(first) if rest else NONE
     return BehaviorSymbol(kind, region, num_objects if slot == "robot" else int(slot))
@@ -91,8 +90,7 @@ def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> Label
                 expressed = [
                     frozenset(read_behavior(text, count) for text in symbols) for symbols in labels
                 ]
-                tree = Labelled(root=root, world=world, expressed=expressed, clause=clause)
-                trees.append(tree)
+                trees.append(Labelled(root=root, world=world, expressed=expressed, clause=clause))
         behaviors.append(tuple(trees))
     return LabelledInstruction(example.parse, tuple(annotations), tuple(behaviors), rank)
 
@@ -265,14 +263,13 @@ def tabulate(factors: Factors, columns: dict[str, slice], num_instructions: int)
     cell = (word_row * num_slots + slot)[inverse.ravel()] * 2 + factors.label
     num_cells = len(first_word) * num_slots * 2
     occurrence, entry = np.unique(factors.instruction * num_cells + cell, return_inverse=True)
-    counts = np.bincount(entry.ravel(), factors.repeats)
     return Design(
         words=factors.words[first_word],
         properties=properties,
         columns=columns,
         cell=occurrence % num_cells,
         instruction=occurrence // num_cells,
-        repeats=counts.astype(np.float32),
+        repeats=np.bincount(entry.ravel(), factors.repeats).astype(np.float32),
         num_instructions=num_instructions,
     )
 
@@ -307,13 +304,12 @@ def factors_of(
         properties[offset : offset + size, columns[kind]] = block
         offset += size
     phrase = np.repeat([index for index, *_ in parts], sizes)
-    instruction = np.array([example.instruction for example in examples])
     factors = Factors(
         words=np.stack([vocabulary.vector(example.phrase) for example in examples]),
         properties=properties,
         label=np.concatenate([label for _, _, _, label, _ in parts]),
         phrase=phrase,
-        instruction=instruction[phrase],
+        instruction=np.array([example.instruction for example in examples])[phrase],
         repeats=np.concatenate([counts for *_, counts in parts]),
     )
     return factors, columns

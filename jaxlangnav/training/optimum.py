@@ -75,9 +75,8 @@ def minimise(problem: Problem, gap: Array, max_steps: Array) -> tuple[Array, Min
     Returns:
         Weights f32[A, B], and diagnostics (with zero derivative).
     """
-    num_words = problem.words.shape[0]
     chex.assert_rank((problem.words, problem.properties, problem.counts), (2, 3, 3))
-    chex.assert_shape(problem.properties, (num_words, None, None))
+    chex.assert_shape(problem.properties, (problem.words.shape[0], None, None))
     chex.assert_shape(problem.counts, (*problem.properties.shape[:2], 2))
     chex.assert_type(list(problem), jnp.float32)
     result = descend(

@@ -127,9 +127,7 @@ class TrainingData:
 
 
 def training_data(
-    name: str,
-    instructions: Sequence[LabelledInstruction],
-    type_names: tuple[str, ...],
+    name: str, instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> TrainingData:
     """Build the training data of one of ``MODELS``."""
     build, kinds = _BUILDS[name]
@@ -175,7 +173,8 @@ def train_models(
         on_progress: called with a line about each stage.
 
     Raises:
-        ValueError: the corpus is invalid, or has no sentence to train on.
+        ValueError: the corpus is invalid, or has no sentence to train on; one model alone is
+            trained without ``base``.
     """
     report_progress = on_progress or (lambda line: None)
     report_progress("reading the corpus")
@@ -186,6 +185,8 @@ def train_models(
     training = [example for example in examples if example.split == "train"]
     if not training:
         raise ValueError("the corpus has no sentence marked 'train'")
+    if base is None and not set(MODELS) <= set(kinds):
+        raise ValueError("to train one model alone, give the weights that the other comes from")
     tuning = set(sorted({example.template for example in training})[::5])
     type_names = load_lexicon().type_names
     is_tuning = np.array([example.template in tuning for example in training])
@@ -198,8 +199,6 @@ def train_models(
         models[name], report[name] = _train_model(
             name, training_instructions, is_tuning, held_out, models, type_names
         )
-    if set(models) != set(MODELS):
-        raise ValueError("to train one model alone, give the weights that the other comes from")
     return Trained(GroundingModel(models["annotation"], models["behavior"], type_names), report)
 
 
@@ -226,8 +225,6 @@ def _train_model(
         scaled = [dataclasses.replace(model, temperature=temperature)]
         if name == "annotation":
             return score_annotations(tested, scaled, None, type_names).by_width[BEAM_WIDTH][0]
-        if "annotation" not in models:
-            raise ValueError("the behavior model needs an annotation model: give weights as base")
         ranks = [models["annotation"]]
         return score_behaviors(tested, ranks, scaled, None, type_names).by_width[BEAM_WIDTH][0]
 

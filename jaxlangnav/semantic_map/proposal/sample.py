@@ -92,11 +92,10 @@ def _view_from_other(query: Query, grounding: Grounding) -> Query:
     table = jnp.stack([grounding.x, grounding.y, grounding.slot.astype(jnp.float32)], axis=1)
     other = lookup(table, jnp.broadcast_to(query.other, table.shape[1:]))
     slot = jnp.where(query.is_between, other[2], NONE).astype(jnp.int32)
-    excluded = jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))
     return query._replace(
         # The speaker's heading is irrelevant then.
         viewer=jnp.where(query.is_between[None], other, query.viewer),
-        excluded=query.excluded | excluded[None],
+        excluded=query.excluded | jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))[None],
     )
 
 
@@ -195,8 +194,7 @@ def _update_grounding(
         jnp.ones_like(ends.is_open),
     )
     is_valid = query.mention[FIGURE] != NONE
-    is_changed = ends.is_open & is_valid[None]
-    changed = jnp.where(is_changed & (query.types >= 0), query.mention, NONE)
+    changed = jnp.where(ends.is_open & is_valid[None] & (query.types >= 0), query.mention, NONE)
     mentions = append_axes(jnp.arange(grounding.slot.shape[0]), query.mention.ndim)
     is_figure, is_landmark = (mentions == changed[end][None] for end in (FIGURE, LANDMARK))
     # For each mention, i32[M, ...]: 2 if grounded now as the figure, 1 as the landmark, or 0.
