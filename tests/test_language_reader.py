@@ -199,7 +199,13 @@ def test_a_reader_learns_what_is_left_out_and_is_written_and_read(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("line", "says"),
-    [('{"text": "go"}', "line 1 must have"), ('{"text": 3, "read": null}', "line 1: text and")],
+    [
+        ('{"text": "go"}', "line 1: read is missing"),
+        ('{"text": 3, "read": null}', "line 1: text is 3"),
+        ('{"text": "go", "read": null, "names": 5}', "line 1: names is 5"),
+        ("[]", "line 1: must have text"),
+        ("{", "line 1: "),
+    ],
 )
 def test_a_bad_line_of_the_corpus_is_named(tmp_path: Path, line: str, says: str) -> None:
     file = tmp_path / "own.jsonl"

@@ -128,10 +128,7 @@ def choose(aims: Goals, robot=(0.0, 0.0), *, waypoint=None, places=(), **kwargs)
 
 def under_way(x: float, y: float, kind: int) -> Waypoint:
     return Waypoint(
-        x=jnp.float32(x),
-        y=jnp.float32(y),
-        kind=jnp.int32(kind),
-        is_active=jnp.asarray(True),
+        x=jnp.float32(x), y=jnp.float32(y), kind=jnp.int32(kind), is_active=jnp.asarray(True)
     )
 
 

@@ -174,6 +174,7 @@ def test_order_and_repetition_of_the_pairs_do_not_matter() -> None:
     [
         ({"relation": np.zeros(0, int)}, "no pairs"),
         ({"relation": np.array([6])}, "index from 0 to 5"),
+        ({"relation": np.array([[BEHIND]])}, "relation has shape"),
         ({"figure": np.zeros((1, 3))}, "figure has shape"),
         ({"viewer": np.full((1, 3), np.nan)}, "not finite"),
     ],

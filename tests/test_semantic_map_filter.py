@@ -143,9 +143,7 @@ def test_weights_are_those_of_the_maps_whoever_draws_anew(must_ground: bool) -> 
     weight = np.random.default_rng(3).dirichlet(np.full(number, 0.8))
     belief = by_hand.begin()
     belief = replace(
-        belief,
-        log_weight=np.log(weight).astype(np.float32),
-        must_ground=np.array(must_ground),
+        belief, log_weight=np.log(weight).astype(np.float32), must_ground=np.array(must_ground)
     )
     looks = [by_hand.observation(np.zeros(3), [])] * by_hand.STEPS
     _, infos = by_hand.run_lanes(looks, by_hand.NULL, by_hand.params(), belief, seed=5)

@@ -56,9 +56,7 @@ def test_world_of_a_particle_by_hand() -> None:
     )
     one = jax.tree.map(lambda leaf: leaf[..., 0], belief.particles)
     one = replace(
-        one,
-        referent=jnp.array([NONE, 1, NONE]),
-        is_mentioned=jnp.array([True, True, False]),
+        one, referent=jnp.array([NONE, 1, NONE]), is_mentioned=jnp.array([True, True, False])
     )
     sentence = by_hand.readings(
         [[HYDRANT, CONE, ROBOT]], [[(0, BEHIND, 1, False), (1, LEFT, 2, True)]]

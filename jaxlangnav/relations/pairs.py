@@ -63,6 +63,8 @@ def make_pairs(
     num_pairs = len(index)
     if num_pairs == 0:
         raise ValueError("there are no pairs to fit relations to")
+    if index.ndim > 1:
+        raise ValueError(f"relation has shape {index.shape}, but must have ({num_pairs},)")
     fields = {
         "figure": np.asarray(figure, np.float32),
         "landmark": np.asarray(landmark, np.float32),

@@ -20,15 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import Array
+from msgspec import field
 
-from jaxlangnav.inputs.documents import parse_json, read_lines, shipped_file
+from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines, shipped_file
+from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.language.lexicon import WORDS
 from jaxlangnav.language.parser import split_text
-from jaxlangnav.language.reader.features import (
-    ReaderSentence,
-    featurize,
-    load_verbs,
-)
+from jaxlangnav.language.reader.features import ReaderSentence, featurize, load_verbs
 from jaxlangnav.language.reader.model import DELETE, KEEP, REJECT, ReaderModel
 from jaxlangnav.language.reader.proposals import Labelling
 from jaxlangnav.language.tokens import MARKS
@@ -105,6 +103,15 @@ def align(source: Sequence[str], target: Sequence[str]) -> tuple[str, ...] | Non
     return None if inserted else tuple(labels)
 
 
+class _Row(Schema):
+    text: str
+    read: str | None
+    names: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Accept any characters, unlike the base class."""
+
+
 def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
     """Read a corpus of the reader; the package's by default.
 
@@ -116,21 +123,16 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
     path = shipped_file("language", "readings.jsonl") if path is None else path
     rows = []
     for line_no, line in read_lines(path, max_bytes=_MAX_BYTES):
-        row = parse_json(line)
-        if not (isinstance(row, dict) and set(row) - {"names"} == {"text", "read"}):
-            raise ValueError(f"{path.name} line {line_no} must have text, read, and maybe names")
-        if type(row["text"]) is not str or type(row["read"]) not in (str, type(None)):
-            raise ValueError(
-                f"{path.name} line {line_no}: text and read must be texts, or read null"
-            )
-        rows.append(row)
-    names = frozenset(name for row in rows for name in row.get("names", ()))
+        with error_prefix(f"{path.name} line {line_no}"):
+            document = parse_json(line)
+            if not isinstance(document, dict):
+                raise ValueError("must have text, read, and maybe names")
+            rows.append(convert(document, _Row))
+    names = frozenset(name for row in rows for name in row.names)
     examples = []
     for row in rows:
-        words = tuple(token.text for token in split_text(row["text"], names))
-        labels = (
-            (REJECT,) * len(words) if row["read"] is None else align(words, row["read"].split())
-        )
+        words = tuple(token.text for token in split_text(row.text, names))
+        labels = (REJECT,) * len(words) if row.read is None else align(words, row.read.split())
         if words and labels is not None:
             examples.append(ReaderExample(words, labels, names))
     return examples
