@@ -89,7 +89,7 @@ def holds_at(relation: ArrayLike, along: Array, lateral: Array, *, has_range: Ar
     distance, in the density (``density.without_range``) as here.
 
     Args:
-        relation: i32[...], relation index in [0, 6).
+        relation: i32[...], index into ``REGISTRY``, of a relation with one landmark.
         along: f[...], metres from the landmark, in the relation's frame.
         lateral: f[...], metres, likewise.
         has_range: bool[...], whether the relation limits the distance.
@@ -111,7 +111,7 @@ def holds(
     """Test whether a relation holds between positions: ``holds_at`` in its frame, bool[...].
 
     Args:
-        relation: relation index in [0, 6).
+        relation: index into ``REGISTRY``, of a relation with one landmark.
         figure: f32[..., 2], metres, map frame.
         landmark: f32[..., 2], metres, map frame.
         viewer: f32[..., 2], where the speaker and robot stand at the utterance.

@@ -75,9 +75,9 @@ class Walls:
         # It also stops before a wall within the clearance behind the end.
         reach = (length + clearance) / length
         span_x, span_y = reach * (to_x - from_x), reach * (to_y - from_y)
-        one_x, one_y, other_x, other_y = (append_axes(end, span_x.ndim) for end in self.ends.T)
-        wall_x, wall_y = other_x - one_x, other_y - one_y
-        off_x, off_y = one_x - from_x, one_y - from_y
+        start_x, start_y, end_x, end_y = (append_axes(end, span_x.ndim) for end in self.ends.T)
+        wall_x, wall_y = end_x - start_x, end_y - start_y
+        off_x, off_y = start_x - from_x, start_y - from_y
         across = span_x * wall_y - span_y * wall_x
         across = jnp.where(jnp.abs(across) < 1e-9, 1e-9, across)
         along = (off_x * wall_y - off_y * wall_x) / across
@@ -94,15 +94,15 @@ class Walls:
         """Compute the signed distance of a point to all shadows, metres; negative inside of one."""
         off_x, off_y = (x - eye.x)[None], (y - eye.y)[None]
         eye_x, eye_y = jnp.broadcast_to(eye.x, off_x.shape), jnp.broadcast_to(eye.y, off_x.shape)
-        one_x, one_y, other_x, other_y = (append_axes(end, off_x.ndim) for end in self.ends.T)
-        a_x, a_y, b_x, b_y = one_x - eye_x, one_y - eye_y, other_x - eye_x, other_y - eye_y
-        # Left of the line to the one end and right of that to the other, if the wall runs
+        start_x, start_y, end_x, end_y = (append_axes(end, off_x.ndim) for end in self.ends.T)
+        a_x, a_y, b_x, b_y = start_x - eye_x, start_y - eye_y, end_x - eye_x, end_y - eye_y
+        # Left of the line to the start and right of that to the end, if the wall runs
         # counter-clockwise about the eye.
         turn = jnp.where(a_x * b_y - a_y * b_x >= 0.0, 1.0, -1.0)
-        past_one = turn * _left_of(a_x, a_y, off_x, off_y)
-        past_other = -turn * _left_of(b_x, b_y, off_x, off_y)
+        past_start = turn * _left_of(a_x, a_y, off_x, off_y)
+        past_end = -turn * _left_of(b_x, b_y, off_x, off_y)
         behind = -turn * _left_of(b_x - a_x, b_y - a_y, off_x - a_x, off_y - a_y)
-        inside = jnp.minimum(jnp.minimum(past_one, past_other), behind)
+        inside = jnp.minimum(jnp.minimum(past_start, past_end), behind)
         return jnp.min(-inside, axis=0, initial=_NO_WALLS)
 
 
