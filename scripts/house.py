@@ -43,7 +43,7 @@ ENGINE = [
     "navigator",
     "episode",
 ]
-"""From messages to episode; ``grounding`` is read after lunch."""
+"""The engine, from messages to episode, without ``grounding``."""
 NUM_DETECTIONS = 8
 NUM_FILES_LISTED = 20
 """Number of files listed, by most operations."""

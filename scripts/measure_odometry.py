@@ -66,8 +66,8 @@ def measure(machine: str, *, drives: int = 30, seed: int = 0) -> OdometryFigures
 
 def _drive(machine: str, seed: int) -> np.ndarray:
     """Drive once: f64[T, 6], pose by odometry and true pose after each cycle."""
-    goal = make_scenario(area=(-_EDGE, _EDGE, -_EDGE, _EDGE))
-    robot = PhysicsRobot(machine, goal, seed=seed, gates=Gates(range=1.0))
+    scenario = make_scenario(area=(-_EDGE, _EDGE, -_EDGE, _EDGE))
+    robot = PhysicsRobot(machine, scenario, seed=seed, gates=Gates(range=1.0))
     rng, goal = np.random.default_rng(seed), np.zeros(2)
     log = [np.append(robot.pose(), robot.true_pose)]
     for _ in range(_NUM_LEGS):

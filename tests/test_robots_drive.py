@@ -76,11 +76,11 @@ def test_a_goal_that_cannot_be_seen_is_not_found(navigator) -> None:
 
 
 def test_a_goal_that_is_taken_away_is_never_arrived_at(navigator) -> None:
-    robot = put()
+    robot, gone = put(), put([(CONE, 4.0, 0.5)]).scenario
 
     def take_away(one: KinematicRobot) -> None:
         near = goal_distance(one) < 2.6
-        one.move_object(0, np.nan, np.nan) if near else one.at(one.seconds + 0.1, take_away)
+        setattr(one, "scenario", gone) if near else one.at(one.seconds + 0.1, take_away)
 
     robot.at(0.0, take_away)
     ends(Ending.NOT_FOUND, navigator, robot)

@@ -43,7 +43,7 @@ def cover(robot: PhysicsRobot) -> None:
 
 def step_in(robot: PhysicsRobot) -> None:
     x, y, heading = robot.true_pose
-    robot.put_person(x + 1.3 * np.cos(heading), y + 1.3 * np.sin(heading))
+    robot.scene.put("person", x + 1.3 * np.cos(heading), y + 1.3 * np.sin(heading))
 
 
 def slip(robot: PhysicsRobot) -> None:
@@ -58,7 +58,7 @@ def slip(robot: PhysicsRobot) -> None:
         (lambda one: one.at(4.0, lambda it: setattr(it, "camera_works", False)), {Ending.BLIND}),
         (lambda one: one.at(0.0, cover), {Ending.NOT_FOUND}),
         (
-            lambda one: near(one, 2.2, lambda it: it.move_object(GOAL, np.nan, np.nan)),
+            lambda one: near(one, 2.2, lambda it: it.scene.put(f"thing{GOAL}", 500.0, 500.0)),
             {Ending.NOT_FOUND},
         ),
         (lambda one: one.at(3.0, step_in), {Ending.ARRIVED}),

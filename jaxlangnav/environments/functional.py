@@ -144,8 +144,8 @@ def default_params(
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be above 0 m")
     check_minimum(1, max_steps=max_steps)
-    model, source = load_shipped(), open_world(world)
-    is_find = False
+    model, source, is_find = load_shipped(), open_world(world), False
+    sensor, motion = default_sensor(sensing_range or 3.0), default_motion()
     if isinstance(source, WorldFile):
         text = text_of(world=world, instruction=instruction)
         if not text:
@@ -161,7 +161,6 @@ def default_params(
         raise ValueError(f"instruction is given, but in {world} worlds relation names the command")
     else:
         worlds = scenario_params(template=source, relation=relation)
-        sensor, motion = default_sensor(sensing_range or 3.0), default_motion()
         understood = understand(text_of(world=world, relation=relation), model)
     range_max = jnp.maximum(sensor.range_max, simulator.SUCCESS_RADIUS)
     return EnvironmentParams(

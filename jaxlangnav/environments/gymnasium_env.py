@@ -226,7 +226,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
 
         Observations, rewards, terminated, truncated, and info as arrays over environments.
         """
-        worlds, state_before = self._simulation, self._simulation.require_state("step")
+        simulation, state_before = self._simulation, self._simulation.require_state("step")
         keys = _keys(_seed(self.np_random), self.num_envs)
         actions = to_functional(actions, self.single_action_space)
         observation, state, reward, info = _step_many(
@@ -235,7 +235,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         info_arrays = _info_dict(info)
         ended, late = info_arrays["is_stopped"], info_arrays["is_cut_off"]
         self._is_over = ended | late
-        return worlds.update(observation, state), np.asarray(reward), ended, late, info_arrays
+        return simulation.update(observation, state), np.asarray(reward), ended, late, info_arrays
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Render every environment, as ``FollowEnv.render``."""

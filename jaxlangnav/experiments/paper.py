@@ -248,7 +248,6 @@ def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
         for world, printed_range, relation in [*printed, *(EXTRA_ROWS if extra else ())]
         for radius in radii or [printed_range]
     )
-    has_curves = len(radii) > 1
     return Experiment(
         name="table2",
         title="Table 2: ours beside the paper's",
@@ -259,7 +258,7 @@ def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
         extras=lambda *_: {"bounds": bound_rows(specs)},
         tables=_tables,
         notes=lambda document: [
-            *([describe_success_drops(document)] if has_curves else []),
+            *([describe_success_drops(document)] if len(radii) > 1 else []),
             *caption(document),
         ],
     )

@@ -79,10 +79,9 @@ class ScenarioSpec(RowSpec):
     def described(self) -> Row:
         """Describe the scenario for the report."""
         actual = [_format(name, value) for name, value in {**self.truth, **self.motion}.items()]
-        has_fixed_clutter = self.place.get("num_clutter")
         assumed = [_format(name, value) for name, value in self.assumed.items()]
         assumed += ["odometry 2 %"] if self.motion else []
-        assumed += ["nothing of the four places"] if has_fixed_clutter else []
+        assumed += ["nothing of the four places"] if self.place.get("num_clutter") else []
         assumed += [] if self._has_true_sentence else ["a sentence that is not so"]
         assumed += [] if self._has_counts else ["nothing of how many there are"]
         return {
@@ -99,7 +98,6 @@ class ScenarioSpec(RowSpec):
         self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
     ) -> Cell:
         """Build the setting of its episodes; ``sensor`` is ignored for the scenario's own."""
-        law_args: dict[str, Any] = {"area": AHEAD, **self.place}
         motion = {name: jnp.float32(value) for name, value in self.motion.items()}
         return Cell(
             world=self.world,
@@ -109,7 +107,7 @@ class ScenarioSpec(RowSpec):
             motion=replace(default_motion(), **motion),
             seed=seed,
             environments=environments,
-            place=place_params(**law_args),
+            place=place_params(**{"area": AHEAD, **self.place}),
             assumed_sensor=default_sensor(self.range, **{**self.truth, **self.assumed}),
             labels=self.heading() | {"relation": self.relation},
             overrides=self.params,

@@ -97,8 +97,8 @@ def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, 
     if len(arms) > _ALL_PAIRS_LIMIT:
         pairs = [(arms[0], other) for other in arms[1:]]
     comparisons = []
-    for (first, *first_tables), (second, *second_tables) in pairs:
-        valid = (table.filter(table["is_valid"]) for table in (*first_tables, *second_tables))
+    for (first, first_table), (second, second_table) in pairs:
+        valid = (table.filter(table["is_valid"]) for table in (first_table, second_table))
         a, b = (table.select([*_PAIR_COLUMNS, "is_success", "distance"]) for table in valid)
         joined = a.join(b, keys=[*_PAIR_COLUMNS], join_type="inner", right_suffix=" 2")
         joined = joined.sort_by([(name, "ascending") for name in _PAIR_COLUMNS])

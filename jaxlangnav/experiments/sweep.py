@@ -52,8 +52,7 @@ _REMEDY = "restore it, or run the sweep in another folder"
 def episode_files(folder: Path) -> Iterator[tuple[int, Path]]:
     """Yield index and path of the episode files in a sweep's folder, valid or not, unordered."""
     for path in folder.iterdir():
-        match = _FILE.fullmatch(path.name)
-        if match is not None:
+        if match := _FILE.fullmatch(path.name):
             yield int(match[1]), path
 
 
@@ -88,9 +87,8 @@ def _open_folder(
     folder: Path, plan: SweepPlan, indices: Sequence[int], models: Any, *, is_resumed: bool
 ) -> str:
     """Write the manifest, or check that the existing one is of this sweep; return its identity."""
-    sizes = {"chunk": CHUNK, "lanes": LANES, "files": plan.num_files}
-    sizes["rows"] = plan.episodes_of("1/1")
-    settings = plan.config.document() | sizes
+    sizes = {"files": plan.num_files, "rows": plan.episodes_of("1/1")}
+    settings = plan.config.document() | {"chunk": CHUNK, "lanes": LANES} | sizes
     expected_manifest = json.loads(json.dumps(manifest(settings, models=models)))
     path = folder / MANIFEST
     # In this order because other processes may be writing the manifest at the same time.

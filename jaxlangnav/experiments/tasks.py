@@ -129,7 +129,7 @@ def _draw(shared: dict[str, Any], *ids: ArrayLike) -> Task:
         if "place" in cell:
             scenario = draw_place(world_keys[0], cell["place"])
         else:
-            sampled, is_custom = draw_scenario(world_keys[0], cell["law"]), cell["is_custom"]
+            sampled, is_custom = draw_scenario(world_keys[0], cell["dist"]), cell["is_custom"]
             candidates = cell["scenario"], sampled
             scenario = jax.tree.map(lambda a, b: jnp.where(is_custom, a, b), *candidates)
         return Task(
@@ -185,7 +185,7 @@ def _shared_fields(cell: Cell) -> dict[str, Any]:
     # A custom world replaces a sampled one, so any template will do.
     template = (cell.world, cell.relation) if cell.scenario is None else ("1H1C", "null")
     return common | {
-        "law": scenario_params(template=template[0], relation=template[1]),
+        "dist": scenario_params(template=template[0], relation=template[1]),
         "is_custom": np.asarray(cell.scenario is not None),
         "scenario": empty_scenario() if cell.scenario is None else cell.scenario,
     }

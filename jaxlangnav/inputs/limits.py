@@ -93,7 +93,7 @@ class Quantity:
             # A unit may have been forgotten.
             hint = {"angle": ("deg", "degrees are"), "share": ("%", "percent is")}.get(self.kind)
             remedy = ""
-            if hint and not (isinstance(value, str) or value <= self.high):
+            if hint and not isinstance(value, str) and value > self.high:
                 remedy = f'; write "{value:g} {hint[0]}" if {hint[1]} meant'
             raise ValueError(f"{name} is {_display(value)}, but must be {self._limits()}{remedy}")
         is_out_of_range = result != 0.0 and not MIN_VALUE <= abs(result) <= MAX_VALUE

@@ -111,8 +111,7 @@ def drive(
     loop, end = _DriveLoop(navigator, robot, key, on_step), None
     try:
         while end is None:
-            utterance = listen() if listen is not None else None
-            if utterance is not None:
+            if listen is not None and (utterance := listen()) is not None:
                 state = navigator.hear(state, utterance)
             state, end = loop.decide(state)
             if end is None and loop.seconds >= max_seconds:

@@ -94,11 +94,10 @@ def reproduce_table3(
     start_time = time.perf_counter()
     check_libraries()
     trials = [(row, trial) for row in rows for trial in (KNOWN_MAP, *range(plan.trials))]
-    stored = {(row, trial): _read_result(plan, row, trial) for row, trial in trials}
+    stored = {key: _read_result(plan, *key) for key in trials}
     results = {key: result for key, result in stored.items() if result is not None}
     missing = [key for key in trials if key not in results]
-    for _ in results:
-        on_progress(1)
+    on_progress(len(results))
     for row, trial, result in _run_missing(plan, missing):
         path = plan.path(row, trial)
         if path is not None:

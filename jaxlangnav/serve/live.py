@@ -21,7 +21,7 @@ from jaxlangnav.inputs.schema import PlainText, bad_choice
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.follow import OpenedEpisode, batched, open_episode, score
+from jaxlangnav.task.follow import batched, open_episode, score
 from jaxlangnav.task.opening import detector_of, step_limit
 from jaxlangnav.task.talk import YOU, Speech, add_talk, allow_questions, enlarge, name_candidates
 from jaxlangnav.viz.html import page_data
@@ -112,7 +112,10 @@ class LiveEpisode:
         grounder = GraphGrounder.of_detector(
             model, detector_of(self._world, opened.understood.type_names)
         )
-        self._opened = self._enable_dialogue(opened)
+        # Reserve capacity for later utterances.
+        understood = enlarge(opened.understood)
+        params = allow_questions(opened.params) if request.may_ask else opened.params
+        self._opened = dataclasses.replace(opened, understood=understood, params=params)
         self._source = self._utterance_source(grounder)
         self._steps: list[tuple[Snapshot, EpisodeResult]] = []
         self._queue: queue.Queue[str | None] = queue.Queue(_QUEUE_SIZE)
@@ -131,11 +134,6 @@ class LiveEpisode:
         path = folder / "your world.toml"
         write_text(to_toml(read_world(self.request.document)) + "\n", path)
         return str(path)
-
-    def _enable_dialogue(self, opened: OpenedEpisode) -> OpenedEpisode:
-        """Reserve capacity for later utterances, and allow questions."""
-        params = allow_questions(opened.params) if self.request.may_ask else opened.params
-        return dataclasses.replace(opened, understood=enlarge(opened.understood), params=params)
 
     def _utterance_source(self, grounder: GraphGrounder) -> Speech:
         understood, task = self._opened.understood, self._opened.prepared.task

@@ -128,19 +128,19 @@ class Server:
         """Create and start an episode."""
         with _error_response() as refusal:
             document = json.loads(await _read_body(request, MAX_BODY_SIZE))
-            return _json_response({"name": await run_in_threadpool(self._start, document)})
+            name = secrets.token_hex(8)
+            episode = await run_in_threadpool(self._make_episode, document, name)
+            while len(self._episodes) >= MAX_EPISODES:
+                self._episodes.pop(next(iter(self._episodes))).close()
+            self._episodes[name] = episode
+            self.num_opened += 1
+            episode.start()
+            return _json_response({"name": name})
         return refusal()
 
-    def _start(self, document: Any) -> str:
-        query = convert(document, Request)
-        name = secrets.token_hex(8)
-        episode = LiveEpisode(query, model=self._model, folder=self._folder / name, pace=self._pace)
-        for oldest in list(self._episodes)[: max(0, len(self._episodes) + 1 - MAX_EPISODES)]:
-            self._episodes.pop(oldest).close()
-        self._episodes[name] = episode
-        self.num_opened += 1
-        episode.start()
-        return name
+    def _make_episode(self, document: Any, name: str) -> LiveEpisode:
+        query, folder = convert(document, Request), self._folder / name
+        return LiveEpisode(query, model=self._model, folder=folder, pace=self._pace)
 
     async def _world(self, request: HttpRequest) -> Response:
         episode = self._episodes.get(request.path_params["name"])
@@ -199,7 +199,7 @@ async def _listen(socket: WebSocket, episode: LiveEpisode) -> None:
                     episode.close()
                 else:
                     episode.say(message.say)
-            except ValueError as error:
+            except (ValueError, RecursionError) as error:
                 await socket.send_text(page_json({"refusal": sanitize(str(error))}))
 
 

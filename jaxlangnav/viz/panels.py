@@ -141,7 +141,7 @@ def belief_figure(
 
 
 def best_nodes(frame: Snapshot, count: int = NUM_BARS) -> np.ndarray:
-    """Rank the open nodes of a step by value: i64[≤ number], nearby nodes merged."""
+    """Rank the open nodes of a step by value: i64[≤ count], nearby nodes merged."""
     return distinct_nodes(frame)[:count]
 
 

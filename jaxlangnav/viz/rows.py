@@ -14,7 +14,7 @@ from jaxlangnav.experiments.table import Row
 from jaxlangnav.viz import style
 from jaxlangnav.viz.sentences import percent
 from jaxlangnav.viz.style import policy_styles
-from jaxlangnav.viz.sweep import PAPER_BARS, draw_row, row_panels
+from jaxlangnav.viz.sweep import PAPER_BARS, draw_row, row_panels, rows_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,7 @@ Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 def table_figure(document: Mapping[str, Any]) -> "Figure":
     """Draw success and distance of ``paper.table_2`` beside the paper's printed values."""
-    rows: Sequence[Row] = document["rows"]
+    rows = rows_of(document)
     names = {_row_name(row) for row in rows}
     paper_rows = [row for row in document.get("paper", ()) if _row_name(row) in names]
     episodes = document.get("episodes", "?")
@@ -65,8 +65,6 @@ def _rows_figure(
     lines: Sequence[tuple[str, str, Row]], *, title: str, subtitle: str, bounds: Mapping[str, Row]
 ) -> "Figure":
     """Draw rows (name, series, results) as points with error bars, and bounds as dotted lines."""
-    if not lines:
-        raise ValueError("the document has no rows, so there is nothing to draw")
     names = list(dict.fromkeys(name for name, _, _ in lines))
     series = list(dict.fromkeys(label for _, label, _ in lines))
     styles = policy_styles(series)
@@ -100,7 +98,7 @@ def summary_lines(document: Mapping[str, Any]) -> list[tuple[str, str, Row]]:
     # Baselines have no particles; that alone does not distinguish two series.
     sizes = {row["particles"] for row in document["rows"] if row.get("particles") is not None}
     lines = []
-    for row in document["rows"]:
+    for row in rows_of(document):
         names = [name for name in varied if isinstance(row[name], float) and name != "range"]
         labels: dict[bool, list[str]] = {False: [], True: []}
         for name in names:

@@ -76,7 +76,7 @@ def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
     truth = rerun.Points3D(
         _to_3d(world.object_x[is_in], world.object_y[is_in]),
         radii=0.22,
-        colors=np.concatenate([_rgba(style.type_color(item), 0.35) for item in types]),
+        colors=[_rgba(style.type_color(item), 0.35)[0] for item in types],
         labels=[f"{scene.type_name(item)} (truth)" for item in types],
     )
     stream.log("world/truth", truth, static=True)

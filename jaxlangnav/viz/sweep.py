@@ -37,6 +37,13 @@ _MAX_ECE = 0.4  # axis limit of the ECE panel; larger values are clipped to it
 _LABEL_MARGIN, _COLUMN, _STRIP = 2.05, 1.4, 0.155  # inches: label margin, panel, variation
 
 
+def rows_of(document: Mapping[str, Any]) -> Sequence[Row]:
+    """Return the rows of a document; ``ValueError`` if there are none."""
+    if not document["rows"]:
+        raise ValueError("the document has no rows, so there is nothing to draw")
+    return document["rows"]
+
+
 def range_figure(document: Mapping[str, Any]) -> "Figure":
     """Plot distance (top) and success against the sensing range, as Figure 5 of the paper.
 
@@ -44,10 +51,8 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
     ``paper``, the printed rows that match. Our error bars are 95 % intervals of the mean; the paper
     prints one standard deviation.
     """
-    rows: Sequence[Row] = document["rows"]
+    rows = rows_of(document)
     columns = list(dict.fromkeys((row["world"], row["relation"]) for row in rows))
-    if not columns:
-        raise ValueError("the document has no rows, so there is nothing to draw")
     with style.house_style():
         size, margins = (max(0.9 + 3.7 * len(columns), 6.2), 6.4), (0.62, 0.16, 0.99, 1.18)
         kwargs: dict[str, Any] = {"sharex": "col", "sharey": "row", "hspace": 0.12, "wspace": 0.08}
@@ -169,9 +174,7 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
     A scenario's name is green where ``informed`` meets all of its targets, red where it misses one,
     and black where it has none.
     """
-    rows: Sequence[Row] = document["rows"]
-    if not rows:
-        raise ValueError("the document has no rows, so there is nothing to draw")
+    rows = rows_of(document)
     names = list(dict.fromkeys(row["scenario"] for row in rows))
     policies = list(dict.fromkeys(row["policy"] for row in rows))
     styles = policy_styles(policies)
@@ -222,16 +225,14 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     band spans two standard errors of the printed figure, a bar two of ours; filled points agree
     with it.
     """
-    paper, fits = document["paper"], document["variations"]
-    if not document["rows"]:
-        raise ValueError("the document has no rows, so there is nothing to draw")
+    paper, fits, all_rows = document["paper"], document["variations"], rows_of(document)
     with style.house_style():
         height = _STRIP * len(fits)
         size = _LABEL_MARGIN + _COLUMN * len(paper) + 0.1, 2 * height + 1.95
         kwargs: dict[str, Any] = {"sharey": True, "wspace": 0.1, "hspace": 0.62 / height}
         figure, grid = style.panels(size, 2, len(paper), (_LABEL_MARGIN, 0.1, 0.85, 0.42), **kwargs)
         for index, printed in enumerate(paper):
-            rows = document["rows"][index :: len(paper)]
+            rows = all_rows[index :: len(paper)]
             above, below = grid[:, index]
             _draw_panel(above, rows, printed, "success_rate")
             _draw_panel(below, rows, printed, "distance_mean")

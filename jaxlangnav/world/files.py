@@ -126,9 +126,7 @@ def save_world(world: WorldFile, path: str | Path) -> None:
         WorldFileError: the name ends in neither, or the file cannot be written.
     """
     path, table = _check_suffix(path), world_to_dict(world)
-    text = json.dumps(table, indent=2)
-    if path.suffix.lower() == ".toml":
-        text = to_toml(table)
+    text = to_toml(table) if path.suffix.lower() == ".toml" else json.dumps(table, indent=2)
     try:
         write_text(text + "\n", path)
     except OSError as error:

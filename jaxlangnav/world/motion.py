@@ -14,7 +14,7 @@ from jax import Array
 from jaxlangnav.messages import Action, MotionParams, Status
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.terrain import Terrain
-from jaxlangnav.terrain.view import Segment, wrapped
+from jaxlangnav.terrain.view import Segment, rotate, wrapped
 from jaxlangnav.world.state import WorldState
 
 
@@ -94,9 +94,8 @@ def _propagate(
     heading_noise = motion.heading_bias * length + std * noise[2]
     error = state.heading - state.odometry[2]
     mean_error = error + 0.5 * heading_noise
-    cos, sin = jnp.cos(mean_error), jnp.sin(mean_error)
-    along = jnp.stack([cos * step[0] - sin * step[1], sin * step[0] + cos * step[1]])
-    displacement = along + motion.odometry_noise * length * noise[:2]
+    rotated = jnp.stack(rotate(step[0], step[1], mean_error))
+    displacement = rotated + motion.odometry_noise * length * noise[:2]
     return WorldState(
         position=state.position + displacement,
         heading=heading + error + heading_noise,

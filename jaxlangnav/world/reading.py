@@ -261,8 +261,7 @@ def _type_index(text: str, type_names: list[str], where: str) -> int:
     name = " ".join(normalize(text).split())
     name = find_type(name) or name
     if name not in type_names:
-        correction = repair(name, is_noun=True)
-        if correction is not None:
+        if (correction := repair(name, is_noun=True)) is not None:
             hint = f"which looks mistyped. Did you mean {correction!r}?"
             raise ValueError(f"{where}.type is {name!r}, {hint}")
         if not all(map(is_word, name.split())):

@@ -5,8 +5,6 @@ stops there. Its distance is the column *Known* of Tables 2 and 3; divided by a 
 gives the run's path efficiency (SPL).
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -43,13 +41,6 @@ def is_success(state: WorldState, scenario: Scenario, is_arrived: Array) -> Arra
     return is_arrived & (goal_distance(state, scenario) <= SUCCESS_RADIUS)
 
 
-class _Drive(NamedTuple):
-    """Loop carry of the known-map drive."""
-
-    state: WorldState
-    num_steps: Array  # i32[]
-
-
 def known_distance(scenario: Scenario) -> Array:
     """Compute the shortest path length from start to goal, f32[] metres."""
     return scenario.terrain.travel.metres(*scenario.start[:2], *scenario.goal)
@@ -66,20 +57,18 @@ def drive_known_map(
         The robot at the end, and bool[], whether the run is a success.
     """
 
-    def is_driving(drive: _Drive) -> Array:
-        is_far = goal_distance(drive.state, scenario) > GOAL_RADIUS
-        return is_far & (drive.num_steps < _MAX_STEPS)
+    def is_driving(drive: tuple[WorldState, Array]) -> Array:
+        state, num_steps = drive
+        return (goal_distance(state, scenario) > GOAL_RADIUS) & (num_steps < _MAX_STEPS)
 
-    def advance(drive: _Drive) -> _Drive:
+    def advance(drive: tuple[WorldState, Array]) -> tuple[WorldState, Array]:
         # The known-map robot steers by its true position.
-        position, terrain = drive.state.position, scenario.terrain
-        waypoint = jnp.stack(terrain.travel.next_place(*position, *scenario.goal))
-        action = plain_action(scenario.goal, waypoint - position, jnp.array(False))
-        key_step = jax.random.fold_in(key, drive.num_steps)
-        state = stop_at_wall(drive.state, move_body(key_step, drive.state, action, motion), terrain)
-        return _Drive(state=state, num_steps=drive.num_steps + 1)
+        (state, num_steps), terrain = drive, scenario.terrain
+        waypoint = jnp.stack(terrain.travel.next_place(*state.position, *scenario.goal))
+        action = plain_action(scenario.goal, waypoint - state.position, jnp.array(False))
+        moved = move_body(jax.random.fold_in(key, num_steps), state, action, motion)
+        return stop_at_wall(state, moved, terrain), num_steps + 1
 
-    start = _Drive(state=reset(scenario), num_steps=jnp.int32(0))
-    state, _ = jax.lax.while_loop(is_driving, advance, start)
+    state, _ = jax.lax.while_loop(is_driving, advance, (reset(scenario), jnp.int32(0)))
     is_arrived = goal_distance(state, scenario) <= GOAL_RADIUS
     return state, is_success(state, scenario, is_arrived)

@@ -60,11 +60,9 @@ class MotionPlanner:
         points = np.asarray(waypoints, float).reshape(-1, 2)
         if not len(points) or not np.isfinite(points).all():
             raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")
-        is_same = (
-            self.progress is WaypointStatus.UNDER_WAY and points.shape == self._waypoints.shape
-        )
-        is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < TOLERANCE)
-        if not is_same or facing != self._facing:
+        is_under_way = self.progress is WaypointStatus.UNDER_WAY and facing == self._facing
+        is_same = is_under_way and points.shape == self._waypoints.shape
+        if not is_same or np.hypot(*(points - self._waypoints).T).max() >= TOLERANCE:
             self._reset()
         self._waypoints, self._speed, self._clearance = points, speed, clearance
         self._facing, self.progress = facing, WaypointStatus.UNDER_WAY

@@ -130,9 +130,7 @@ def find_path(start: np.ndarray, goal: np.ndarray, discs: np.ndarray) -> np.ndar
     shape = np.ceil((np.maximum(start, goal) + DETOUR_MARGIN - low) / CELL).astype(int)
     x = low[0] + CELL * (np.arange(shape[0]) + 0.5)
     y = low[1] + CELL * (np.arange(shape[1]) + 0.5)
-    is_free = np.ones(shape, bool)
-    for disc_x, disc_y, radius in discs:
-        is_free &= (x[:, None] - disc_x) ** 2 + (y[None] - disc_y) ** 2 >= radius**2
+    is_free = disc_distance(x[:, None], y[None], discs) >= 0.0
     start_cell = tuple(((start - low) / CELL).astype(int))
     is_free[start_cell] = True
     from_goal = np.hypot(x[:, None] - goal[0], y[None] - goal[1])

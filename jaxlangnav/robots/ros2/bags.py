@@ -140,9 +140,7 @@ class RecordedLoopback(Loopback):
         self._messages.append((topic, self.now(), self._builder.words(text)))
 
     def save(self, path: Path) -> None:
-        """Write the bag, MCAP, into a new folder, or raise a ValueError."""
-        if path.exists():
-            raise ValueError(f"{path} is there already: remove it or name another folder")
+        """Write the bag, MCAP, into a new folder."""
         rosbag2, store = load_ros("rosbags.rosbag2"), self._store
         with rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
             connections: dict[str, Any] = {}
@@ -163,6 +161,8 @@ def write_bag(
         ValueError: the folder exists, or the instruction is refused.
         MissingExtraError: rosbags is not installed.
     """
+    if path.exists():
+        raise ValueError(f"{path} is there already: remove it or name another folder")
     bus = RecordedLoopback(simulated, len(navigator.type_names))
     bus.spin(LEAD_SECONDS)
     robot = RosRobot(bus, sensor=simulated.sensor, area=simulated.area)

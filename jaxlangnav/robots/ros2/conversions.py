@@ -190,14 +190,19 @@ def detections_of_boxes(boxes: Any, type_names: Sequence[str]) -> list[Detection
         boxes: the message. An object has the class of its best hypothesis and its box's center.
         type_names: the navigator's; objects of other classes are left out, as are hypotheses of a
             score below ``MIN_SCORE``.
+
+    Raises:
+        ValueError: a box's center is not finite.
     """
     detections = []
     for box in boxes.detections:
         hypotheses = [hypothesis.hypothesis for hypothesis in box.results]
         best = max(hypotheses, key=lambda hypothesis: hypothesis.score, default=None)
-        if best is None or best.score < MIN_SCORE or best.class_id not in type_names:
+        if best is None or not best.score >= MIN_SCORE or best.class_id not in type_names:
             continue
         center = box.bbox.center.position
+        if not (math.isfinite(center.x) and math.isfinite(center.y)):
+            raise ValueError(f"a {best.class_id} is at {center.x:g}, {center.y:g}: nowhere")
         detections.append(_detection_at(type_names.index(best.class_id), center.x, center.y))
     return detections
 

@@ -245,9 +245,8 @@ class RosBus:
         """Wrap a reader of messages: its detections go to the inbox."""
 
         def take(message: Any) -> None:
-            look = read(message)
-            if look is not None:
-                self.inbox.add_detections(*look, self.now())
+            if (detections := read(message)) is not None:
+                self.inbox.add_detections(*detections, self.now())
 
         return take
 

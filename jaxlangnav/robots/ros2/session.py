@@ -13,6 +13,7 @@ from typing import Any
 import jax
 from jax import Array
 
+from jaxlangnav.inputs.documents import parse_json, read_text
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.navigator.api import Navigator
@@ -59,17 +60,16 @@ class Session:
 
     def say(self, text: str, now: float) -> None:
         """Queue an utterance received at a time, seconds, unless it is a duplicate message."""
-        if (text, True) == (self._last_text[0], now - self._last_text[1] < DUPLICATE_SECONDS):
-            return
-        self._last_text = text, now
-        self._queue.append(text)
+        last_text, last_time = self._last_text
+        if text != last_text or now - last_time >= DUPLICATE_SECONDS:
+            self._last_text = text, now
+            self._queue.append(text)
 
     def go(self) -> NavigationRun | None:
         """Drive to an ending; None without an utterance that gives a task."""
         pending, self._texts = self._texts, []
         for text in pending[:-1]:
-            state = self._apply(text)
-            if state is not None:
+            if (state := self._apply(text)) is not None:
                 self._state = state
                 self._texts.append(text)
         text = pending[-1] if pending else self._listen()
@@ -114,8 +114,7 @@ class Session:
         return None
 
     def _listen_and_record(self) -> str | None:
-        text = self._listen()
-        if text is not None:
+        if (text := self._listen()) is not None:
             self._record(text)
         return text
 
@@ -130,14 +129,13 @@ class Session:
 
     def _on_step(self, step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
         self._state = state
-        detections = step.detections
         self._tell(
             {
                 "status": step.status.word,
                 "pose": [round(it, 3) for it in step.pose],
-                "target": None if step.target is None else [round(it, 3) for it in step.target],
+                "target": step.target and [round(it, 3) for it in step.target],
                 "progress": step.progress.value,
-                "detections": None if detections is None else len(detections),
+                "detections": None if step.detections is None else len(step.detections),
                 "fault": step.fault.name,
                 "is_halted": bool(state.is_halted),
             }
@@ -146,10 +144,8 @@ class Session:
 
 def _read_texts(path: Path) -> list[str]:
     """Read the utterances of a task, or raise a ValueError of one line."""
-    if path.stat().st_size > _MAX_BYTES:
-        raise ValueError(f"{path} is longer than {_MAX_BYTES} bytes: it is no list of words")
     try:
-        texts = json.loads(path.read_text("utf-8"))
+        texts = parse_json(read_text(path, max_bytes=_MAX_BYTES))
     except ValueError as error:
         raise ValueError(f"{path} is no JSON ({error}): remove it to begin anew") from error
     if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):

@@ -120,8 +120,8 @@ class RobotServer:
         position, heading = message.pose.position, yaw_of(message.pose.orientation)
         goal = compose(self._origin, np.array([position.x, position.y, heading]))
         self._last_goal = self.robot.seconds
-        shift = goal - self.robot.pose()
-        if np.hypot(*shift[:2]) < _STOP_TOLERANCE and abs(shift[2]) < _STOP_TOLERANCE:
+        offset = compose(inverse(self.robot.pose()), goal)
+        if np.hypot(*offset[:2]) < _STOP_TOLERANCE and abs(offset[2]) < _STOP_TOLERANCE:
             self.robot.stop()
             return
         self.robot.go_to(goal[None, :2], speed=1.0, clearance=_CLEARANCE, facing=float(goal[2]))
