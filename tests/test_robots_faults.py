@@ -14,7 +14,7 @@ from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.table3 import TABLE3, make_robot
 from jaxlangnav.viz.film import write_film
-from jaxlangnav.viz.html import _render_html
+from jaxlangnav.viz.html import render_html
 
 pytestmark = pytest.mark.slow
 HUSKY, CHAIR = TABLE3[6], TABLE3[2]
@@ -43,7 +43,7 @@ def cover(robot: PhysicsRobot) -> None:
 
 def step_in(robot: PhysicsRobot) -> None:
     x, y, heading = robot.true_pose
-    robot.scene.put("person", x + 1.3 * np.cos(heading), y + 1.3 * np.sin(heading))
+    robot.put_person(x + 1.3 * np.cos(heading), y + 1.3 * np.sin(heading))
 
 
 def slip(robot: PhysicsRobot) -> None:
@@ -58,7 +58,7 @@ def slip(robot: PhysicsRobot) -> None:
         (lambda one: one.at(4.0, lambda it: setattr(it, "camera_works", False)), {Ending.BLIND}),
         (lambda one: one.at(0.0, cover), {Ending.NOT_FOUND}),
         (
-            lambda one: near(one, 2.2, lambda it: it.scene.put(f"thing{GOAL}", 500.0, 500.0)),
+            lambda one: near(one, 2.2, lambda it: it.move_object(GOAL, np.nan, np.nan)),
             {Ending.NOT_FOUND},
         ),
         (lambda one: one.at(3.0, step_in), {Ending.ARRIVED}),
@@ -106,7 +106,7 @@ def test_a_run_is_recorded_with_what_is_seen_of_it(navigator, tmp_path) -> None:
             assert picture.std() > 10.0
     first, last = kept.pictures[0], kept.pictures[-1]
     assert all(first[title] != last[title] for title in first)
-    assert len(_render_html(kept)) < 5_000_000
+    assert len(render_html(kept)) < 5_000_000
     pytest.importorskip("matplotlib")
     film = write_film(kept, tmp_path / "run.mp4")
     ok, shown = libraries.opencv().VideoCapture(str(film)).read()

@@ -99,7 +99,7 @@ def test_tags_are_found_where_their_things_are(husky: PhysicsRobot) -> None:
 
 def test_opencvs_own_detector_sees_the_same_tags(husky: PhysicsRobot) -> None:
     cv2 = libraries.opencv()
-    grey = cv2.cvtColor(husky.render("front"), cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(husky.picture(), cv2.COLOR_RGB2GRAY)
     book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     corners, numbers, _ = cv2.aruco.ArucoDetector(book).detectMarkers(grey)
     theirs = [
@@ -151,7 +151,7 @@ def test_a_covered_tag_is_not_seen_and_a_turned_cube_is() -> None:
 
 def test_things_and_people_are_seen_by_the_scanner_and_not_run_into() -> None:
     robot = put("wheelchair", ((CONE, 2.0, 0.1),))
-    robot.at(4.0, lambda one: one.scene.put("person", one.true_pose[0] + 1.3, one.true_pose[1]))
+    robot.at(4.0, lambda one: one.put_person(one.true_pose[0] + 1.3, one.true_pose[1]))
     robot.go_to(np.array([[4.5, 0.0]]), speed=1.0, clearance=0.2)
     places = []
     robot.on_tick = lambda one: places.append(one.true_pose)

@@ -23,7 +23,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.viz import style, terminal
 from jaxlangnav.viz.film import write_film
 from jaxlangnav.viz.graph import graph_figure
-from jaxlangnav.viz.html import _render_html, page_data, write_html
+from jaxlangnav.viz.html import page_data, render_html, write_html
 from jaxlangnav.viz.rrd import write_rrd
 
 
@@ -164,7 +164,7 @@ OFFLINE = (
 
 
 def read(recording):
-    page = Page(_render_html(recording))
+    page = Page(render_html(recording))
     return page, json.loads(page.data)
 
 
@@ -174,7 +174,7 @@ def array(data, name):
 
 
 def test_it_needs_nothing_from_outside():
-    text = _render_html(make_recording(4, 10))
+    text = render_html(make_recording(4, 10))
     page = Page(text)
     assert page.links == []
     assert not re.search(r"https?://|@import|url\(", text)
@@ -250,7 +250,7 @@ def test_it_runs_in_a_browser(tmp_path):
 def test_a_hostile_sentence_is_only_text():
     recording = make_recording()
     scene = dataclasses.replace(recording.scene, text=HOSTILE)
-    text = _render_html(dataclasses.replace(recording, scene=scene))
+    text = render_html(dataclasses.replace(recording, scene=scene))
     page = Page(text)
     assert "alert(1)</script>" not in text
     assert not any(one in text for one in ("\x1b", "\u202e", "<b>"))

@@ -291,9 +291,9 @@ def _observe(
 ) -> tuple[Array, EnvironmentState]:
     """Sense, update the memory, and assemble the observation vector."""
     scan = sense(key, state.world, state.scenario, params.sensor, num_detections=NUM_DETECTIONS)
-    x, y, heading = scan.pose[0], scan.pose[1], scan.pose[2]
-    ahead = jnp.where(scan.is_detection, scan.detection_range * jnp.cos(scan.detection_bearing), 0)
-    left = jnp.where(scan.is_detection, scan.detection_range * jnp.sin(scan.detection_bearing), 0)
+    (x, y, heading), bearing = scan.pose, scan.detection_bearing
+    position = scan.detection_range * jnp.stack([jnp.cos(bearing), jnp.sin(bearing)])
+    position = jnp.where(scan.is_detection, position, 0)  # f32[2, D] ahead, left
     command = params.command
     is_match = scan.is_detection[None] & jnp.stack(  # bool[2, D] goal type, landmark type
         [
@@ -301,7 +301,7 @@ def _observe(
             scan.detection_type == command.landmark,
         ]
     )
-    state = _remember(state, scan.pose, is_match, ahead, left, params)
+    state = _remember(state, scan.pose, is_match, position, params)
     offset = state.known_place - scan.pose[None, :2]
     known_ahead, known_left = rotate(offset[:, 0], offset[:, 1], -heading)
     parts = [
@@ -309,7 +309,7 @@ def _observe(
         state.scenario.area,
         scan.sensor.range_max[None],
         command.embedding,
-        jnp.stack([scan.is_detection, ahead, left, *is_match], axis=1).reshape(-1),
+        jnp.stack([scan.is_detection, *position, *is_match], axis=1).reshape(-1),
         (state.is_known[None] * jnp.stack([jnp.ones(2), known_ahead, known_left])).T.reshape(-1),
         state.is_looked_at.reshape(-1),
     ]
@@ -318,16 +318,14 @@ def _observe(
 
 
 def _remember(
-    state: EnvironmentState,
-    pose: Array,
-    is_match: Array,
-    ahead: Array,
-    left: Array,
-    params: EnvironmentParams,
+    state: EnvironmentState, pose: Array, is_match: Array, offset: Array, params: EnvironmentParams
 ) -> EnvironmentState:
-    """Update the last positions of goal and landmark type (f32[2, D]) and the coverage grid."""
+    """Update the last positions of goal and landmark type, and the coverage grid.
+
+    ``is_match``: bool[2, D], detections of the two types; ``offset``: f32[2, D], ahead and left.
+    """
     nearest = jnp.argmax(is_match, axis=1)  # detections come nearest first
-    dx, dy = rotate(ahead[nearest], left[nearest], pose[2])
+    dx, dy = rotate(*offset[:, nearest], pose[2])
     is_detected = is_match.any(axis=1)
     position = jnp.where(
         is_detected[:, None], jnp.stack([pose[0] + dx, pose[1] + dy], 1), state.known_place
@@ -337,8 +335,7 @@ def _remember(
     y, x = jnp.meshgrid(
         y_min + centre * (y_max - y_min), x_min + centre * (x_max - x_min), indexing="ij"
     )
-    eye = eye_of(pose[0], pose[1], pose[2], params.sensor)
-    in_view = state.scenario.terrain.view.sees(eye, x, y)
+    in_view = state.scenario.terrain.view.sees(eye_of(*pose, params.sensor), x, y)
     return replace(
         state,
         is_known=state.is_known | is_detected,

@@ -23,7 +23,7 @@ from jax import Array
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import Observation, SensorParams, Status
+from jaxlangnav.messages import Observation, Status
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.graph import frontiers
 from jaxlangnav.planner.params import default_planner_params
@@ -82,22 +82,17 @@ def _arc_waypoint(area: Array, range_max: Array, leg: Array) -> Array:
 
 
 @pytree
-class Explorer:
-    """State of a baseline; positions by dead reckoning, metres."""
+class _Run:
+    """State of an episode; positions by dead reckoning, metres."""
 
+    task: Task
+    figure_type: Array  # i32[] of the sentence
+    world: WorldState
     coverage: Coverage
     target: Array  # f32[2] the object it drives to
     has_target: Array  # bool[]
     waypoint: Array  # f32[2] current waypoint of the search
     leg: Array  # i32[] waypoints reached
-
-
-@pytree
-class _Run:
-    task: Task
-    figure_type: Array  # i32[] of the sentence
-    explorer: Explorer
-    world: WorldState
     steps: Array  # i32[]
     is_stopped: Array  # bool[]
 
@@ -109,7 +104,7 @@ def _figure_type(instruction: Instruction) -> Array:
     return readings.mention_type[best, jnp.maximum(readings.figure[best, 0], 0)]
 
 
-def _update_target(explorer: Explorer, observation: Observation, figure_type: Array) -> Explorer:
+def _update_target(run: _Run, observation: Observation) -> _Run:
     """Update coverage and target from an observation."""
     # The first object of the type becomes the target, of several the nearest; later detections
     # update its position.
@@ -117,35 +112,32 @@ def _update_target(explorer: Explorer, observation: Observation, figure_type: Ar
     bearing = observation.detection_bearing + pose[2]
     x = pose[0] + observation.detection_range * jnp.cos(bearing)
     y = pose[1] + observation.detection_range * jnp.sin(bearing)
-    is_figure = observation.is_detection & (observation.detection_type == figure_type)
-    squared_distance = (x - explorer.target[0]) ** 2 + (y - explorer.target[1]) ** 2
+    is_figure = observation.is_detection & (observation.detection_type == run.figure_type)
+    squared_distance = (x - run.target[0]) ** 2 + (y - run.target[1]) ** 2
     # Gating: another object of the type, metres away, is not the target.
-    is_target = is_figure & (~explorer.has_target | (squared_distance < 4.0))
-    priority = jnp.where(explorer.has_target, squared_distance, observation.detection_range)
+    is_target = is_figure & (~run.has_target | (squared_distance < 4.0))
+    priority = jnp.where(run.has_target, squared_distance, observation.detection_range)
     nearest = jnp.argmin(jnp.where(is_target, priority, jnp.inf))
     is_observed, sensor = jnp.any(is_target), observation.sensor
-    eye = eye_of(pose[0], pose[1], pose[2], sensor)
     return replace(
-        explorer,
-        coverage=add_view(explorer.coverage, eye, sensor, OPEN.view),
-        target=jnp.where(is_observed, jnp.stack([x[nearest], y[nearest]]), explorer.target),
-        has_target=explorer.has_target | is_observed,
+        run,
+        coverage=add_view(run.coverage, eye_of(*pose, sensor), sensor, OPEN.view),
+        target=jnp.where(is_observed, jnp.stack([x[nearest], y[nearest]]), run.target),
+        has_target=run.has_target | is_observed,
     )
 
 
-def _explore_sweep(
-    explorer: Explorer, pose: Array, sensor: SensorParams, waypoint: WaypointFn
-) -> Explorer:
+def _explore_sweep(run: _Run, waypoint: WaypointFn) -> _Run:
     """Advance to the next waypoint of a coverage path once the current one is reached."""
-    area = explorer.coverage.area
-    offset = waypoint(area, sensor.range_max, explorer.leg) - pose[:2]
-    leg = explorer.leg + (jnp.hypot(offset[0], offset[1]) < _ARRIVAL).astype(jnp.int32)
-    return replace(explorer, waypoint=waypoint(area, sensor.range_max, leg), leg=leg)
+    area, range_max = run.coverage.area, run.task.sensor.range_max
+    offset = waypoint(area, range_max, run.leg) - run.world.odometry[:2]
+    leg = run.leg + (jnp.hypot(offset[0], offset[1]) < _ARRIVAL).astype(jnp.int32)
+    return replace(run, waypoint=waypoint(area, range_max, leg), leg=leg)
 
 
-def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) -> Explorer:
+def _explore_frontiers(run: _Run) -> _Run:
     """Keep the current frontier until it is observed; then choose the nearest one."""
-    coverage, current = explorer.coverage, explorer.waypoint
+    coverage, current, pose = run.coverage, run.waypoint, run.world.odometry
     x, y, is_frontier = frontiers(coverage, _NUM_BLOCKS, jnp.float32(_FRONTIER_MISS))
     squared = (x - pose[0]) ** 2 + (y - pose[1]) ** 2
     is_open = is_frontier & (squared > (0.5 * _ARRIVAL) ** 2)
@@ -153,54 +145,47 @@ def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) ->
     max_log_miss = jnp.max(coverage.log_miss)
     log_miss = log_miss_at(coverage, current[0], current[1])
     remaining = jnp.hypot(current[0] - pose[0], current[1] - pose[1])
-    is_kept = (explorer.leg > 0) & (remaining > _ARRIVAL)
+    is_kept = (run.leg > 0) & (remaining > _ARRIVAL)
     is_kept = is_kept & (log_miss > max_log_miss + jnp.log(jnp.float32(_FRONTIER_MISS)))
     return replace(
-        explorer,
+        run,
         waypoint=jnp.where(is_kept, current, jnp.stack([x[nearest], y[nearest]])),
-        leg=explorer.leg + (~is_kept).astype(jnp.int32),
+        leg=run.leg + (~is_kept).astype(jnp.int32),
     )
 
 
 def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> _Run:
     """Initialise an episode; only the type of the sentence's figure is used."""
-    origin, false = jnp.zeros(2), jnp.asarray(False)
-    explorer = Explorer(
+    origin, false, zero = jnp.zeros(2), jnp.asarray(False), jnp.int32(0)
+    return _Run(
+        task=task,
+        figure_type=jax.vmap(_figure_type)(instructions)[task.instruction_index],
+        world=simulator.reset(task.scenario),
         coverage=empty_coverage(task.scenario.area, _NUM_CELLS),
         target=origin,
         has_target=false,
         waypoint=origin,
-        leg=jnp.int32(0),
-    )
-    return _Run(
-        task=task,
-        figure_type=jax.vmap(_figure_type)(instructions)[task.instruction_index],
-        explorer=explorer,
-        world=simulator.reset(task.scenario),
-        steps=jnp.int32(0),
+        leg=zero,
+        steps=zero,
         is_stopped=false,
     )
 
 
 def _advance(
-    run: _Run, *, params: object, config: NavigatorConfig, explore_on: Callable[..., Explorer]
+    run: _Run, *, params: object, config: NavigatorConfig, explore: Callable[[_Run], _Run]
 ) -> tuple[_Run, None]:
     task = run.task
     # The keys of episode.advance: common random numbers for all policies.
     sense_key, _, move_key = jax.random.split(jax.random.fold_in(task.key, run.steps), 3)
     observation = sense(sense_key, run.world, task.scenario, task.sensor, task.assumed_sensor)
-    explorer = _update_target(run.explorer, observation, run.figure_type)
-    explorer = explore_on(explorer, observation.pose, task.sensor)
+    run = explore(_update_target(run, observation))
     # It drives to the target if there is one, and stops where the navigator would.
-    has_target = explorer.has_target
-    goal = jnp.where(has_target, explorer.target, explorer.waypoint)
+    goal = jnp.where(run.has_target, run.target, run.waypoint)
     offset = goal - observation.pose[:2]
     is_near = jnp.hypot(offset[0], offset[1]) <= default_planner_params().reach
-    action = plain_action(goal, offset, has_target & is_near)
+    action = plain_action(goal, offset, run.has_target & is_near)
     world = task.body.move(move_key, run.world, action, task.motion)
-    return replace(
-        run, explorer=explorer, world=world, steps=run.steps + 1, is_stopped=action.is_stop
-    ), None
+    return replace(run, world=world, steps=run.steps + 1, is_stopped=action.is_stop), None
 
 
 def _advance_known(run: _Run, *, params: object, config: NavigatorConfig) -> tuple[_Run, None]:
@@ -231,10 +216,10 @@ def _finish(run: _Run) -> EpisodeResult:
     )
 
 
-def _program(explore_on: Callable[..., Explorer]) -> EpisodeProgram:
+def _program(explore: Callable[[_Run], _Run]) -> EpisodeProgram:
     return EpisodeProgram(
         begin=_begin,
-        advance=functools.partial(_advance, explore_on=explore_on),
+        advance=functools.partial(_advance, explore=explore),
         finish=_finish,
         episode_state=lambda run: run,
         is_done=lambda run: run.is_stopped,

@@ -239,16 +239,18 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
     return jax.tree.map(lambda leaf: is_stage.reshape(-1, *(1,) * leaf.ndim) * leaf[None], sums)
 
 
-def _bin_errors(events: Reliability) -> tuple[float | None, float | None, float | None]:
+def _bin_errors(events: Reliability, suffix: str) -> dict[str, float | None]:
     """Compute ECE, its floor and Brier score of events [E, S, …]; None without events."""
+    names = f"ece{suffix}", f"ece{suffix}_floor", f"brier{suffix}"
     total = float(np.sum(events.events))
     if not total:
-        return None, None, None
+        return dict.fromkeys(names)
     # Events of one episode are correlated: a bin's noise is estimated between episodes.
     gaps = (np.asarray(events.probability) - np.asarray(events.outcome)).sum(axis=1)
     error = float(np.abs(gaps.sum(axis=0)).sum()) / total
     floor = float(np.sqrt(2 / np.pi) * np.sqrt((gaps**2).sum(axis=0)).sum()) / total
-    return error, floor, float(np.sum(events.squared_error)) / total
+    brier = float(np.sum(events.squared_error)) / total
+    return dict(zip(names, (error, floor, brier), strict=True))
 
 
 def scores(tally: Tally, stage: int | None = None) -> dict[str, float | None]:
@@ -265,11 +267,9 @@ def scores(tally: Tally, stage: int | None = None) -> dict[str, float | None]:
     steps, covered = sums.steps.sum(axis=1), sums.covered.sum(axis=1)
     count = max(1.0, float(steps.sum()))
     rate = float(covered.sum()) / count
-    errors: dict[str, float | None] = {}
-    for events, suffix in ((sums.planner, ""), (sums.map, "_map")):
-        names = f"ece{suffix}", f"ece{suffix}_floor", f"brier{suffix}"
-        errors |= dict(zip(names, _bin_errors(events), strict=True))
-    return errors | {
+    return {
+        **_bin_errors(sums.planner, ""),
+        **_bin_errors(sums.map, "_map"),
         "coverage90": 100.0 * rate,
         "coverage90_se": 100.0 * float(np.sqrt(((covered - rate * steps) ** 2).sum())) / count,
         "nll": float(sums.negative_log_likelihood.sum()) / count,

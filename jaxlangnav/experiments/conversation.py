@@ -85,7 +85,7 @@ def _run_row(row: DialogueSpec, options: Options, on_progress: OnProgress | None
     is_success = np.asarray(result.result.is_success)
     distance = np.asarray(result.result.distance)
     count, questions = len(is_success), float(np.mean(result.num_questions))
-    lower, upper = wilson_interval(int(is_success.sum()), count)
+    lower, upper = (100.0 * end for end in wilson_interval(int(is_success.sum()), count))
     cost = row.cost if math.isfinite(row.cost) else None
     is_corrected = (np.asarray(result.num_corrections) > 0) & is_success
     ratios: Row = {}

@@ -62,8 +62,7 @@ class Grid:
 
     def draw(self, indices: np.ndarray) -> Task:
         """Draw the tasks, leaves [E, …], of the episodes with the given indices in an arm, i[E]."""
-        cells, cell_index, numbers = self._locate(indices)
-        return draw_tasks(cells, cell_index, numbers)
+        return draw_tasks(*self._locate(indices))
 
     def columns(
         self, arm: Arm, indices: np.ndarray, results: EpisodeResult, known_distances: np.ndarray

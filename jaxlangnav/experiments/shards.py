@@ -187,8 +187,7 @@ def _acquire(path: Path, on_note: OnNote, *, flags: int = os.O_RDWR | os.O_CREAT
 def _check_overlaps(folder: Path, part: Part, on_note: OnNote) -> None:
     """Raise if a running process holds an overlapping part; remove stale locks."""
     for path in folder.iterdir():
-        match = _LOCK_NAME.fullmatch(path.name)
-        if match is None:
+        if (match := _LOCK_NAME.fullmatch(path.name)) is None:
             continue
         index, total = int(match[1]), int(match[2])
         if (index, total) == part or (index - part[0]) % math.gcd(part[1], total):

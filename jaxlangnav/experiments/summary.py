@@ -47,12 +47,8 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
         reason = f": {damaged[0]}{more_files}" if damaged else " yet"
         raise ValueError(f"{folder} holds no {'sound ' if damaged else ''}episodes{reason}")
     table = pa.concat_tables(tables)
-    result_names = {field.name for field in dataclasses.fields(EpisodeResult)}
-    names = [
-        name
-        for name in table.column_names[: table.column_names.index("episode")]
-        if name not in result_names and name not in _PAIR_COLUMNS
-    ]
+    labels = table.column_names[: table.column_names.index("episode")]
+    names = [name for name in labels if name not in _PAIR_COLUMNS]
     arm_names = [name for name in names if _is_arm_column(name)]
     setting_names = [name for name in names if not _is_arm_column(name)]
     rows, comparisons = list[Row](), list[Row]()

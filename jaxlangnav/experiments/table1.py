@@ -83,7 +83,6 @@ def _score_models(
     instructions: Sequence[LabelledInstruction],
     fitted: dict[str, Splits],
     held_out: np.ndarray,
-    type_names: tuple[str, ...],
     on_progress: OnProgress | None,
     **options: Any,
 ) -> dict[str, Results]:
@@ -99,7 +98,7 @@ def _score_models(
             on_progress(counts[1] - counts[0])
 
     options["on_sentence"] = report
-    inputs = held_out, type_names
+    inputs = held_out, load_lexicon().type_names
     return {
         "annotation": score_annotations(instructions, annotation, *inputs, **options),
         "behavior": score_behaviors(instructions, annotation, behavior, *inputs, **options),
@@ -107,14 +106,11 @@ def _score_models(
 
 
 def _inference_seconds(
-    name: str,
-    fitted: dict[str, Splits],
-    sentences: Sequence[LabelledInstruction],
-    type_names: tuple[str, ...],
-    width: int,
+    name: str, fitted: dict[str, Splits], sentences: Sequence[LabelledInstruction], width: int
 ) -> float:
     """Measure the mean inference time of the first split's model per sentence (and world)."""
     annotation, behavior = (fitted[name].models[0] for name in MODELS)
+    type_names = load_lexicon().type_names
     count, start = 0, time.perf_counter()
     for sentence in sentences:
         belief = infer_annotations(sentence.parse, annotation, type_names, width)
@@ -155,8 +151,7 @@ def evaluate(
     type_names, corpus = load_lexicon().type_names, load_corpus(CORPUS)
     check_count("splits", splits, each=_SPLIT_BYTES * len(corpus))
     instructions = labelled_instructions(corpus, type_names)
-    inputs = instructions, type_names
-    datasets = {name: training_data(name, *inputs) for name in MODELS}
+    datasets = {name: training_data(name, instructions, type_names) for name in MODELS}
     for design in (data.design for data in datasets.values()):
         counts = math.prod(design.properties.shape[:2]) * 2
         weights = design.words.shape[1] * design.properties.shape[2]
@@ -165,12 +160,12 @@ def evaluate(
     held_out = draw_splits(len(instructions), splits, seed)
     fitted = {name: _fit_splits(data, held_out) for name, data in datasets.items()}
     results = _score_models(
-        instructions, fitted, held_out, type_names, on_progress, widths=beams, is_exact=is_exact
+        instructions, fitted, held_out, on_progress, widths=beams, is_exact=is_exact
     )
     test_sentences = [instructions[i] for i in np.flatnonzero(held_out[0])]
     document: dict[str, Any] = {}
     for name in MODELS:
-        seconds = _inference_seconds(name, fitted, test_sentences, type_names, beams[0])
+        seconds = _inference_seconds(name, fitted, test_sentences, beams[0])
         first_scores = results[name].by_width[beams[0]]
         new_words = _oov_accuracy(name, instructions, first_scores, held_out)
         document[name] = _row(fitted[name], results[name], seconds) | {"new_words": new_words}

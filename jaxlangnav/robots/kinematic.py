@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.messages import SensorParams, default_sensor
+from jaxlangnav.pytree import replace
 from jaxlangnav.robots.motion.mover import TICK, MotionPlanner
 from jaxlangnav.robots.motion.path import to_discs
 from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
@@ -202,6 +203,17 @@ class KinematicRobot(SimulatedRobot):
         x, y = np.asarray(scenario.object_x)[present], np.asarray(scenario.object_y)[present]
         discs = [*zip(x, y, [OBJECT_RADIUS] * len(x), strict=True), *self.obstacles]
         return np.array(discs, float).reshape(-1, 3)
+
+    def move_object(self, index: int, x: float, y: float) -> None:
+        """Move the object of a slot, metres; remove it where x or y is not finite."""
+        scenario = self.scenario
+        is_there = bool(np.isfinite([x, y]).all())
+        self.scenario = replace(
+            scenario,
+            object_x=jnp.asarray(scenario.object_x).at[index].set(x if is_there else 0.0),
+            object_y=jnp.asarray(scenario.object_y).at[index].set(y if is_there else 0.0),
+            is_object=jnp.asarray(scenario.is_object).at[index].set(is_there),
+        )
 
     def _scan(self) -> np.ndarray:
         cos, sin = np.cos(BEAM_ANGLES + self._true[2]), np.sin(BEAM_ANGLES + self._true[2])

@@ -28,15 +28,13 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from jaxlangnav.grounding import GroundingModel
 from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.inputs.schema import convert
-from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.serve.live import LiveEpisode, Message, Request, read_world, warm_up, world_names
-from jaxlangnav.viz.html import fill_page, page_json, write_html
+from jaxlangnav.viz.html import fill_page, page_json, render_html
 from jaxlangnav.world.files import MAX_FILE_BYTES
 
 MAX_BODY_SIZE = 2 * MAX_FILE_BYTES  # bytes of a request: an escaped world file
 MAX_MESSAGE_SIZE = 8 * 1024  # bytes of a WebSocket message
 MAX_EPISODES = 8  # open at once; the oldest is closed for a new one
-_MAX_RECORDING_SIZE = 1 << 30  # bytes
 _POLL_SECONDS = 0.5  # interval of checks that the page is still connected
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -146,18 +144,15 @@ class Server:
         episode = self._episodes.get(request.path_params["name"])
         if episode is None:
             return _not_found()
-        return _file_response(episode.world().encode(), "world.toml", "application/toml")
+        return _file_response(episode.world(), "world.toml", "application/toml")
 
     async def _recording(self, request: HttpRequest) -> Response:
         episode = self._episodes.get(request.path_params["name"])
         recording = None if episode is None else await run_in_threadpool(episode.recording)
         if recording is None:
             return _not_found()
-        path = self._folder / f"{secrets.token_hex(8)}.html"
-        await run_in_threadpool(write_html, recording, path)
-        content = read_file(path, max_bytes=_MAX_RECORDING_SIZE)
-        path.unlink()
-        return _file_response(content, "episode.html", "text/html")
+        page = await run_in_threadpool(render_html, recording)
+        return _file_response(page, "episode.html", "text/html")
 
     async def _live(self, socket: WebSocket) -> None:
         """Stream the state of an episode to the page, and pass on its utterances."""
@@ -235,7 +230,7 @@ def _not_found() -> Response:
     return PlainTextResponse("this episode is not kept any more: press go\n", 404, _HEADERS)
 
 
-def _file_response(content: bytes, name: str, media_type: str) -> Response:
+def _file_response(content: str, name: str, media_type: str) -> Response:
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
     return Response(content, headers=_HEADERS | headers, media_type=media_type)
 

@@ -29,13 +29,6 @@ if TYPE_CHECKING:
 _PHRASE_WIDTH, _SYMBOL_HEIGHT = 2.0, 0.62  # inches
 
 
-def _phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
-    """Infer the symbol marginals of every phrase."""
-    graph = CorrespondenceGraph(Annotations(model.type_names), model.annotation)
-    trees = (graph.weigh(root, None, clause) for clause, root in enumerate(parse.clauses))
-    return [belief for tree in trees for belief in tree.beliefs()]
-
-
 def _symbol_name(symbol: AnnotationSymbol, type_names: tuple[str, ...]) -> str:
     """Format an annotation symbol: "hydrant behind cone", "behind cone", "hydrant"."""
     names = {NONE: "", ROBOT: "robot", **dict(enumerate(type_names))}
@@ -49,7 +42,9 @@ def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -
     """Draw a sentence's factor graph, phrases in reading order; limits as ``beliefs_figure``."""
     space = AnnotationSpace(len(model.type_names))
     names = [_symbol_name(symbol, model.type_names) for symbol in space.symbols]
-    beliefs = _phrase_beliefs(parse, model)
+    graph = CorrespondenceGraph(Annotations(model.type_names), model.annotation)
+    trees = (graph.weigh(root, None, clause) for clause, root in enumerate(parse.clauses))
+    beliefs = [belief for tree in trees for belief in tree.beliefs()]
     return beliefs_figure(beliefs, names, title=parse.instruction, num_symbols=num_symbols)
 
 

@@ -35,10 +35,11 @@ _UNNAMED, _NO_TYPE = 254, 255
 
 def write_html(recording: Recording, path: Path | str) -> Path:
     """Write an episode as a self-contained HTML page; folders are made."""
-    return write_text(_render_html(recording), Path(path))
+    return write_text(render_html(recording), Path(path))
 
 
-def _render_html(recording: Recording) -> str:
+def render_html(recording: Recording) -> str:
+    """Render an episode as a self-contained HTML page."""
     return fill_page(recording.scene.text or "Episode", page_data(recording))
 
 

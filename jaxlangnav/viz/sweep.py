@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.robustness import ECE_TARGET, ROBUSTNESS
-from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
+from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, distance_error, rate_error
 from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.unknowns import UNKNOWNS, row_name
 from jaxlangnav.viz import style
@@ -115,7 +115,7 @@ def half_interval(row: Row) -> float:
     """Compute the 95 % half-width of a row's mean distance, metres; σ for a row of the paper."""
     if row["policy"] == "paper":
         return row["distance_sd"]
-    return _Z95 * float(row["distance_sd"]) / math.sqrt(max(1, int(row["episodes"])))
+    return _Z95 * distance_error(row)
 
 
 def _success_bars(row: Row) -> np.ndarray:

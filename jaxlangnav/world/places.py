@@ -78,8 +78,7 @@ def draw_place(key: Array, dist: PlaceParams) -> Scenario:
     count = num_paired + dist.num_bystanders
     is_present = ((slots != 0) | dist.has_goal) & ((slots != 1) | dist.has_cone)
     is_object = (slots < count) & is_present
-    pair_positions = jnp.stack([goal, cone], axis=1)
-    placed = jnp.pad(pair_positions, ((0, 0), (0, PLACE_SLOTS - 2)))
+    placed = jnp.pad(jnp.stack([goal, cone], axis=1), ((0, 0), (0, PLACE_SLOTS - 2)))
     candidates = _uniform_points(position_key, dist.area, (PLACE_SLOTS, _NUM_CANDIDATES))
 
     def insert(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:

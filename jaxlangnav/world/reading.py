@@ -210,9 +210,7 @@ def _to_world(world: _World, stem: str) -> WorldFile:
     """Validate the constraints between the parts of a world, and build it."""
     count, start = len(world.objects), world.start or _Start()
     num_slots = next(size for size in SLOTS if size >= count)
-    if world.start is None and not (
-        world.area.x_min <= 0.0 <= world.area.x_max and world.area.y_min <= 0.0 <= world.area.y_max
-    ):
+    if world.start is None and not all(low <= 0.0 <= high for _, low, high in world.area.axes()):
         raise ValueError("start is missing, and its default 0, 0 lies outside the area: add it")
     world.area.check("start", start.x, start.y)
     names = [item.name or "" for item in world.objects]
@@ -228,6 +226,7 @@ def _to_world(world: _World, stem: str) -> WorldFile:
         for point in item.ends:
             world.area.check(f"walls[{index}].ends", *point)
     goal, goal_index = _goal(world, start, names)
+    ends = [(*a, *b) for a, b in (item.ends for item in world.walls)]
     codes = [attribute_code(*item.attributes.values()) for item in world.objects]
     codes += [0] * (num_slots - count)
     return WorldFile(
@@ -241,9 +240,7 @@ def _to_world(world: _World, stem: str) -> WorldFile:
             goal_index=np.asarray(goal_index, np.int32),
             start=np.array([start.x, start.y, math.radians(start.heading)], np.float32),
             object_attribute=np.array(codes, np.int32) if any(codes) else None,
-            terrain=among_walls(*((*a, *b) for a, b in (item.ends for item in world.walls)))
-            if world.walls
-            else OPEN,
+            terrain=among_walls(*ends) if ends else OPEN,
         ),
         sensor=SensorParams(**_to_arrays(world.sensor)),
         motion=MotionParams(**_to_arrays(world.motion)),

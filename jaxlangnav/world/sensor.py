@@ -79,8 +79,7 @@ def _random_clutter(
     count = jnp.sum(jax.random.uniform(count_key) > jnp.cumsum(terms))
     uniform = jax.random.uniform(position_key, (3, MAX_CLUTTER))
     radius = sensor.range_max * jnp.sqrt(uniform[0])
-    bearing = sensor.field_of_view * (uniform[1] - 0.5)
-    direction = state.heading + bearing
+    direction = state.heading + sensor.field_of_view * (uniform[1] - 0.5)
     x = state.position[0] + radius * jnp.cos(direction)
     y = state.position[1] + radius * jnp.sin(direction)
     is_used = jnp.arange(MAX_CLUTTER) < count

@@ -85,13 +85,10 @@ class MotionPlanner:
         if command.speed == 0.0 and abs(current.speed) > _MAX_TURN_SPEED:
             # Brake first: while a skid-steer turns in place, its tires do not brake it.
             command = STOP
-        speed = min(max(command.speed, -body.top_speed), body.top_speed)
-        turn = min(max(command.turn, -body.turn_rate), body.turn_rate)
-        max_change, max_turn_change = body.acceleration * TICK, body.turn_acceleration * TICK
-        self.command = WheelCommand(
-            min(max(speed, current.speed - max_change), current.speed + max_change),
-            min(max(turn, current.turn - max_turn_change), current.turn + max_turn_change),
-        )
+        limit = np.array([body.top_speed, body.turn_rate])
+        change = np.array([body.acceleration, body.turn_acceleration]) * TICK
+        limited = np.clip(np.clip(command, -limit, limit), current - change, current + change)
+        self.command = WheelCommand(*limited.tolist())
         return self.command
 
     def _follow(self, pose: np.ndarray, discs: np.ndarray) -> WheelCommand:

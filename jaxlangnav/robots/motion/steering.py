@@ -93,21 +93,8 @@ class DynamicWindow:
             return turn_in_place(bearing, body)
         remaining = float(np.hypot(*np.diff(np.vstack([pose[:2], path]), axis=0).T).sum())
         limit = min(top_speed, math.sqrt(1.6 * body.acceleration * remaining))  # can stop in time
-        arc = self._arc(pose, current, target, discs, limit, body)
-        return turn_in_place(bearing, body) if arc.speed < 0.02 and abs(bearing) > 0.05 else arc
-
-    def _arc(
-        self,
-        pose: np.ndarray,
-        current: WheelCommand,
-        target: np.ndarray,
-        discs: np.ndarray,
-        max_speed: float,
-        body: BodyLimits,
-    ) -> WheelCommand:
-        """Choose the best free arc up to a maximum speed, ``STOP`` if there is none."""
         low = max(current.speed - body.acceleration * _REACTION, 0.0)
-        high = min(current.speed + body.acceleration * _REACTION, max_speed)
+        high = min(current.speed + body.acceleration * _REACTION, limit)
         turn_change = body.turn_acceleration * _REACTION
         min_turn = max(current.turn - turn_change, -body.turn_rate)
         max_turn = min(current.turn + turn_change, body.turn_rate)
@@ -124,13 +111,12 @@ class DynamicWindow:
         is_free = gap.min(axis=1) >= self.margin
         if gap_now < self.margin + CONTACT:  # allow arcs that leave the obstacle
             is_free |= (gap.min(axis=1) >= gap_now - CONTACT) & (gap[:, -1] >= gap_now - 1e-3)
-        if not is_free.any():
-            return STOP
         goal_distance = np.hypot(x - target[0], y - target[1]).min(axis=1)
         clearance = np.minimum(gap.min(axis=1), 0.5)
         score = -goal_distance + self.clearance_weight * clearance + self.speed_weight * speed
         best = int(np.argmax(np.where(is_free, score, -np.inf)))
-        return WheelCommand(float(speed[best]), float(turn[best]))
+        arc = WheelCommand(float(speed[best]), float(turn[best])) if is_free[best] else STOP
+        return turn_in_place(bearing, body) if arc.speed < 0.02 and abs(bearing) > 0.05 else arc
 
 
 _MARGIN = 0.02  # metres kept from obstacles by the straight line to the target point

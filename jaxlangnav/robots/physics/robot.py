@@ -13,7 +13,7 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.kinematic import BEAM_ANGLES, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, MotionPlanner
 from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
-from jaxlangnav.robots.physics.scene import compile_scene
+from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, compile_scene
 from jaxlangnav.robots.physics.tags import (
     Camera,
     Gates,
@@ -174,8 +174,21 @@ class PhysicsRobot(SimulatedRobot):
         """Update the scene after objects were moved, without simulating time."""
         self._mujoco.mj_forward(self.scene.model, self.scene.data)
 
+    def put_person(self, x: float, y: float) -> None:
+        """Put the person at a position, metres, map frame."""
+        self.scene.put("person", x, y)
+
+    def move_object(self, slot: int, x: float, y: float) -> None:
+        """Move the object of a slot, metres; out of sight where x or y is not finite."""
+        position = (x, y) if np.isfinite([x, y]).all() else OUT_OF_SIGHT
+        self.scene.put(f"thing{slot}", *position)
+
+    def picture(self) -> np.ndarray:
+        """Render the robot's camera image, u8[H, W, 3], red, green, blue, without noise."""
+        return self.render("front")
+
     def render(self, camera: str | object) -> np.ndarray:
-        """Render a camera, "front" or an ``MjvCamera``, without noise: RGB, u8[H, W, 3]."""
+        """Render the image of a camera, by name or ``MjvCamera``: RGB, u8[H, W, 3]."""
         # The robot's front camera must not see the robot.
         option = None if camera == "front" else self._with_robot
         self._renderer.update_scene(self.scene.data, camera, option)
@@ -187,7 +200,7 @@ class PhysicsRobot(SimulatedRobot):
         return bool(to_detections([tag], self.camera, self._gates))
 
     def _detect(self) -> list[Detection]:
-        self.last_picture = self.render("front")
+        self.last_picture = self.picture()
         cv2 = libraries.opencv()
         grey = cv2.cvtColor(self.last_picture, cv2.COLOR_RGB2GRAY)
         grey = add_image_noise(grey, self._random, noise=self._errors.grain, blur=self._errors.blur)

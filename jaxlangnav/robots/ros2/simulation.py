@@ -54,10 +54,9 @@ class LossyChannel:
 
     def take(self, now: float) -> list[Any]:
         """Receive the messages due by now, in order of arrival."""
-        arrived = []
-        while self._in_transit and self._in_transit[0][0] <= now:
-            arrived.append(self._in_transit.pop(0)[1])
-        return arrived
+        count = bisect.bisect_right(self._in_transit, now, key=operator.itemgetter(0))
+        arrived, self._in_transit = self._in_transit[:count], self._in_transit[count:]
+        return [message for _, message in arrived]
 
 
 DETECTION_TICKS = 4
