@@ -325,7 +325,7 @@ def _remember(
     ``is_match``: bool[2, D], detections of the two types; ``offset``: f32[2, D], ahead and left.
     """
     nearest = jnp.argmax(is_match, axis=1)  # detections come nearest first
-    dx, dy = rotate(*offset[:, nearest], pose[2])
+    dx, dy = rotate(offset[0, nearest], offset[1, nearest], pose[2])
     is_detected = is_match.any(axis=1)
     position = jnp.where(
         is_detected[:, None], jnp.stack([pose[0] + dx, pose[1] + dy], 1), state.known_place
@@ -335,7 +335,8 @@ def _remember(
     y, x = jnp.meshgrid(
         y_min + centre * (y_max - y_min), x_min + centre * (x_max - x_min), indexing="ij"
     )
-    in_view = state.scenario.terrain.view.sees(eye_of(*pose, params.sensor), x, y)
+    eye = eye_of(pose[0], pose[1], pose[2], params.sensor)
+    in_view = state.scenario.terrain.view.sees(eye, x, y)
     return replace(
         state,
         is_known=state.is_known | is_detected,

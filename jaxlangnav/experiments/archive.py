@@ -96,16 +96,14 @@ def pytree_hash(tree: Any) -> str:
         if dataclasses.is_dataclass(leaf):
             fields = {item.name: getattr(leaf, item.name) for item in dataclasses.fields(leaf)}
             digest.update(f"{name}{pytree_hash(fields)}".encode())
-            continue
-        if isinstance(leaf, set | frozenset):
+        elif isinstance(leaf, set | frozenset):
             # Sorted: the order of a set differs from run to run.
             digest.update(f"{name}{sorted(repr(item) for item in leaf)}".encode())
-            continue
-        array = np.asarray(leaf)
-        if array.dtype.hasobject:
+        elif (array := np.asarray(leaf)).dtype.hasobject:
             raise ValueError(f"{name or 'the tree'} is a {type(leaf).__name__}: it has no hash")
-        digest.update(f"{name}{array.shape}{array.dtype.str}".encode())
-        digest.update(array.tobytes())
+        else:
+            digest.update(f"{name}{array.shape}{array.dtype.str}".encode())
+            digest.update(array.tobytes())
     return digest.hexdigest()
 
 

@@ -119,9 +119,10 @@ def _update_target(run: _Run, observation: Observation) -> _Run:
     priority = jnp.where(run.has_target, squared_distance, observation.detection_range)
     nearest = jnp.argmin(jnp.where(is_target, priority, jnp.inf))
     is_observed, sensor = jnp.any(is_target), observation.sensor
+    eye = eye_of(pose[0], pose[1], pose[2], sensor)
     return replace(
         run,
-        coverage=add_view(run.coverage, eye_of(*pose, sensor), sensor, OPEN.view),
+        coverage=add_view(run.coverage, eye, sensor, OPEN.view),
         target=jnp.where(is_observed, jnp.stack([x[nearest], y[nearest]]), run.target),
         has_target=run.has_target | is_observed,
     )

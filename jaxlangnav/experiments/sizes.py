@@ -4,6 +4,7 @@ Sizes are those of the records of a running episode, traced abstractly (``jax.ev
 the arrays of its task and its result.
 """
 
+import contextlib
 import functools
 import math
 import os
@@ -143,8 +144,6 @@ def _host_memory() -> int:
     """Return the bytes of memory of the machine, or the container's limit if lower."""
     limit = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     for path in _CGROUP_LIMITS:
-        try:
+        with contextlib.suppress(OSError, ValueError):
             limit = min(limit, int(path.read_text()))
-        except (OSError, ValueError):
-            continue
     return limit

@@ -212,10 +212,9 @@ class LiveEpisode:
 
     def _poll(self, seconds: float) -> str | None:
         """Take an utterance from the queue within a number of seconds, else None."""
-        try:
+        with contextlib.suppress(queue.Empty):
             return self._queue.get(seconds > 0.0, seconds)
-        except queue.Empty:
-            return None
+        return None
 
     def say(self, text: str) -> None:
         """Queue an utterance for the robot, which reads it before its next decision.

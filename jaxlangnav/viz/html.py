@@ -150,12 +150,10 @@ def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -
         ended = sanitize(recording.end_reason).replace("_", " ")
         drove = f"It drove {float(recording.result.distance):.1f} m."
         closing = [f"{ended[:1].upper()}{ended[1:]}.", drove]
-    if is_under_way:
-        closing = []
     return {
         "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
         "headlines": [narrative.headline(moment) for moment in recording.steps],
-        "closing": closing,
+        "closing": [] if is_under_way else closing,
         "objects": objects,
         "seen_types": sorted({obj[0] for seen in objects for obj in seen}),
         "detections": detections,

@@ -59,10 +59,8 @@ def set_area_limits(axes: "Axes", area: tuple[float, float, float, float]) -> No
     axes.locator_params(axis="x", nbins=5, integer=True, prune="upper")
     axes.locator_params(axis="y", nbins=7, integer=True)
     axes.tick_params(length=2, pad=2)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(True)
     for spine in axes.spines.values():
-        spine.set_color(style.LINE)
+        spine.set(visible=True, color=style.LINE)
 
 
 def draw_truth(axes: "Axes", scene: StaticScene) -> "list[PathCollection]":
