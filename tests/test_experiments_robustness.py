@@ -232,7 +232,7 @@ def test_a_correction_finds_the_other() -> None:
     """Paired episode by episode; the same seed gives the same row."""
     silent, corrected = ROWS[0], ROWS[1]
     alone, told = (_run_row(row, Options(episodes=20)) for row in (silent, corrected))
-    assert told["success"] > alone["success"]
+    assert told["success_high"] >= told["success"] > alone["success"]
     assert told["questions"] == 0.0
     assert told["corrections"] > 0.0
     assert _run_row(dataclasses.replace(corrected), Options(episodes=20)) == told

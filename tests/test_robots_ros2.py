@@ -68,13 +68,10 @@ def test_a_cloud_holds_a_look_and_an_empty_one_too() -> None:
 
 def test_boxes_are_their_best_guess_and_strangers_are_left_out() -> None:
     def box(x: float, y: float, **scores: float) -> Message:
-        results = [
-            Message(hypothesis=Message(class_id=name, score=score))
-            for name, score in scores.items()
-        ]
-        return Message(
-            results=results, bbox=Message(center=Message(position=Message(x=x, y=y, z=0.3)))
-        )
+        guesses = [Message(class_id=name, score=score) for name, score in scores.items()]
+        center = Message(position=Message(x=x, y=y, z=0.3))
+        results = [Message(hypothesis=guess) for guess in guesses]
+        return Message(results=results, bbox=Message(center=center))
 
     look = Message(
         detections=[
@@ -85,6 +82,9 @@ def test_boxes_are_their_best_guess_and_strangers_are_left_out() -> None:
     (one,) = conversions.detections_of_boxes(look, ("hydrant", "cone"))
     assert (one.object_type, one.range) == (0, 5.0)
     assert one.bearing == pytest.approx(math.atan2(4.0, 3.0))
+    nowhere = Message(detections=[box(1.0, 0.0, cone=math.nan), box(math.nan, 1.0, cone=0.9)])
+    with pytest.raises(ValueError, match="a cone is at nan, 1: nowhere"):
+        conversions.detections_of_boxes(nowhere, ("hydrant", "cone"))
 
 
 def tag(x: float, z: float, turn: Message | None = None, name: str = "tag36h11:7") -> Message:
@@ -496,9 +496,10 @@ def refusals(kept: Path):
         yield lambda one=one: navigate(NavigatorOptions(**one)), said
     outside = r"start 99 0 0 is not in the place, x 0\.0 to"
     yield lambda: simulate(RobotOptions(start=(99.0, 0.0, 0.0))), outside
-    for text in ("{", "[1]", "{}"):
+    for text in ("{", "[1]", "{}", "[" * 5000):
         kept.write_text(text, "utf-8")
         yield lambda: Session(None, None, print, key=None, path=kept), "remove it to begin anew"
+    yield lambda: Session(None, None, print, key=None, path=kept.parent), "is a folder"
     yield lambda: LossyChannel(0.5, 0), r"give 0 to 0\.3"
 
 

@@ -50,12 +50,8 @@ def test_odometry_and_looks_survive_their_bytes(scribe, store) -> None:
     )
     assert one.object_type == 3
     assert (one.range, one.bearing) == pytest.approx((2.0, -0.4), abs=1e-6)
-    assert (
-        conversions.detections_of_cloud(
-            there_and_back(store, scribe.cloud([], scribe.time(0.0))), 4
-        )
-        == []
-    )
+    empty = there_and_back(store, scribe.cloud([], scribe.time(0.0)))
+    assert conversions.detections_of_cloud(empty, 4) == []
 
 
 def test_boxes_tags_and_goals_of_registered_texts_survive_their_bytes(scribe, store) -> None:

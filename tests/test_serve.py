@@ -239,6 +239,7 @@ def test_stop_halts_and_what_is_not_understood_is_told(client: Client) -> None:
             ({"say": "x" * 1001}, "1001 characters are said"),
             ({"say": 3}, "say is 3"),
             ("no JSON", "Expecting value"),
+            ("[" * 5000, "recursion"),
         ):
             line.send(message if isinstance(message, str) else json.dumps(message))
             assert why in until(line, lambda news: "refusal" in news)["refusal"]

@@ -208,12 +208,11 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Sample the pool and start all episodes: observations f32[num_envs, …], the command."""
         super().reset(seed=seed)
-        params = self._simulation.params
+        self._params = self._simulation.params
         if self._num_worlds:
             key = jax.random.key(_seed(self.np_random))
-            worlds = draw_pool(key, params.worlds, num_worlds=self._num_worlds)
-            params = replace(params, worlds=worlds)
-        self._params = params
+            worlds = draw_pool(key, self._params.worlds, num_worlds=self._num_worlds)
+            self._params = replace(self._params, worlds=worlds)
         keys = _keys(_seed(self.np_random), self.num_envs)
         self._is_over = np.zeros(self.num_envs, bool)
         info = {"instruction": np.full(self.num_envs, self._simulation.text)}

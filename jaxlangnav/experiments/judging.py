@@ -80,9 +80,8 @@ def reliability_curve(bins: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
     interval, number of events. The interval is Wilson's, for the effective number of independent
     events (from the variance between episodes); for the number of episodes if they all agree.
     """
-    sums = {name: np.asarray(values, float) for name, values in bins.items()}
-    nonempty = sums["events"] > 0
-    sum_of = {name: values[nonempty] for name, values in sums.items()}
+    nonempty = np.asarray(bins["events"]) > 0
+    sum_of = {name: np.asarray(values, float)[nonempty] for name, values in bins.items()}
     rate, events = sum_of["outcome"] / sum_of["events"], sum_of["events"]
     sum_squares = sum_of["outcome2"] - 2 * rate * sum_of["cross"] + rate**2 * sum_of["events2"]
     variance = sum_squares / events**2

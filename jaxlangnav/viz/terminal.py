@@ -4,6 +4,7 @@ A character map beside the narrative of the step. Each cell shows the highest of
 robot, waypoint, observed objects, the densest hypotheses, the ground.
 """
 
+import time
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -72,12 +73,8 @@ def _draw_map(scene: StaticScene, frame: Snapshot, *, width: int = 48) -> "Text"
         put(float(frame.waypoint[0]), float(frame.waypoint[1]), "×", "bold bright_magenta")
     direction = round(float(frame.heading) / (np.pi / 4)) % 8
     put(float(frame.robot[0]), float(frame.robot[1]), ARROWS[direction], "bold reverse")
-    text = Text(no_wrap=True)
-    for row, (line, row_styles) in enumerate(zip(cells, styles, strict=True)):
-        for character, style_name in zip(line, row_styles, strict=True):
-            text.append(character, style=style_name)
-        text.append("\n" if row < height - 1 else "")
-    return text
+    rows = (Text.assemble(*zip(*row, strict=True)) for row in zip(cells, styles, strict=True))
+    return Text("\n", no_wrap=True).join(rows)
 
 
 def _draw_moment(moment: StepView, *, width: int = 48) -> "RenderableType":
@@ -127,8 +124,6 @@ def watch(
     ``scene`` is of ``recorder.make_scene``, ``steps`` of ``recorder.play``, at least one; ``said``
     may grow as the episode runs. ``seconds_per_step``: minimum display time of a step.
     """
-    import time
-
     from rich.console import Console
     from rich.live import Live
 
