@@ -292,8 +292,8 @@ def _observe(
     """Sense, update the memory, and assemble the observation vector."""
     scan = sense(key, state.world, state.scenario, params.sensor, num_detections=NUM_DETECTIONS)
     (x, y, heading), bearing = scan.pose, scan.detection_bearing
-    position = scan.detection_range * jnp.stack([jnp.cos(bearing), jnp.sin(bearing)])
-    position = jnp.where(scan.is_detection, position, 0)  # f32[2, D] ahead, left
+    position = scan.detection_range[None] * jnp.stack([jnp.cos(bearing), jnp.sin(bearing)])
+    position = jnp.where(scan.is_detection[None], position, 0)  # f32[2, D] ahead, left
     command = params.command
     is_match = scan.is_detection[None] & jnp.stack(  # bool[2, D] goal type, landmark type
         [
