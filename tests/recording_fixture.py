@@ -141,11 +141,7 @@ def is_new(step: int, num_steps: int) -> bool:
 
 
 def make_recording(
-    num_steps: int = 9,
-    num_particles: int = 20,
-    *,
-    policy: str = "faithful",
-    text: str = TEXT,
+    num_steps: int = 9, num_particles: int = 20, *, policy: str = "faithful", text: str = TEXT
 ) -> Recording:
     """A success in ``num_steps`` steps."""
     rng = np.random.default_rng(num_steps)

@@ -101,6 +101,7 @@ def test_a_beginning_that_acts_by_itself(text: str, opening: tuple[Act, str] | N
 def test_what_is_no_text_is_left_to_the_parser_too(other: object) -> None:
     assert act_of(other) is None
     assert opening_of(other) is None
+    assert alarm_in(other, _is_object) is None
 
 
 # ---------------------------------------------------------------- what is not understood under way

@@ -19,9 +19,7 @@ SENTENCES = [
     by_hand.readings([[HYDRANT, CONE]], [[(0, BEHIND, 1, False)]]),
     by_hand.readings([[HYDRANT, CONE, CAR]], [[(0, BEHIND, 1, False), (0, LEFT, 2, False)]]),
     by_hand.readings(
-        [[HYDRANT, CONE], [HYDRANT, CAR]],
-        [[(0, NEAR, 1, True)], [(0, NEAR, 1, False)]],
-        [0.4, 0.6],
+        [[HYDRANT, CONE], [HYDRANT, CAR]], [[(0, NEAR, 1, True)], [(0, NEAR, 1, False)]], [0.4, 0.6]
     ),
     by_hand.readings([[HYDRANT, CONE]], [[(0, NEAR, 1, False)]]),
 ]

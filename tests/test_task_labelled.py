@@ -68,6 +68,7 @@ def near(figure: str, landmark: str, **more: int) -> dict[str, object]:
 
 
 PAIR = {"things": [thing("cone"), thing("car", "b")], "relations": [near("a", "b")]}
+TWICE = {"commands": CONE["commands"] * 2}
 SCORED = [
     ("go to the cone", CONE, "right"),
     ("go to the cone by the car", {**PAIR, "commands": [{"goal": {"thing": "a"}}]}, "right"),
@@ -79,6 +80,8 @@ SCORED = [
     ("stop behind the cone", CONE, "wrong"),
     ("go to the cone and avoid the car", CONE, "wrong"),
     ("go to the cone then to the cone", CONE, "right"),  # asks for nothing new
+    ("go to the cone then to the cone", {**CONE, **TWICE}, "right"),
+    ("go to the cone by the car then to the car", {**PAIR, **TWICE}, "wrong"),
     ("the cone is near the car", PAIR, "right"),  # informs, as its label does
     ("the cone is near the car", CONE, "refused"),
     ("go through the cone", CONE, "refused"),
@@ -93,7 +96,7 @@ def test_sentences_are_scored_by_what_they_ask_for(tmp_path):
     assert [(one.sentence.text, one.outcome) for one in scores] == [(t, o) for t, _, o in SCORED]
     document = summarize_scores(scores)
     assert document["sentences"] == len(SCORED)
-    assert [document["by_construction"][name][name] for name in ("right", "refused")] == [5, 2]
+    assert [document["by_construction"][name][name] for name in ("right", "refused")] == [6, 2]
     kinds = [one["outcome"] for one in document["worst"]]
     assert kinds == sorted(kinds, reverse=True)  # wrong before refused
     table, listed = render_scores(document)

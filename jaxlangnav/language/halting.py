@@ -43,8 +43,6 @@ def act_of(text: str) -> Act | None:
         different acts ("stop! never mind, go on"), halting has priority over cancelling, and both
         over resuming.
     """
-    if not isinstance(text, str):
-        return None
     parsed = [_urgencies(part) for part in _parts(text)]
     urgencies = [urgency for part in parsed for urgency in part or ()]
     return None if None in parsed or not urgencies else _URGENCY[min(urgencies)]
@@ -141,8 +139,8 @@ _CONNECTIVES = frozenset({"and", "then"})
 
 
 def _parts(text: str, limit: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
-    """Split an utterance at punctuation into lists of words; empty if it is too long."""
-    if len(text) > limit:
+    """Split an utterance at punctuation into lists of words; empty if too long, or no string."""
+    if not isinstance(text, str) or len(text) > limit:
         return []
     plain = APOSTROPHES.sub("", normalize(text)).replace("-", " ").replace("_", " ")
     return [part.split() for part in _BREAK.split(plain) if part.strip()]

@@ -53,8 +53,8 @@ def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...
             return f"says {_listed(actual)}, not {_listed(expected)}"
     world = _world(reading)
     commands, labelled = _behaviors(instruction, world), _behaviors(label, world)
-    if len(commands) != len(reading.commands):
-        return f"gives {len(commands)} commands, not {len(reading.commands)}"
+    if len(commands) != len(labelled):
+        return f"gives {len(commands)} commands, not {len(labelled)}"
     for index, pair in enumerate(zip(commands, labelled, strict=True), start=1):
         if text := _compare(*pair, world, names):
             return f"command {index} {text}"
