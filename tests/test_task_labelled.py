@@ -38,6 +38,7 @@ def write(path: Path, *lines: object) -> Path:
         ({"text": "go", "label": "refused"}, "must be 'refuse' or an object"),
         ({"text": "go", "label": "refuse", "note": ""}, "note is unknown"),
         ({"text": "go", "label": {"things": [], "probability": 1}}, "probability"),
+        ({"text": "go", "label": {"things": [thing("cone", x) for x in "abcde"]}}, "label has 0"),
         ({"text": "go", "label": {**CONE, "commands": [{"goal": {"thing": "b"}}]}}, "goal.thing"),
     ],
 )

@@ -73,7 +73,7 @@ class AnnotationGrounder:
 def form_instruction(form: Form) -> Instruction:
     """Convert a form to an instruction: its readings, and a program for each command."""
     readings = [
-        (_reading(reading, f"$.readings[{i}]"), float(np.log(reading.probability)))
+        (reading_of_form(reading, f"$.readings[{i}]"), float(np.log(reading.probability)))
         for i, reading in enumerate(form.readings)
     ]
     commands = form.readings[0].commands
@@ -91,8 +91,12 @@ def come_here() -> Instruction:
     return form_instruction(Form((FormReading(1.0, (), (), (command,)),), notes=()))
 
 
-def _reading(form: FormReading, path: str) -> Reading:
-    """Convert one reading to mentions and relations, landmarks before their figures."""
+def reading_of_form(form: FormReading, path: str) -> Reading:
+    """Convert one reading to mentions and relations, landmarks before their figures.
+
+    Raises:
+        CapacityError: the arrays do not hold it; one line that begins with its JSON ``path``.
+    """
     edges = topological_order(form.relations)
     touched = [end for edge in edges for end in (edge.landmark, edge.figure)]
     alone = [thing for thing in range(len(form.types)) if thing not in touched]

@@ -25,6 +25,7 @@ from jax import Array
 from msgspec import Meta
 
 from jaxlangnav.dialogue import compose_poses
+from jaxlangnav.grounding.annotated import reading_of_form
 from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
@@ -189,6 +190,7 @@ def _read_line(line_number: int, document: Any) -> LabelledSentence:
         if isinstance(line.label, str):
             raise ValueError(f"label is {quote(line.label)}, but must be 'refuse' or an object")
         reading, types = read_meaning(line.label, path="label")
+        reading_of_form(reading, "label")  # refuses what the arrays do not hold
         meaning = Meaning(reading, tuple(find_type(name.lower()) or name for name in types))
     texts = {"text": line.text, "construction": line.construction, "set": line.set}
     return LabelledSentence(line=line_number, **texts, meaning=meaning)
