@@ -207,6 +207,8 @@ def test_commands_and_what_to_keep_away_from(ask) -> None:
     assert found[0].avoid[0][0] == NEAR
     # The hydrant is placed against the cone; the car and the bench are no business of its.
     assert [len(one.landmarks) for one in found] == [1, 0]
+    found, goals = ask("go to the hydrant between the cone and the car")
+    assert (goals, len(found[0].landmarks)) == (["hydrant"], 2)
 
 
 def test_a_region_and_a_manner(ask) -> None:

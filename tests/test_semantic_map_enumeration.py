@@ -214,8 +214,7 @@ LONGER = ("behind the cone near the car", "behind the cone on your right")
 
 
 @pytest.mark.parametrize(
-    ("pooled", "name"),
-    [*((0, one) for one in COUNTED), *((9, one) for one in COUNTED + LONGER)],
+    ("pooled", "name"), [*((0, one) for one in COUNTED), *((9, one) for one in COUNTED + LONGER)]
 )
 def test_number_of_things_is_inferred_as_by_enumeration(pooled: int, name: str) -> None:
     """Where nine types have one rate, a thing seen of any type tells how many there are of all."""

@@ -27,7 +27,7 @@ from jaxlangnav.messages import (
     BehaviorWorld,
     Readings,
 )
-from jaxlangnav.relations.table import NUM_RANKS
+from jaxlangnav.relations.table import NUM_RANKS, SYMBOL_OF
 
 _MIN_GOAL = 0.05
 """Probability below which a command has no goal, and the next one no previous goal."""
@@ -149,7 +149,7 @@ def _described_world(readings: Readings, reading: int) -> tuple[list[int], World
     slot_of = {mention: slot for slot, mention in enumerate(mentions)}
     slot_of |= dict.fromkeys(robots, len(mentions))
     edges = [
-        (rank, relation, slot_of[figure], slot_of[landmark])
+        (rank, SYMBOL_OF[relation], slot_of[figure], slot_of[landmark])
         for figure, relation, landmark, rank in readings.edges(reading).tolist()
         if relation != NONE
     ]
