@@ -30,12 +30,7 @@ class Moments(NamedTuple):
 
 
 def add_coordinates(
-    moments: Moments,
-    origin: int,
-    is_new: Array,
-    offset_x: Array,
-    offset_y: Array,
-    variance: Array,
+    moments: Moments, origin: int, is_new: Array, offset_x: Array, offset_y: Array, variance: Array
 ) -> Moments:
     """Add coordinates relative to an existing one: x_i = x_origin + z_i + N(0, R).
 
