@@ -48,8 +48,7 @@ def test_a_heavier_particle_is_drawn_stronger(one):
     assert (np.diff(drawn.get_facecolors()[order, 3]) >= -1e-9).all()
     assert (np.diff(drawn.get_sizes()[order]) >= -1e-9).all()
     # In the value figure hypotheses are empty.
-    drawn = mapping.draw_hypotheses(axes_of(one), frame, filled=False)[0]
-    assert len(drawn.get_facecolors()) == 0
+    assert not mapping.draw_hypotheses(axes_of(one), frame, filled=False)[0].get_facecolors().size
 
 
 def test_seen_objects_truth_and_a_path_that_ends_at_the_robot(one):
@@ -59,6 +58,8 @@ def test_seen_objects_truth_and_a_path_that_ends_at_the_robot(one):
     line = mapping.draw_path(axes_of(one), one, 5)
     assert line.get_xydata()[-1] == pytest.approx(one.frames.position[5])
     assert len(line.get_xydata()) == 6
+    unscored = dataclasses.replace(one, scene=dataclasses.replace(one.scene, is_scored=False))
+    assert len(mapping.legend_handles(unscored)) == len(mapping.legend_handles(one)) - 1
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, -2.5])
@@ -72,9 +73,8 @@ def test_the_robot_points_where_it_heads(heading):
 def test_nodes_carry_their_values_and_the_best_are_in_order_and_open(one):
     frame = one.at(8)
     nodes = panels._draw_values(axes_of(one), one, 8)
-    assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(
-        np.sort(frame.value[np.isfinite(frame.value)])
-    )
+    values = np.sort(frame.value[np.isfinite(frame.value)])
+    assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(values)
     best = panels.best_nodes(frame, 5)
     assert frame.value[best[0]] == pytest.approx(0.9)
     assert (np.diff(frame.value[best]) <= 0).all()

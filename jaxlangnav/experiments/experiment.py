@@ -206,12 +206,13 @@ class Experiment(Report):
     def check(self, options: Options) -> list[Arm]:
         """Validate the options and build the arms, before anything is run.
 
-        ``ValueError``: fewer than one episode, an unknown policy, more than memory holds, or
-        numbers with which the robot could never stop.
+        ``ValueError``: fewer than one episode, a negative number of worlds, an unknown policy, more
+        than memory holds, or numbers with which the robot could never stop.
         """
         limit, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
         arms = [dataclasses.replace(a, tallied=a.tallied or limit) for a in self.arms(options)]
         check_minimum(1, episodes=options.episodes)
+        check_minimum(0, environments=options.environments)
         # Tasks and columns are laid out in parts and then put together: for a moment twice.
         episode_bytes = 2 * rows * (task_bytes() + len(arms) * (result_bytes() + _LABEL_BYTES))
         context = f"{rows} rows run {len(arms)} times"

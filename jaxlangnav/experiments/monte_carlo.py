@@ -190,7 +190,7 @@ def run_tasks(
     max_steps: int = MAX_STEPS,
     program: EpisodeProgram = EPISODE,
 ) -> Any:
-    """Run any number of tasks with one compiled program, on all cores and devices.
+    """Run tasks, at least one, with one compiled program, on all cores and devices.
 
     Arguments and results are those of ``lanes.run_batch``; results are NumPy arrays.
     ``on_progress`` is called with the number of episodes just finished; ``num_threads``: concurrent

@@ -122,7 +122,7 @@ class Arm:
         on_progress: OnProgress | None = None,
         num_threads: int | None = None,
     ) -> tuple[EpisodeResult, Tally | None]:
-        """Run any number of tasks, as ``run_tasks`` takes them.
+        """Run tasks, at least one, as ``run_tasks`` takes them.
 
         Gives results as NumPy arrays, leaves [E, …], in the order of the tasks; and, if
         ``with_tally``, the calibration sums of each episode, leaves [E, …], else None.
@@ -175,7 +175,7 @@ def run_policy(
     on_progress: OnProgress | None = None,
     num_threads: int | None = None,
 ) -> EpisodeResult:
-    """Run any policy on any number of tasks; ``ValueError`` where there is none of that name.
+    """Run any policy on tasks, at least one; ``ValueError`` where there is none of that name.
 
     Args:
         policy: one of ``POLICY_NAMES``, or a custom policy.

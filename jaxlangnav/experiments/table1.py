@@ -147,7 +147,12 @@ def evaluate(
         accuracy; ``new_words`` is on the held-out sentences with a word not in the training set;
         ``paper`` has the printed rows. ``ValueError`` for invalid sizes or too little memory.
     """
-    _check(splits, beams)
+    if splits < 2:
+        raise ValueError(f"splits is {splits}, but at least 2 are needed for an interval")
+    if not beams or min(beams) < 1:
+        raise ValueError(f"beam widths must be 1 or more, not {list(beams)}")
+    if (width := max(beams)) > _MAX_WIDTH:
+        raise ValueError(f"beam width is {readable_count(width)}, but must be {_MAX_WIDTH} or less")
     type_names, corpus = load_lexicon().type_names, load_corpus(CORPUS)
     check_count("splits", splits, each=_SPLIT_BYTES * len(corpus))
     instructions = labelled_instructions(corpus, type_names)
@@ -170,15 +175,6 @@ def evaluate(
         new_words = _oov_accuracy(name, instructions, first_scores, held_out)
         document[name] = _row(fitted[name], results[name], seconds) | {"new_words": new_words}
     return document | {"paper": TABLE_1, "corpus": CORPUS, "seed": seed}
-
-
-def _check(splits: int, beams: Sequence[int]) -> None:
-    if splits < 2:
-        raise ValueError(f"splits is {splits}, but at least 2 are needed for an interval")
-    if not beams or min(beams) < 1:
-        raise ValueError(f"beam widths must be 1 or more, not {list(beams)}")
-    if (width := max(beams)) > _MAX_WIDTH:
-        raise ValueError(f"beam width is {readable_count(width)}, but must be {_MAX_WIDTH} or less")
 
 
 def _oov_accuracy(

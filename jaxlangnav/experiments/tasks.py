@@ -211,5 +211,5 @@ def concatenate(parts: Sequence[Task]) -> Task:
 
 
 def known_distances(tasks: Task) -> np.ndarray:
-    """Compute the straight-line distance from start to goal of each task, f32[E] metres."""
+    """Compute the shortest path length from start to goal of each task, f32[E] metres."""
     return np.asarray(jax.vmap(known_distance)(tasks.scenario))

@@ -191,13 +191,14 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
     for type_id in present:
         handles.append(mark("true place", type_id, 8, "none", style.type_color(type_id)))
         handles[-1].set_alpha(0.5)
+    goal = handle("meant goal, 1.5 m", linestyle=":", color=style.MUTED, linewidth=1.0)
     return [
         *handles,
         handle("robot", marker="^", color=style.INK, markersize=8),
         handle("waypoint", marker="x", color=style.WAYPOINT, markersize=6, markeredgewidth=1.8),
         handle("way gone", linestyle="-", color=style.PATH, linewidth=1.1),
         handle("field of view", linestyle="--", color=style.VIEW, linewidth=0.9),
-        handle("meant goal, 1.5 m", linestyle=":", color=style.MUTED, linewidth=1.0),
+        *[goal][: scene.is_scored],
         *[handle("wall", linestyle="-", color=style.WALL, linewidth=2.4)][: len(scene.walls)],
     ]
 
