@@ -116,6 +116,7 @@ def test_object_is_of_the_type_that_most_of_the_belief_has_it_of() -> None:
     seen = replace(belief, particles=particles)
     is_event = jax.jit(_has_type)(seen, jnp.int32(by_hand.HYDRANT))
     np.testing.assert_array_equal(is_event[:3], [False, True, False])
+    assert not jax.jit(_has_type)(seen, jnp.int32(-1)).any()
 
 
 def density(**changes: Any) -> GoalDensity:

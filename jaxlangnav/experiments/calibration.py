@@ -192,8 +192,8 @@ def _referent_mass(progress: EpisodeState) -> Array:
 def _has_type(belief: ParticleBelief, object_type: Array) -> Array:
     """Find the slots that hold an object of a type, i32[], with weight above 1/2: bool[O]."""
     # With another data association, a particle may hold another object in a slot, or the same
-    # object in another slot.
-    is_type = belief.particles.object_type == object_type
+    # object in another slot. The type NONE of a missing goal is that of empty slots: no object.
+    is_type = (belief.particles.object_type == object_type) & (object_type != NONE)
     return jnp.sum(jnp.where(is_type, jnp.exp(belief.log_weight), 0.0), axis=1) > 0.5
 
 
@@ -221,7 +221,7 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
     resampled = _resample_free(key, goals, belief, progress.navigator.instruction.readings)
     level, _ = _hpd_level(_goal_density(resampled, variance), truth)
     _, log_density = _hpd_level(_goal_density(goals, variance), truth)
-    # Events: observed objects of the goal's type. The last entry is the robot.
+    # Events: observed objects of the goal's type, none without a goal. The last entry is the robot.
     is_event = _has_type(belief, scenario.object_type[scenario.goal_index])
     distance = jnp.hypot(goals.object_x[:-1] - truth[0], goals.object_y[:-1] - truth[1])
     outcome = matched_object(distance, is_event).astype(jnp.float32)
