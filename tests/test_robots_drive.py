@@ -157,7 +157,7 @@ def test_a_camera_that_stops_makes_it_blind_and_a_recording_tells(navigator) -> 
     assert robot.seconds < 15.0
     assert kept.num_steps == len(ended.steps)
     assert outcome(kept) == "blind"
-    assert not kept.frames.is_detection[-1].any()
+    assert not np.append(kept.frames.is_detection[-1], kept.frames.num_regrounded[-1]).any()
     np.testing.assert_allclose(kept.frames.position[-1], robot.true_pose[:2], atol=1e-5)
     closing = page_data(kept)["closing"]
     assert "picture" in closing[0]

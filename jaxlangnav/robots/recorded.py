@@ -55,16 +55,17 @@ class DriveRecorder:
         if info is None:
             if not self._frames:
                 return
-            # Repeat the last frame without detections, at the robot's present pose.
+            # Repeat the last frame without what it observed, at the robot's present pose.
             last_frame, world = self._frames[-1], self._world
+            names = ("is_detection", "is_news", "num_regrounded", "fault", "overflow")
+            empty = {name: np.zeros_like(getattr(last_frame, name)) for name in names}
             frame = replace(
                 last_frame,
                 position=world.position,
                 heading=world.heading,
                 odometry=world.odometry[:2],
                 distance=world.distance,
-                is_detection=np.zeros_like(last_frame.is_detection),
-                is_news=np.zeros_like(last_frame.is_news),
+                **empty,
             )
         else:
             clause = np.minimum(self._clause, np.asarray(state.instruction.num_clauses) - 1)
@@ -101,11 +102,10 @@ class DriveRecorder:
         distance = float(np.hypot(*(position - np.asarray(self._scenario.goal))))
         faults = np.array([int(frame.fault) for frame in self._frames])
         sample_sizes = [float(frame.effective_sample_size) for frame in self._frames]
-        is_success = run.ending is Ending.ARRIVED and distance <= SUCCESS_RADIUS
         # Some endings correspond to no status.
         status = Status.__members__.get(run.ending.name, int(run.state.status))
         fields = {
-            "is_success": is_success,
+            "is_success": run.ending is Ending.ARRIVED and distance <= SUCCESS_RADIUS,
             "is_stopped": run.ending is not Ending.OUT_OF_TIME,
             "ending": int(status),
             "distance": self._robot.travelled,
