@@ -234,9 +234,8 @@ def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
 
 
 def test_calibration_error_by_hand():
-    right = np.array([True, True, False, True])
     confidence = np.array([0.95, 0.95, 0.95, 0.55])
-    scores = Scores(right, confidence, np.zeros(4))
+    scores = Scores(np.array([True, True, False, True]), confidence, np.zeros(4))
     # Bin 0.9-1.0: accuracy 2/3 against 0.95, weight 3/4; bin 0.5-0.6: 1 against 0.55, weight 1/4.
     assert calibration_error(scores) == pytest.approx(0.75 * (0.95 - 2 / 3) + 0.25 * 0.45)
 
@@ -246,6 +245,7 @@ def test_temperature_is_where_gold_is_likeliest():
         return Scores(np.ones(1, bool), np.ones(1), np.array([-abs(t - 1.3)]))
 
     assert fit_temperature(score) == 1.3
+    assert fit_temperature(lambda _: Scores(*np.zeros((3, 0)))) == 1.0
 
 
 @pytest.mark.slow

@@ -207,8 +207,7 @@ def score(recording: Recording, prepared: PreparedTask, *, has_person: bool = Fa
     False. A simulated person who speaks (``has_person``) means one of several places.
     """
     result, scene = recording.result, recording.scene
-    sensor_range = float(scene.sensor.range_max) if prepared.is_find else 0.0
-    radius = max(sensor_range, SUCCESS_RADIUS)
+    radius = max(float(scene.sensor.range_max) if prepared.is_find else 0.0, SUCCESS_RADIUS)
     is_scored = prepared.is_meant and (has_person or not prepared.unscored)
     is_arrived = (result.ending == Status.ARRIVED) & is_scored
     world = scene.scenario

@@ -97,8 +97,7 @@ def geodesic(walls: Walls) -> Geodesic:
     x = jnp.concatenate([from_x - margin_x, to_x + margin_x])
     y = jnp.concatenate([from_y - margin_y, to_y + margin_y])
     line = StraightLines().metres(x[:, None], y[:, None], x[None], y[None])
-    is_blocked = walls.is_between(x[:, None], y[:, None], x[None], y[None])
-    start = jnp.where(is_blocked, LARGE, line)
+    start = jnp.where(walls.is_between(x[:, None], y[:, None], x[None], y[None]), LARGE, line)
 
     def relax(turn: int, lengths: Array) -> Array:
         return jnp.minimum(lengths, lengths[:, turn][:, None] + lengths[turn][None])

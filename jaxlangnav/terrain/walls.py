@@ -108,8 +108,7 @@ class Walls:
 
 def _left_of(line_x: Array, line_y: Array, x: Array, y: Array) -> Array:
     """Compute the signed distance of a point to the left of a line through the origin, f32[...]."""
-    length = jnp.sqrt(line_x * line_x + line_y * line_y + 1e-12)
-    return (line_x * y - line_y * x) / length
+    return (line_x * y - line_y * x) / jnp.sqrt(line_x * line_x + line_y * line_y + 1e-12)
 
 
 def walls(*ends: tuple[float, float, float, float]) -> Walls:

@@ -9,6 +9,7 @@ once for all models that are tested on it.
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -209,5 +210,8 @@ TEMPERATURES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0)
 
 
 def fit_temperature(score: Callable[[float], Scores]) -> float:
-    """Select the temperature that maximises the mean log-probability of held-out gold answers."""
-    return max(TEMPERATURES, key=lambda t: float(score(t).log_gold.mean()))
+    """Select the temperature of greatest log-probability of held-out gold answers.
+
+    Limits: without answers, or where none is any likelier, it is 1.
+    """
+    return max(TEMPERATURES, key=lambda t: (float(score(t).log_gold.sum()), -abs(math.log(t))))
