@@ -7,6 +7,7 @@ import dataclasses
 import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -82,6 +83,7 @@ def _run_row(row: DialogueSpec, options: Options, on_progress: OnProgress | None
         config=navigator_config("informed", options.num_particles),
         on_progress=on_progress,
     )
+    result = jax.tree.map(lambda leaf: leaf[result.result.is_valid], result)
     is_success = np.asarray(result.result.is_success)
     distance = np.asarray(result.result.distance)
     count, questions = len(is_success), float(np.mean(result.num_questions))

@@ -289,7 +289,10 @@ class Experiment(Report):
             # None where calibration was not measured.
             calibration: Row = dict.fromkeys(("ece", "brier", "coverage90", "reliability"))
             if run.tally is not None:
-                tally = jax.tree.map(lambda leaf, i=i: np.split(leaf, num_rows)[i], run.tally)
+                # Of valid worlds, as the other metrics.
+                count = len(run.tally.steps) // num_rows
+                chosen = i * count + np.flatnonzero(episodes.is_valid[:count])
+                tally = jax.tree.map(lambda leaf, chosen=chosen: leaf[chosen], run.tally)
                 calibration = scores(tally) | {"reliability": bin_sums(tally)}
             row = row | spec.heading() | calibration
             rows.append(row | self.measure(row, spec, episodes))

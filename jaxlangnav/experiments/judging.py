@@ -38,8 +38,6 @@ TALLY_PROGRAM = EpisodeProgram(
     episode_state=operator.attrgetter("progress"),
 )
 """Program for ``run_tasks``: runs episodes as usual; returns the result and ``Tally`` of each."""
-
-
 Bins: TypeAlias = Mapping[str, Sequence[float]]
 """Sums by bin: ``events``, ``probability``, ``outcome``, ``episodes``; and over episodes sums of
 squared events and outcomes, ``events2`` and ``outcome2``, and of their product, ``cross``."""

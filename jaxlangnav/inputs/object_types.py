@@ -32,8 +32,6 @@ ATTRIBUTES = {
 """Groups and their values; a value is encoded by its index in the tuple, from 1."""
 _WIDTHS = {"colour": 4, "material": 3, "size": 2, "height": 2}
 ATTRIBUTE_BITS = sum(_WIDTHS.values())
-
-
 _OFFSETS = tuple(accumulate(_WIDTHS.values(), initial=0))
 _BIT_FIELDS = {
     group: (first, ((1 << width) - 1) << first)

@@ -13,6 +13,7 @@ from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.viz import style
 from jaxlangnav.viz.summary import observed_objects
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario, WorldState, walls_of
 
 if TYPE_CHECKING:
@@ -65,10 +66,10 @@ def set_area_limits(axes: "Axes", area: tuple[float, float, float, float]) -> No
 
 def draw_truth(axes: "Axes", scene: StaticScene) -> "list[PathCollection]":
     """Draw the true objects faintly and the intended goal as a dotted ring."""
-    return _draw_world(axes, scene.scenario, has_goal=scene.is_scored)
+    return _draw_world(axes, scene.scenario, scene.stop_radius if scene.is_scored else 0.0)
 
 
-def _draw_world(axes: "Axes", world: Scenario, *, has_goal: bool = True) -> "list[PathCollection]":
+def _draw_world(axes: "Axes", world: Scenario, goal_radius: float) -> "list[PathCollection]":
     from matplotlib.patches import Circle
 
     props = {"s": 70, "facecolors": "none", "linewidths": 0.8, "alpha": 0.45, "zorder": 2}
@@ -80,10 +81,10 @@ def _draw_world(axes: "Axes", world: Scenario, *, has_goal: bool = True) -> "lis
         for slot in np.flatnonzero(world.is_object)
         for type_id in (int(world.object_type[slot]),)
     ]  # fmt: skip
-    if has_goal:
+    if goal_radius:
         goal = (float(world.goal[0]), float(world.goal[1]))
         ring = {"fill": False, "linestyle": ":", "linewidth": 1.0, "color": style.MUTED}
-        axes.add_patch(Circle(goal, 1.5, **ring, zorder=2))
+        axes.add_patch(Circle(goal, goal_radius, **ring, zorder=2))
     return marks
 
 
@@ -191,7 +192,8 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
     for type_id in present:
         handles.append(mark("true place", type_id, 8, "none", style.type_color(type_id)))
         handles[-1].set_alpha(0.5)
-    goal = handle("meant goal, 1.5 m", linestyle=":", color=style.MUTED, linewidth=1.0)
+    label = f"meant goal, {scene.stop_radius:g} m"
+    goal = handle(label, linestyle=":", color=style.MUTED, linewidth=1.0)
     return [
         *handles,
         handle("robot", marker="^", color=style.INK, markersize=8),
@@ -223,7 +225,7 @@ def render_world(
         figure.set_dpi(_DPI)
         canvas = FigureCanvasAgg(figure)
         set_area_limits(axes, (x_min, x_max, y_min, y_max))
-        _draw_world(axes, scenario)
+        _draw_world(axes, scenario, SUCCESS_RADIUS)
         draw_walls(axes, walls_of(scenario))
         draw_view(axes, sensor, world)
         axes.plot(path[:, 0], path[:, 1], color=style.PATH, linewidth=1.1, zorder=4)

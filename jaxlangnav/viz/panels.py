@@ -165,7 +165,7 @@ def values_figure(
         marks = [
             handle
             for handle in mapping.legend_handles(recording, filled=False)
-            if not str(handle.get_label()).endswith(("true place", "view", "1.5 m"))
+            if not str(handle.get_label()).endswith(("true place", "view", " m"))
         ]
         cmap = style.value_colormap()
         discs = [

@@ -44,8 +44,6 @@ class WheelCommand(NamedTuple):
 
 
 STOP = WheelCommand(0.0, 0.0)
-
-
 _NUM_SPEEDS, _NUM_TURNS, _NUM_TIMES = 5, 15, 8
 _REACTION = 0.5  # seconds within which the window's speeds must be reachable
 
