@@ -129,10 +129,10 @@ def one_draw() -> Case:
     keys = jax.random.split(jax.random.key(4), (LANES, 4))
 
     def shared(keys: Any) -> Any:
-        return jax.vmap(lambda own: batching.uniforms(own, 5 * PARTICLES))(keys)
+        return jax.vmap(lambda lane: batching.uniforms(lane, 5 * PARTICLES))(keys)
 
     def separate(keys: Any) -> Any:
-        return jax.vmap(lambda own: [jax.random.uniform(key, (5 * PARTICLES,)) for key in own])(
+        return jax.vmap(lambda lane: [jax.random.uniform(key, (5 * PARTICLES,)) for key in lane])(
             keys
         )
 

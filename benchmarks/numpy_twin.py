@@ -138,52 +138,52 @@ def _concatenate(twin: Twin, parts: list[Arrays]) -> None:
 
 def _filter(
     twin: Twin,
-    own: Arrays,
+    chunk: Arrays,
     move: np.ndarray,
     detections: list[tuple[int, float, float]],
     sensing_range: float,
 ) -> tuple[Arrays, np.ndarray]:
     """Predict, associate, update with detections, and weigh negative information."""
-    own = {name: leaf.copy() for name, leaf in own.items()}
-    count, num_objects = own["type"].shape[-1], own["type"].shape[0]
-    _move(own, move)
-    covariance = np.linalg.inv(np.moveaxis(own["precision"], -1, 0))
+    chunk = {name: leaf.copy() for name, leaf in chunk.items()}
+    count, num_objects = chunk["type"].shape[-1], chunk["type"].shape[0]
+    _move(chunk, move)
+    covariance = np.linalg.inv(np.moveaxis(chunk["precision"], -1, 0))
     variance = np.diagonal(covariance, axis1=1, axis2=2).T
     spread = variance[:-1] + variance[-1] - 2.0 * covariance[:, -1, :-1].T + _SIGMA**2
     log_lik = np.zeros(count)
     hit = np.zeros((num_objects, count), bool)
     indices = np.arange(count)
     for kind, x, y in detections:
-        choice, log_total = _associate(twin, own, (own["type"] == kind) & ~hit, (x, y), spread)
+        choice, log_total = _associate(twin, chunk, (chunk["type"] == kind) & ~hit, (x, y), spread)
         log_lik += log_total
-        empty_slot = np.argmax(own["type"] == -1, axis=0)
+        empty_slot = np.argmax(chunk["type"] == -1, axis=0)
         slot = np.where(choice == num_objects, empty_slot, choice)
         is_new = choice == num_objects
-        own["type"][slot, indices] = kind
+        chunk["type"][slot, indices] = kind
         hit[slot, indices] = True
-        own["precision"][slot, slot, indices] += 1.0 / _SIGMA**2 - is_new
-        own["precision"][-1, -1] += 1.0 / _SIGMA**2
-        own["precision"][slot, -1, indices] -= 1.0 / _SIGMA**2
-        own["precision"][-1, slot, indices] -= 1.0 / _SIGMA**2
+        chunk["precision"][slot, slot, indices] += 1.0 / _SIGMA**2 - is_new
+        chunk["precision"][-1, -1] += 1.0 / _SIGMA**2
+        chunk["precision"][slot, -1, indices] -= 1.0 / _SIGMA**2
+        chunk["precision"][-1, slot, indices] -= 1.0 / _SIGMA**2
         for axis, value in enumerate((x, y)):
-            own["information"][axis, slot, indices] += value / _SIGMA**2
-            own["information"][axis, -1] -= value / _SIGMA**2
+            chunk["information"][axis, slot, indices] += value / _SIGMA**2
+            chunk["information"][axis, -1] -= value / _SIGMA**2
         for mention in (0, 1):
-            is_referent = (own["referent"][mention] == -1) & (kind == mention)
-            own["referent"][mention] = np.where(is_referent, slot, own["referent"][mention])
-    covariance = np.linalg.inv(np.moveaxis(own["precision"], -1, 0))
-    own["mean"] = np.einsum("pij,kjp->kip", covariance, own["information"])
-    log_lik += _log_miss(own["mean"][:, :-1], own, (own["type"] != -1) & ~hit, sensing_range)
-    log_lik += _log_miss(own["hypothesis"], own, own["referent"] == -1, sensing_range)
-    return own, log_lik
+            is_referent = (chunk["referent"][mention] == -1) & (kind == mention)
+            chunk["referent"][mention] = np.where(is_referent, slot, chunk["referent"][mention])
+    covariance = np.linalg.inv(np.moveaxis(chunk["precision"], -1, 0))
+    chunk["mean"] = np.einsum("pij,kjp->kip", covariance, chunk["information"])
+    log_lik += _log_miss(chunk["mean"][:, :-1], chunk, (chunk["type"] != -1) & ~hit, sensing_range)
+    log_lik += _log_miss(chunk["hypothesis"], chunk, chunk["referent"] == -1, sensing_range)
+    return chunk, log_lik
 
 
 def _associate(
-    twin: Twin, own: Arrays, is_candidate: np.ndarray, seen: tuple[float, float], spread: np.ndarray
+    twin: Twin, chunk: Arrays, is_candidate: np.ndarray, at: tuple[float, float], spread: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sample a detection's association: i[P] a slot, or O for a new object; f[P] log evidence."""
-    offset = own["mean"][:, :-1] - own["mean"][:, -1:]
-    squared = (seen[0] - offset[0]) ** 2 + (seen[1] - offset[1]) ** 2
+    offset = chunk["mean"][:, :-1] - chunk["mean"][:, -1:]
+    squared = (at[0] - offset[0]) ** 2 + (at[1] - offset[1]) ** 2
     log_old = -0.5 * squared / spread - np.log(2.0 * math.pi * spread)
     log_old = np.where(is_candidate, log_old, -np.inf)
     count = is_candidate.shape[1]
@@ -195,10 +195,10 @@ def _associate(
     return choice, top + np.log(cumulative[-1])
 
 
-def _move(own: Arrays, move: np.ndarray) -> None:
+def _move(chunk: Arrays, move: np.ndarray) -> None:
     """Predict: add a robot pose and marginalise the previous one out."""
     variance = (0.02**2) * float(move @ move) + 1e-12
-    precision, information = own["precision"], own["information"]
+    precision, information = chunk["precision"], chunk["information"]
     edge = 1.0 / variance
     last = precision[-1, -1] + edge
     row, mean = precision[-1, :-1].copy(), information[:, -1].copy()
@@ -209,14 +209,14 @@ def _move(own: Arrays, move: np.ndarray) -> None:
     shifted = mean - edge * move[:, None]
     information[:, :-1] -= row[None] * shifted[:, None] / last
     information[:, -1] = edge * move[:, None] + edge * shifted / last
-    own["mean"][:, -1] += move[:, None]
+    chunk["mean"][:, -1] += move[:, None]
 
 
 def _log_miss(
-    position: np.ndarray, own: Arrays, is_missed: np.ndarray, sensing_range: float
+    position: np.ndarray, chunk: Arrays, is_missed: np.ndarray, sensing_range: float
 ) -> np.ndarray:
     """Compute the log-likelihood of objects in view that were not detected."""
-    offset = position - own["mean"][:, -1:]
+    offset = position - chunk["mean"][:, -1:]
     distance = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + 1e-9)
     view = np.clip((sensing_range - distance) / 0.25 + 0.5, 0.0, 1.0)
     return np.sum(np.where(is_missed, np.log1p(-DETECTION * view), 0.0), axis=0)
@@ -392,12 +392,12 @@ def twin_choose(
     return nodes[:, int(np.argmax(value))]
 
 
-def _split(twin: Twin, own: Arrays, weight: np.ndarray, anchored: np.ndarray) -> float:
+def _split(twin: Twin, chunk: Arrays, weight: np.ndarray, anchored: np.ndarray) -> float:
     """Add anchored hypotheses to a grid; returns the weight of unanchored particles."""
     x_min, x_max, y_min, y_max = twin.area
-    is_open = own["referent"] == -1
+    is_open = chunk["referent"] == -1
     is_unanchored = np.all(is_open, axis=0)
-    x, y = own["hypothesis"]
+    x, y = chunk["hypothesis"]
     column = np.clip(np.floor((x - x_min) / (x_max - x_min) * _CELLS), 0, _CELLS - 1)
     row = np.clip(np.floor((y - y_min) / (y_max - y_min) * _CELLS), 0, _CELLS - 1)
     cell = (row * _CELLS + column).astype(int)

@@ -144,8 +144,8 @@ def written_in(equation: Any) -> str | None:
     """Find the file of the package that wrote an equation, or None."""
     trace = equation.source_info.traceback
     names = () if trace is None else (Path(frame.file_name) for frame in trace.frames)
-    own = (name for name in names if name.is_relative_to(PACKAGE))
-    return next((str(name.relative_to(PACKAGE)) for name in own), None)
+    ours = (name for name in names if name.is_relative_to(PACKAGE))
+    return next((str(name.relative_to(PACKAGE)) for name in ours), None)
 
 
 def count_operations(jaxpr: Any, caller: str | None = None) -> Counter[str]:
