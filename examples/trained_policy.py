@@ -1,6 +1,6 @@
 """Train a small neural policy by evolution strategies, and compare it with the shipped ones.
 
-    python examples/trained_policy.py 30  # steps of training, each of 16 times 56 episodes
+    python examples/trained_policy.py 30  # steps of training, each of 16 times 64 episodes
 
 The network corrects the log of the paper's QMDP value of each waypoint; with weights of zero it is
 the paper's policy. Its arrays are traced: other weights compile nothing.
