@@ -185,7 +185,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         render_mode: RenderMode | None = None,
         **options: Any,
     ) -> None:
-        """Set up ``num_envs`` environments, options as of ``FollowEnv``; a picture for each.
+        """Set up ``num_envs`` environments, options and errors as of ``FollowEnv``; a picture each.
 
         ``num_worlds``: size of the pool from which each episode takes a random world; 0 samples
         a new world in every step of every environment, at hundreds of times the cost.

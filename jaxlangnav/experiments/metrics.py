@@ -115,7 +115,7 @@ def compare(
     first_distance: np.ndarray,
     second_distance: np.ndarray,
 ) -> Comparison:
-    """Compare two arms over the same episodes: bool[E] successes, f64[E] distances in metres."""
+    """Compare two arms in the same episodes, bool[E] and f64[E] metres; ``ValueError`` for none."""
     if not len(first_success):
         raise ValueError("no episode was run by both arms")
     only_first = int(np.sum(first_success & ~second_success))

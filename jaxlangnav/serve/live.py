@@ -298,7 +298,7 @@ class LiveEpisode:
 
 
 def warm_up(model: GroundingModel, folder: Path) -> None:
-    """Compile the programs for template worlds by running one step of an episode."""
+    """Compile the programs for template worlds by one step of an episode; or ``RuntimeError``."""
     episode = LiveEpisode(
         Request(text="go to the hydrant behind the cone", max_steps=1),
         model=model,

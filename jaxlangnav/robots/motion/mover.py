@@ -56,7 +56,7 @@ class MotionPlanner:
     def go_to(
         self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
-        """Set waypoints, see ``Robot.go_to``; the same ones again change nothing."""
+        """Set finite waypoints or ``ValueError``, as ``Robot.go_to``; the same change nothing."""
         points = np.asarray(waypoints, float).reshape(-1, 2)
         if not len(points) or not np.isfinite(points).all():
             raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")

@@ -56,7 +56,7 @@ class NavigatorOptions:
 
 
 def navigate(options: NavigatorOptions) -> None:
-    """Run the node until it is interrupted."""
+    """Run the node until it is interrupted; ``ValueError`` for bad options or a silent robot."""
     _validate(options)
     navigator, texts = Navigator.pretrained(), []
     tags = _tags(options, navigator.type_names)

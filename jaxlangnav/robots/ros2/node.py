@@ -129,7 +129,7 @@ class RosBus:
         look: str = "cloud",
         tags: TagSetup | None = None,
     ) -> None:
-        """Open the topics, for one of ``ENCODINGS``; ``rclpy.init`` has been called."""
+        """Open the topics, for one of ``ENCODINGS`` or ``ValueError``, after ``rclpy.init``."""
         if look not in ENCODINGS:
             raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(ENCODINGS)}")
         if look == "tf" and tags is None:

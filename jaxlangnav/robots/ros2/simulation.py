@@ -35,7 +35,7 @@ class LossyChannel:
     """Message channel that loses, doubles and delays messages."""
 
     def __init__(self, rate: float, seed: int) -> None:
-        """Set the fraction of messages, 0 to 0.3, that are lost, doubled and delayed, each."""
+        """Set the rate, 0 to 0.3 or ``ValueError``, of lost, doubled and delayed messages, each."""
         if not 0.0 <= rate <= 0.3:
             raise ValueError(f"a share of {rate:g} of messages cannot be lost: give 0 to 0.3")
         self._rate = rate
