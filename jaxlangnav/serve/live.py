@@ -116,7 +116,23 @@ class LiveEpisode:
         understood = enlarge(opened.understood)
         params = allow_questions(opened.params) if request.may_ask else opened.params
         self._opened = dataclasses.replace(opened, understood=understood, params=params)
-        self._source = self._utterance_source(grounder)
+        scene = recorder.make_scene(
+            task.scenario,
+            task.sensor,
+            understood.instruction,
+            text=request.text,
+            type_names=understood.type_names,
+            params=params,
+            config=opened.config,
+        )
+        self._source = Speech(
+            grounder=grounder,
+            first=understood,
+            scene=scene,
+            speakers={YOU: self._read},
+            is_present=lambda progress: not self._closed.is_set(),
+            on_heard=lambda _: self._notify(),
+        )
         self._steps: list[tuple[Snapshot, EpisodeResult]] = []
         self._queue: queue.Queue[str | None] = queue.Queue(_QUEUE_SIZE)
         self._question: list[dict[str, str]] = []
@@ -134,26 +150,6 @@ class LiveEpisode:
         path = folder / "your world.toml"
         write_text(to_toml(read_world(self.request.document)) + "\n", path)
         return str(path)
-
-    def _utterance_source(self, grounder: GraphGrounder) -> Speech:
-        understood, task = self._opened.understood, self._opened.prepared.task
-        scene = recorder.make_scene(
-            task.scenario,
-            task.sensor,
-            understood.instruction,
-            text=self._opened.text,
-            type_names=understood.type_names,
-            params=self._opened.params,
-            config=self._opened.config,
-        )
-        return Speech(
-            grounder=grounder,
-            first=understood,
-            scene=scene,
-            speakers={YOU: self._read},
-            is_present=lambda progress: not self._closed.is_set(),
-            on_heard=lambda _: self._notify(),
-        )
 
     def start(self) -> None:
         """Run the episode in a new thread."""

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import signal
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -59,7 +58,16 @@ def navigate(options: NavigatorOptions) -> None:
     """Run the node until it is interrupted; ``ValueError`` for bad options or a silent robot."""
     _validate(options)
     navigator, texts = Navigator.pretrained(), []
-    tags = _tags(options, navigator.type_names)
+    tags = None
+    if options.look == "tf":
+        x, y, degrees = options.camera
+        tags = TagSetup(
+            types=read_tag_types(options.tags, navigator.type_names),
+            range=options.range,
+            field_of_view=math.radians(options.field_of_view),
+            mount=(x, y, math.radians(degrees)),
+            depth=options.tag_depth,
+        )
     bus = RosBus(navigator.type_names, texts.append, look=options.look, tags=tags)
 
     def report_silence() -> None:
@@ -121,20 +129,6 @@ def _validate(options: NavigatorOptions) -> None:
             raise ValueError(f"{name.replace('_', '-')} is {value:g}, but must be more than 0 s")
     if options.tasks is not None:
         check_minimum(1, tasks=options.tasks)
-
-
-def _tags(options: NavigatorOptions, type_names: Sequence[str]) -> TagSetup | None:
-    """Build the tag setup of ``look="tf"``; None for other formats."""
-    if options.look != "tf":
-        return None
-    x, y, degrees = options.camera
-    return TagSetup(
-        types=read_tag_types(options.tags, type_names),
-        range=options.range,
-        field_of_view=math.radians(options.field_of_view),
-        mount=(x, y, math.radians(degrees)),
-        depth=options.tag_depth,
-    )
 
 
 def main() -> int:
