@@ -113,7 +113,7 @@ def test_round_trip_of_sampled_worlds_is_exact(tmp_path: Path, seed: int) -> Non
     turned = np.asarray(scenario.start) + np.float32([0, 0, jax.random.normal(key)])
     scenario = type(scenario)(**{**vars(scenario), "start": turned})
     world = WorldFile(
-        name='it"s a \\ world', scenario=scenario, sensor=default_sensor(), motion=default_motion()
+        name='it"s a \\ 🌍', scenario=scenario, sensor=default_sensor(), motion=default_motion()
     )
     save_world(world, tmp_path / "sampled.toml")
     again = load_world(tmp_path / "sampled.toml")

@@ -141,12 +141,13 @@ def _check_suffix(path: str | Path) -> Path:
 
 
 def to_toml(table: dict[str, Any]) -> str:
-    """Format keys, tables and lists of tables; JSON's texts and numbers are valid TOML."""
+    """Format keys, tables and lists of tables; JSON's numbers and unescaped texts are TOML."""
     lines: list[str] = []
     for key, value in table.items():
         for section in value if isinstance(value, list) else [value]:
             if isinstance(section, dict):
                 lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
             entries = section if isinstance(section, dict) else {key: section}
-            lines += [f"{name} = {json.dumps(item)}" for name, item in entries.items()]
+            for name, item in entries.items():
+                lines.append(f"{name} = {json.dumps(item, ensure_ascii=False)}")
     return "\n".join(lines)
