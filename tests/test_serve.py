@@ -175,7 +175,7 @@ def test_a_world_file_is_read_for_the_plan(client: Client) -> None:
 
 
 def test_an_episode_is_shown_to_its_end_and_saved(client: Client, tmp_path: Path) -> None:
-    name = client.open("go to the hydrant behind the cone", seed=3)
+    name = client.open("go to the\thydrant behind the cone", seed=3)
     with client.watch(name) as line:
         first = until(line, lambda news: news["episode"] is not None)
         last = until(line, is_resting)

@@ -288,7 +288,7 @@ class LiveEpisode:
                 scenario=task.scenario,
                 sensor=task.sensor,
                 motion=task.motion,
-                instruction=self._opened.text,
+                instruction=sanitize(" ".join(self._opened.text.split())),
             )
         return to_toml(world_to_dict(world)) + "\n"
 
