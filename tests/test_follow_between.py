@@ -53,7 +53,7 @@ def test_what_lies_between_is_found_among_others() -> None:
         for command, about in COMMANDS.items()
         for _ in range(WORLDS_EACH)
     ]
-    found = follow(cases, range_max=5.0)
+    found = follow(cases)
     has_arrived = np.array([ended == Status.ARRIVED for _, ended, _ in found])
     ends = np.array(
         [path[-1] - world.at[0] for (path, *_), (_, world) in zip(found, cases, strict=True)]
