@@ -8,6 +8,7 @@ labels come from aligning the two, word by word.
 """
 
 import dataclasses
+import functools
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -39,6 +40,8 @@ _SMALL_TALK_RATE = 0.3
 """Probability of adding small talk to a verbatim sentence."""
 _IMPOSSIBLE = -1e4
 """Log score of an impossible transition."""
+_TINY = 1e-30
+"""Added before the logarithm of a sum that may underflow."""
 _PADDING = 8
 """Lengths are rounded up to a multiple of this, to limit compilations."""
 
@@ -178,10 +181,12 @@ def vary_sentences(
 def negative_log_likelihood(weights: ReaderWeights, batch: Batch) -> Array:
     """Compute Σ −log p(labels | words) over a batch by the forward algorithm, f32[], nats."""
     scores = weights.emission.at[0].set(0.0)[batch.features].sum(axis=2)  # [B, T, L]
+    exp_transition = jnp.exp(weights.transition)  # a matrix product in place of L² exponentials
 
     def step(alpha: Array, inputs: tuple[Array, Array]) -> tuple[Array, None]:
         score, is_word = inputs
-        next_alpha = jax.nn.logsumexp(alpha[:, :, None] + weights.transition[None], axis=1) + score
+        peak = jax.lax.stop_gradient(alpha.max(axis=1, keepdims=True))
+        next_alpha = jnp.log(jnp.exp(alpha - peak) @ exp_transition + _TINY) + peak + score
         return jnp.where(is_word[:, None] > 0, next_alpha, alpha), None
 
     rest = jnp.moveaxis(scores[:, 1:], 1, 0), jnp.asarray(batch.is_word[:, 1:]).T
@@ -329,7 +334,7 @@ def _fit(
         mean = negative_log_likelihood(masked, batch) / jnp.maximum(batch.weight.sum(), 1.0)
         return mean + 0.5 * config.l2 * sum((leaf**2).sum() for leaf in weights)
 
-    @jax.jit
+    @functools.partial(jax.jit, donate_argnums=(0, 1))
     def update(
         weights: ReaderWeights, state: optax.OptState, batch: Batch
     ) -> tuple[Any, optax.OptState, Array]:
