@@ -51,10 +51,10 @@ class ReaderConfig:
     """Hyperparameters of the training of a reader."""
 
     epochs: int = 5
-    batch: int = 128  # sentences
-    rate: float = 0.06  # of Adam, with cosine decay to 0
+    batch: int = 256  # sentences
+    rate: float = 0.08  # of Adam, with cosine decay to 0
     l2: float = 6e-5
-    copies: int = 6  # of each sentence, each with a variation
+    copies: int = 2  # of each sentence, each with a variation
     least_features: int = 3  # rarer features are dropped
     least_labels: int = 3  # sentences; rarer labels are dropped
     smallest: float = 0.03  # smaller weights are set to 0

@@ -26,8 +26,8 @@ READER_ENV = "JAXLANGNAV_READER"
 """Environment variable that names a user's reader file, in place of the package's."""
 KEEP, DELETE, REJECT = "K", "D", "X"
 _MAX_BYTES = 1 << 24
-_MAX_TEXT = 1 << 21
-_MAX_FEATURES, _MAX_LABELS = 1 << 16, 256
+_MAX_TEXT = 1 << 22
+_MAX_FEATURES, _MAX_LABELS = 1 << 17, 512
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,8 @@ class Labelling:
             return True
         is_choosing = not WORDS["choosing"].isdisjoint(classes) or word in WORDS["degrees"]
         is_moved = any(label == f"{KEEP}>{word}" for label in self.labels)
-        return is_moved or self.is_deleted(index) or not (is_choosing or self._may_be_thing(index))
+        is_idle = self.is_deleted(index) and "manner" not in classes
+        return is_moved or is_idle or not (is_choosing or self._may_be_thing(index))
 
     def _may_be_thing(self, index: int) -> bool:
         """Check whether an unknown word may be an object: it follows an article."""
