@@ -119,24 +119,18 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
 
 
 PARTS = {
-    "first": (318, 2),
-    "second": (98, 5),
-    "third": (267, 1),
-    "fourth": (279, 5),
-    "fifth": (177, 4),
-    "sixth": (91, 0),
-    "seventh": (81, 1),
-    "eighth": (118, 3),
-    "ninth dev": (134, 2),
-    "ninth test": (104, 4),
-    "tenth": (86, 2),
-    "eleventh": (134, 8),
+    "learned": (1547, 35),
+    "ninth test": (115, 4),
+    "tenth": (86, 4),
+    "eleventh": (146, 2),
+    "twelfth": (166, 5),
+    "thirteenth": (155, 10),
 }
-"""How many of a set are right, at least, and wrong, at most."""
+"""How many of a set are right, at least, and wrong, at most; the reader has learned the first."""
 
 
 def outcomes(part: str, every: int = 1) -> Counter[str]:
-    some = [one for one in SENTENCES if one.set == part][::every]
+    some = [s for s in SENTENCES if (s.set if s.set in PARTS else "learned") == part][::every]
     return Counter(one.outcome for one in score_sentences(some, load_shipped()))
 
 

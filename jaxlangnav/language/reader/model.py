@@ -7,6 +7,7 @@ with x_t the indicator features of word t. A label is ``K`` (keep), ``D`` (delet
 must be refused has ``X`` throughout.
 """
 
+import itertools
 import json
 import os
 from collections.abc import Collection, Sequence
@@ -78,26 +79,27 @@ def find_best(
 
     Arguments as in ``log_partition``. Returns log score and labels of each, best first.
     """
-    steps, num_labels = scores.shape
-    best = np.full((num_labels, count), -np.inf)
-    best[:, 0] = scores[0]
-    backpointers = np.zeros((steps, num_labels, count), np.int64)
-    for step in range(1, steps):
-        totals = (best[:, :, None] + transition[:, None, :]).reshape(-1, num_labels)
+    labels = [np.flatnonzero(np.isfinite(row)) for row in scores]  # of each word: few are possible
+    best = np.full((len(labels[0]), count), -np.inf)
+    best[:, 0] = scores[0, labels[0]]
+    backpointers = []
+    for step, (before, now) in enumerate(itertools.pairwise(labels), start=1):
+        moves = transition[np.ix_(before, now)][:, None, :]
+        totals = (best[:, :, None] + moves).reshape(-1, len(now))
         top = np.argpartition(-totals, count - 1, axis=0)[:count]
         order = np.argsort(-np.take_along_axis(totals, top, 0), axis=0, kind="stable")
         top = np.take_along_axis(top, order, 0)
-        best = np.take_along_axis(totals, top, 0).T + scores[step][:, None]
-        backpointers[step] = top.T
+        best = np.take_along_axis(totals, top, 0).T + scores[step, now][:, None]
+        backpointers.append(top.T)
     flat = best.ravel()
     labellings = []
     for end in np.argsort(-flat, kind="stable")[:count]:
         if not np.isfinite(flat[end]):
             break
-        path, state = [], int(end)
-        for pointers in reversed(backpointers):
-            path.append(state // count)
+        path, state = [int(labels[-1][end // count])], int(end)
+        for allowed, pointers in zip(labels[-2::-1], reversed(backpointers), strict=True):
             state = int(pointers.reshape(-1)[state])
+            path.append(int(allowed[state // count]))
         labellings.append((float(flat[end]), tuple(reversed(path))))
     return labellings
 
