@@ -38,12 +38,9 @@ _REFUSAL_CUES = WORDS["contrary"] | WORDS["impossible"]
 _SIMPLE_LABELS = frozenset({"=go", "=go to", "=stop"})
 _SMALL_TALK_RATE = 0.3
 """Probability of adding small talk to a verbatim sentence."""
-_IMPOSSIBLE = -1e4
-"""Log score of an impossible transition."""
-_TINY = 1e-30
-"""Added before the logarithm of a sum that may underflow."""
-_PADDING = 8
-"""Lengths are rounded up to a multiple of this, to limit compilations."""
+_IMPOSSIBLE = -1e4  # log score of an impossible transition
+_TINY = 1e-30  # added before the logarithm of a sum that may underflow
+_PADDING = 8  # lengths are rounded up to a multiple of this, to limit compilations
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
