@@ -2,6 +2,7 @@
 
 import os
 import stat
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,7 +10,12 @@ import jax
 import pytest
 
 from jaxlangnav.cli.main import DEBUG, XLA_LOG_LEVEL, main
-from jaxlangnav.cli.runtime import keep_compiled_programs
+from jaxlangnav.cli.runtime import (
+    expected_duration,
+    keep_compiled_programs,
+    progress_bar,
+    save_duration,
+)
 from jaxlangnav.inputs.program_cache import cache_dir, set_cache_dir
 
 SETTINGS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
@@ -110,3 +116,24 @@ def test_the_compilers_log_stays_off_the_terminal(own, debug, level, monkeypatch
             monkeypatch.delenv(name)
     assert main(["--version"]) == 0
     assert os.environ.get(XLA_LOG_LEVEL) == level
+
+
+def test_progress_is_a_line_where_there_is_no_terminal(capsys):
+    with progress_bar("episodes", 10, delay=0.02) as advance:
+        advance(4)
+        advance(2)
+        time.sleep(0.2)
+    assert capsys.readouterr().err == "episodes: 6 of 10\n"  # the next one is a minute away
+
+
+def test_a_duration_is_expected_from_the_last_run(home):
+    assert expected_duration("table2", 50, typical=(100, 8.0)) == 8.0
+    assert expected_duration("table2", 200, typical=(100, 8.0)) == 16.0
+    save_duration("table2", 30.0, 10)
+    save_duration("fig1", 5.0)
+    assert expected_duration("table2", 5, typical=(100, 8.0)) == 30.0
+    assert expected_duration("table2", 20, typical=(100, 8.0)) == 60.0
+    (home / ".cache" / "jaxlangnav" / "durations.json").write_text("{")
+    assert expected_duration("table2", 100, typical=(100, 8.0)) == 8.0
+    save_duration("table2", 9.0)
+    assert expected_duration("table2", typical=(100, 8.0)) == 9.0

@@ -199,7 +199,8 @@ class Follow:
         max_steps = self.max_steps or step_limit(task.scenario, task.sensor)
         steps = recorder.play(task, instructions, max_steps=max_steps, speech=source, **sizes)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
-        with spinner(message, output):
+        program = f"compile {self.policy} {sizes['config'].map}"
+        with spinner(message, program, typical=60.0):
             first = next(steps)
         steps, said = itertools.chain([first], steps), [] if source is None else source.utterances
         is_typed = self.talk or (self.ask and self.person is None)

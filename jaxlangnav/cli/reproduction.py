@@ -12,7 +12,13 @@ from typing import Any
 
 from jaxlangnav import __version__
 from jaxlangnav.cli.output import Document, Output, document_text
-from jaxlangnav.cli.runtime import progress_bar, spinner
+from jaxlangnav.cli.runtime import (
+    duration_text,
+    expected_duration,
+    progress_bar,
+    save_duration,
+    spinner,
+)
 from jaxlangnav.cli.settings import apply
 from jaxlangnav.cli.study import FACTOR_GRAPH, FIGURE_1, FIGURE_4, Settings, Study, StudyResult
 from jaxlangnav.episode import MAX_STEPS
@@ -21,7 +27,7 @@ from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_recording
-from jaxlangnav.experiments.table import Report, write_report
+from jaxlangnav.experiments.table import Report, Section, write_report
 from jaxlangnav.experiments.table1 import evaluate, table_1
 from jaxlangnav.experiments.timing import cycle_parts
 from jaxlangnav.grounding.weights import load_shipped
@@ -102,7 +108,7 @@ def _episode_study(name: str, settings: Settings) -> Study:
 
 def _run_timing(settings: Settings, output: Output) -> StudyResult:
     """Measure the run time of each part of a decision cycle with the settings' parameters."""
-    with spinner("timing the parts of a cycle", output):
+    with spinner("timing the parts of a cycle"):
         document: dict[str, Any] = cycle_parts(params=settings.params)
     total, parts = document["cycle_us"], document["parts_us"]
     for part, micros in sorted(parts.items(), key=lambda item: -item[1]):
@@ -239,6 +245,12 @@ STUDIES = {
     "table3": Study(title=_TITLE3, run=_run_table3),
 }
 """All other experiments."""
+_DURATIONS = {
+    "table1": (1, 60.0), "table2": (4200, 200.0), "table3": (11, 900.0), "fig1": (1, 40.0),
+    "fig3": (1, 2.0), "fig4": (1, 40.0), "fig5": (4200, 200.0), "unknowns": (4200, 200.0),
+    "conversation": (1600, 700.0), "robustness": (10000, 600.0), "time": (1, 60.0),
+}  # fmt: skip
+"""Number of items and seconds of each experiment on two cores at its default size."""
 REPORTED = ("table1", "fig1", "fig3", "fig4", "table2", "fig5", "unknowns", "time")
 """Experiments of the report, in order."""
 
@@ -253,12 +265,32 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
             check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
 
 
+def _num_items(name: str, settings: Settings) -> int:
+    """Count the episodes or trials on which the duration of an experiment depends, else 1."""
+    if name in GRIDS:
+        experiment, options = GRIDS[name](settings)
+        return experiment.total_episodes(options)
+    counts = {
+        "conversation": settings.options.episodes * len(spoken.ROWS),
+        "table3": (settings.args.trials or 10) + 1,
+    }
+    return counts.get(name, 1)
+
+
+def _estimate(name: str, settings: Settings) -> float:
+    """Estimate the duration of an experiment in seconds, compilation included."""
+    return expected_duration(name, _num_items(name, settings), typical=_DURATIONS[name])
+
+
 def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, Any], Study]:
     """Run an experiment, print its results, write its files and draw its figures."""
     study = _episode_study(name, settings) if name in GRIDS else STUDIES[name]
+    output.note(f"{name}: about {duration_text(_estimate(name, settings))}")
     begin = time.perf_counter()
     document, write = study.run(settings, output)
     document |= {"wall_s": time.perf_counter() - begin, "files": []} | document
+    if not document.get("resumed"):
+        save_duration(name, document["wall_s"], _num_items(name, settings))
     if settings.args.out is not None:
         document["files"] += [str(path) for path in write(settings.args.out)]
     for path in document["files"]:
@@ -267,35 +299,42 @@ def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, An
 
 
 def run_all(settings: Settings, output: Output) -> Document:
-    """Run all experiments, and write ``report.html`` if a folder is given."""
+    """Run all experiments; with a folder, ``report.html`` is written after each."""
     begin = time.perf_counter()
-    documents: dict[str, Any] = {}
+    total = sum(_estimate(name, settings) for name in REPORTED)
+    output.note(f"{len(REPORTED)} experiments, about {duration_text(total)}")
+    documents: dict[str, Any] = {"report": None}
     sections = []
-    for i, name in enumerate(REPORTED, start=1):
-        output.note(f"{name} ({i} of {len(REPORTED)})")
+    for name in REPORTED:
         documents[name], study = run_one(name, settings, output)
         sections.append(study.section(documents[name], settings.args.command(name)))
-    documents["report"] = None
-    if settings.args.out is not None:
-        setup = manifest({}, models=load_shipped())
-        device, machine = setup["device"], setup["machine"]
-        libraries = ", ".join(f"{name} {version}" for name, version in setup["libraries"].items())
-        values = settings.values.items()
-        facts = {
-            "command": settings.args.command("all"),
-            "versions": f"jaxlangnav {__version__}, Python {setup['python']}, {libraries}",
-            "models": f"as shipped, SHA-256 {setup['models_sha256']}",
-            "seed": f"{settings.options.seed}; {settings.seed_unknowns} in the study of the "
-            "paper's unknowns",
-            "episodes": f"{settings.options.episodes} a row and policy",
-            "changed numbers": ", ".join(f"{'.'.join(i)} = {value}" for i, value in values),
-            "machine": f"{machine['system']} {machine['cpu']}, {machine['cores']} cores; "
-            f"JAX on {device['count']} × {device['kind']}",
-            "wall time": f"{time.perf_counter() - begin:.0f} s, compilation included",
-            "the paper": _PAPER,
-        }
-        title = "Following commands in unknown places: ours beside the paper's"
-        path = write_report(title, sections, settings.args.out / "report.html", facts=facts)
-        documents["report"] = str(path)
-        output.say(f"Wrote {path}")
+        if settings.args.out is not None:
+            seconds = time.perf_counter() - begin
+            documents["report"] = str(_write_page(sections, settings, seconds))
+    if documents["report"] is not None:
+        output.say(f"Wrote {documents['report']}")
     return documents
+
+
+def _write_page(sections: list[Section], settings: Settings, seconds: float) -> Path:
+    """Write ``report.html`` with the sections of the experiments that have been run."""
+    assert settings.args.out is not None
+    setup = manifest({}, models=load_shipped())
+    device, machine = setup["device"], setup["machine"]
+    libraries = ", ".join(f"{name} {version}" for name, version in setup["libraries"].items())
+    values = settings.values.items()
+    facts = {
+        "command": settings.args.command("all"),
+        "versions": f"jaxlangnav {__version__}, Python {setup['python']}, {libraries}",
+        "models": f"as shipped, SHA-256 {setup['models_sha256']}",
+        "seed": f"{settings.options.seed}; {settings.seed_unknowns} in the study of the "
+        "paper's unknowns",
+        "episodes": f"{settings.options.episodes} a row and policy",
+        "changed numbers": ", ".join(f"{'.'.join(i)} = {value}" for i, value in values),
+        "machine": f"{machine['system']} {machine['cpu']}, {machine['cores']} cores; "
+        f"JAX on {device['count']} × {device['kind']}",
+        "wall time": f"{seconds:.0f} s, compilation included",
+        "the paper": _PAPER,
+    }
+    title = "Following commands in unknown places: ours beside the paper's"
+    return write_report(title, sections, settings.args.out / "report.html", facts=facts)

@@ -1,15 +1,21 @@
-"""Set-up of a command: the persistent compilation cache and progress bars."""
+"""Set-up of a command: the persistent compilation cache, progress and estimates of its time."""
 
 import contextlib
 import functools
+import json
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from jaxlangnav.cli.output import Output, one_line
 
 Advance = Callable[[int], None]  # called with the number of items just completed
+_INTERVAL = 60.0  # seconds between lines of progress where there is no terminal
+_PATIENCE = 5.0  # seconds before the first line of a task of unknown duration
+_DURATIONS = "durations.json"
+"""File of the last duration of each task: [number of items, seconds]."""
 
 
 def _cache_folder(name: str) -> Path:
@@ -54,25 +60,60 @@ def keep_compiled_programs() -> None:
         note(f"compiled programs are not kept: {one_line(error)}")
 
 
-@contextlib.contextmanager
-def spinner(label: str, output: Output) -> Iterator[None]:
-    """Show a spinner on a terminal; elsewhere print a note after five seconds."""
-    timer = threading.Timer(5.0, output.note, [label])
-    timer.daemon = True
-    if not sys.stderr.isatty():
-        timer.start()
-    try:
-        with progress_bar(label, None):
-            yield
-    finally:
-        timer.cancel()
+def duration_text(seconds: float) -> str:
+    """Format an estimate for people: "20 s", "6 min"."""
+    return f"{seconds:.0f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} min"
+
+
+def expected_duration(task: str, size: int = 1, *, typical: tuple[int, float]) -> float:
+    """Estimate the seconds of a task from its last run on this machine; ``typical`` if none.
+
+    ``typical``: number of items, and seconds on two cores. More items take longer in proportion,
+    fewer as long: compilation is included.
+    """
+    last_size, seconds = typical
+    with contextlib.suppress(OSError, ValueError, TypeError, LookupError):
+        last_size, seconds = json.loads(_cache_folder(_DURATIONS).read_text())[task]
+    return seconds * max(1.0, size / last_size)
+
+
+def save_duration(task: str, seconds: float, size: int = 1) -> None:
+    """Store the duration of a task for ``expected_duration``, if there is a cache folder."""
+    from jaxlangnav.inputs.whole_files import write_text
+
+    with contextlib.suppress(OSError):
+        path, durations = _cache_folder(_DURATIONS), {}
+        with contextlib.suppress(OSError, ValueError):
+            durations = dict(json.loads(path.read_text()))
+        write_text(json.dumps({**durations, task: (size, round(seconds, 1))}), path)
 
 
 @contextlib.contextmanager
-def progress_bar(label: str, total: int | None) -> Iterator[Advance]:
-    """Show a progress bar on a terminal, a spinner without total; yields its advance function."""
+def spinner(label: str, task: str | None = None, *, typical: float = 0.0) -> Iterator[None]:
+    """Show a spinner on a terminal; elsewhere print a line after five seconds, then each minute.
+
+    If a ``task`` is named, the label tells how many seconds it took when it last took more than
+    five, by default ``typical``: what is kept from an earlier run takes less.
+    """
+    begin = time.monotonic()
+    if task is not None:
+        label += f"; about {duration_text(expected_duration(task, typical=(1, typical)))}"
+    with progress_bar(label, None, delay=_PATIENCE):
+        yield
+    seconds = time.monotonic() - begin
+    if task is not None and seconds > _PATIENCE:
+        save_duration(task, seconds)
+
+
+@contextlib.contextmanager
+def progress_bar(label: str, total: int | None, delay: float = _INTERVAL) -> Iterator[Advance]:
+    """Show a progress bar on a terminal, a spinner without total; yields its advance function.
+
+    Where there is no terminal it prints a line after ``delay`` seconds, then one a minute.
+    """
     if not sys.stderr.isatty():
-        yield lambda _done: None
+        with _progress_lines(label, total, delay) as advance:
+            yield advance
         return
     from rich import progress as rich
     from rich.console import Console
@@ -84,3 +125,23 @@ def progress_bar(label: str, total: int | None) -> Iterator[Advance]:
         columns += ["left", rich.TimeRemainingColumn()]
     with rich.Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         yield functools.partial(bar.advance, bar.add_task(label, total=total))
+
+
+@contextlib.contextmanager
+def _progress_lines(label: str, total: int | None, delay: float) -> Iterator[Advance]:
+    """Print the progress as lines, from a thread, until the context ends."""
+    is_done, begin, counts = threading.Event(), time.monotonic(), list[int]()
+
+    def report() -> None:
+        wait = delay
+        while not is_done.wait(wait):
+            elapsed, wait = time.monotonic() - begin, _INTERVAL
+            progress = "" if total is None else f": {sum(counts)} of {total}"
+            since = "" if elapsed < _INTERVAL else f", for {duration_text(elapsed)}"
+            Output(is_json=False).note(f"{label}{progress}{since}")
+
+    threading.Thread(target=report, daemon=True).start()
+    try:
+        yield counts.append
+    finally:
+        is_done.set()

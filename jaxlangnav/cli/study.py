@@ -104,7 +104,7 @@ def _figure(
         known = [key for key in settings.options.policies if key in POLICIES]
         policy = known[0] if len(known) == 1 else "faithful"
         config = navigator_config(policy, settings.particles_drawn)
-        with CompileClock() as clock, spinner(f"an episode in {name}", output):
+        with CompileClock() as clock, spinner(f"an episode in {name}"):
             understood = understand_parse(parse(TEXT), load(None))
             prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = apply_to_task(prepared, settings.values, params=settings.params)
