@@ -367,6 +367,6 @@ def test_who_looks_on_is_not_drawn_back_to_what_has_been_seen() -> None:
     asking = replace(shown.params, question_cost=jnp.float32(0.1), look_cost=jnp.float32(5e-4))
     for params, searches_on in ((shown.params, False), (asking, True)):
         choice = DECIDE_ON(replace(shown, params=params), plan, both(0.5))
-        assert bool(choice.doubt.searches_on) == searches_on
+        assert bool(choice.question.searches_on) == searches_on
         at_stop = (float(choice.waypoint_x), float(choice.waypoint_y)) == (-3.0, 4.0)
         assert at_stop == searches_on

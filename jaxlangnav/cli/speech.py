@@ -112,18 +112,18 @@ class TerminalUser:
         is_asked = int(progress.navigator.status) == Status.WHICH_ONE
         return not self._has_left and (self._is_talking or is_asked)
 
-    def say(self, step: int, progress: "EpisodeState", doubt: "Sequence[Candidate]") -> str | None:
+    def say(self, step: int, progress: "EpisodeState", asked: "Sequence[Candidate]") -> str | None:
         """Return the next line: waits for an answer to a question, else only briefly."""
-        is_waiting = bool(doubt) or (self._is_talking and bool(progress.navigator.is_resting))
+        is_waiting = bool(asked) or (self._is_talking and bool(progress.navigator.is_resting))
         if self._has_left or not (is_waiting or self._is_talking):
             return None
-        if doubt:
+        if asked:
             self._output.note("Which one? The nearest first:")
             from jaxlangnav.navigator.candidates import believed_pose
             from jaxlangnav.viz.sentences import describe_offset
 
             pose = believed_pose(progress.navigator).tolist()
-            for rank, it in enumerate(doubt, start=1):
+            for rank, it in enumerate(asked, start=1):
                 where = describe_offset(it.x, it.y, *pose)
                 share = f"{100 * it.probability:.0f} %"
                 self._output.note(f"  {rank}. the {it.type_name} {where}, {share}")

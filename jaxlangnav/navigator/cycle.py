@@ -284,7 +284,7 @@ def _decide(
     )
     key = jax.random.fold_in(key, _PLANNER_KEY)
     memory, choice = policy.choose(params.policy_of(config), key, state.memory, situation)
-    is_moving = ~task.is_still & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
+    is_moving = ~task.is_still & ~choice.is_stop & ~choice.is_not_found & ~choice.question.asks
     progress = update_progress(
         state.progress,
         (choice.next_x, choice.next_y),

@@ -158,7 +158,7 @@ def _status(
     is_arrived = choice.is_stop & _is_last_clause(state)
     status = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), active)
     status = jnp.where(is_arrived, int(Status.ARRIVED), status)
-    status = jnp.where(choice.doubt.asks, int(Status.WHICH_ONE), status)
+    status = jnp.where(choice.question.asks, int(Status.WHICH_ONE), status)
     is_blocked = state.progress.num_stalls > config.num_detours
     status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
     return jnp.where(task.is_still, state.status, status)

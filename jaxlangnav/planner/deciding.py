@@ -151,5 +151,5 @@ def decide(
         information_value=valuation.information_value,
         cost=cost,
         stop_mass=mass,
-        doubt=question,
+        question=question,
     )

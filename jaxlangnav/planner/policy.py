@@ -129,6 +129,6 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
             f"policy {policy.name} is given a memory of {old} and returns one of {new}: shapes and "
             "dtypes must stay as its init makes them"
         )
-    is_stop = decision.is_stop & situation.may_stop & ~decision.doubt.asks
-    is_not_found = decision.is_not_found & ~is_stop & ~situation.is_still & ~decision.doubt.asks
+    is_stop = decision.is_stop & situation.may_stop & ~decision.question.asks
+    is_not_found = decision.is_not_found & ~is_stop & ~situation.is_still & ~decision.question.asks
     return strong_types(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)

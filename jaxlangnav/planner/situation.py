@@ -102,7 +102,7 @@ class Decision:
     information_value: Array  # f32[A] part of it from information gained on the path
     cost: Array  # f32[A] part of it lost to detours around keep-out zones
     stop_mass: Array  # f32[] goal probability within reach
-    doubt: AskDecision  # ask which object is meant, or search on before one is accepted
+    question: AskDecision  # ask which object is meant, or search on before one is accepted
 
     @property
     def turns(self) -> Array:
