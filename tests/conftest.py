@@ -116,9 +116,7 @@ def _compile_briefly(request: pytest.FixtureRequest) -> Iterator[None]:
     is_brief = _is_quick(request.config) and not request.path.name.startswith(RUN_LONG)
     if is_brief != jax.config.read("jax_disable_most_optimizations"):
         # A worker would go on with the other kind of program, which rounds otherwise.
-        jax.clear_caches()
-        if "jaxlangnav.experiments.monte_carlo" in sys.modules:
-            sys.modules["jaxlangnav.experiments.monte_carlo"]._programs.clear()
+        _drop_programs()
     jax.config.update("jax_disable_most_optimizations", is_brief)
     yield
     _give_back_memory()
@@ -132,8 +130,15 @@ def _give_back_memory() -> None:
         return
     trim(0)
     if _resident() > FULL:
-        jax.clear_caches()
+        _drop_programs()
         trim(0)
+
+
+def _drop_programs() -> None:
+    """Let all compiled programs go."""
+    jax.clear_caches()
+    if "jaxlangnav.experiments.monte_carlo" in sys.modules:
+        sys.modules["jaxlangnav.experiments.monte_carlo"]._programs.clear()
 
 
 def _resident() -> int:
