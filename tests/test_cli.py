@@ -68,14 +68,11 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(name in told and line in told for name, line in SUMMARIES.items())
 
 
-def test_nothing_typed_shows_help_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_typed_shows_help_and_fails_and_the_version_is_told(capsys) -> None:
     assert cli.main([]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "examples:" in captured.err
-
-
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out == f"jaxlangnav {__version__}\n"
 
@@ -130,10 +127,7 @@ def test_a_fault_of_ours_is_one_line_and_code_1(capsys, monkeypatch):
     with pytest.raises(ValueError, match="unknown world") as caught:
         files.open_world("yrad")
     assert is_refusal(caught.value)
-
-
-@pytest.mark.usefixtures("echo")
-def test_an_interrupt_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
+    # An interrupt is quiet.
     assert cli.main(["echo", "stop"]) == 130
     assert capsys.readouterr().err == "jaxlangnav: interrupted\n"
 
@@ -145,10 +139,7 @@ def test_json_is_one_document_and_nothing_else(capsys: pytest.CaptureFixture[str
     assert json.loads(captured.out) == {"text": "hello", "times": 2, "score": None}
     assert "a stray print" in captured.err
     assert "working" in captured.err
-
-
-@pytest.mark.usefixtures("echo")
-def test_without_json_people_read_the_narrative(capsys: pytest.CaptureFixture[str]) -> None:
+    # Without it people read the narrative.
     assert cli.main(["echo", "hello", "--times", "2"]) == 0
     assert capsys.readouterr().out == "a stray print\nhello\nhello\n"
 
@@ -208,13 +199,6 @@ def test_parse_gives_the_six_phrases(capsys: pytest.CaptureFixture[str]) -> None
         ("NP", "the cone"),
     ]  # fmt: skip
     assert set(parsed["tree"]["words"][0]) == {"text", "tag"}
-
-
-def test_parse_draws_the_tree_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["parse", COMMAND]) == 0
-    drawn = capsys.readouterr().out.splitlines()
-    assert drawn[0] == "VP go/VB"
-    assert drawn[-1].endswith("NP the/DT cone/NN")
 
 
 def test_repairs_and_unknown_words_are_noted(capsys: pytest.CaptureFixture[str]) -> None:
