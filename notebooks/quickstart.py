@@ -60,5 +60,5 @@ print(f"with the map known it would have been {recording.scene.known_distance:.1
 belief_figure(jaxlangnav.follow("find the bench", world="street"), num_panels=3)
 
 # %% [markdown]
-# `viz.pictures.write_pictures(recording, "pictures")` writes these figures, the story, and an
+# `viz.html.write_report_files(recording, "pictures")` writes these figures, the story, and an
 # interactive page with a slider over time.

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxlangnav.inputs.sanitize import markdown_table
 from jaxlangnav.robots.physics.robot import PhysicsRobot, SensorErrors
-from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
+from jaxlangnav.robots.physics.scene import HIDDEN_POSITION
 from jaxlangnav.robots.physics.tags import TAGS_PER_TYPE, Gates
 from jaxlangnav.world.state import HYDRANT, make_scenario
 
@@ -58,7 +58,7 @@ def measure(
         ranges: metres.
         pictures: names in ``PICTURES``.
     """
-    scenario = make_scenario([(HYDRANT, OUT_OF_SIGHT[0], 0.0)])
+    scenario = make_scenario([(HYDRANT, HIDDEN_POSITION[0], 0.0)])
     figures = []
     for picture in pictures:
         grain, blur = PICTURES[picture]
@@ -87,8 +87,8 @@ def _measure_condition(
         bearing = rng.uniform(-half, half) * 0.98
         angle = heading + bearing
         position = np.array([x + distance * np.cos(angle), y + distance * np.sin(angle)])
-        robot.scene.put("thing0", *position)
-        robot.scene.turn("thing0", angle + rng.choice([-1, 1]) * np.deg2rad(turned))
+        robot.scene.set_position("thing0", *position)
+        robot.scene.set_heading("thing0", angle + rng.choice([-1, 1]) * np.deg2rad(turned))
         robot.settle()
         detections = robot.detections() or []
         false += sum(tag.tag_id != HYDRANT * TAGS_PER_TYPE for tag in robot.last_tags)

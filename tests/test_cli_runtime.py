@@ -127,10 +127,10 @@ def test_progress_is_a_line_where_there_is_no_terminal(capsys):
 
 
 def test_a_duration_is_expected_from_the_last_run(home):
-    sizes, typical = (5, 10, 20), (10, 8.0)
-    assert [expected_duration("table2", n, typical=typical) for n in sizes] == [8.0, 8.0, 16.0]
+    sizes, default = (5, 10, 20), (10, 8.0)
+    assert [expected_duration("table2", n, default=default) for n in sizes] == [8.0, 8.0, 16.0]
     save_duration("table2", 30.0, 10)
     save_duration("fig1", 5.0)
-    assert [expected_duration("table2", n, typical=typical) for n in sizes] == [30.0, 30.0, 60.0]
+    assert [expected_duration("table2", n, default=default) for n in sizes] == [30.0, 30.0, 60.0]
     (home / ".cache" / "jaxlangnav" / "durations.json").write_text("{")
-    assert expected_duration("table2", 10, typical=typical) == 8.0
+    assert expected_duration("table2", 10, default=default) == 8.0

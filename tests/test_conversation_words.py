@@ -10,7 +10,7 @@ from jaxlangnav import Navigator
 from jaxlangnav.dialogue import AVOID_ALL, AVOID_IT, discourse_of, merge_utterance
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
-from jaxlangnav.grounding.readings import Capacity, widen
+from jaxlangnav.grounding.readings import Capacity, pad_to_capacity
 from jaxlangnav.language.utterance import Kind, Wording, classify
 from jaxlangnav.messages import BEHIND, BETWEEN, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.pytree import replace
@@ -71,7 +71,7 @@ class Talk:
         self.grounder = GraphGrounder(load_shipped(), labels)
         grounded = self.ground(text)
         told = grounded.instruction
-        wide = replace(told, readings=widen(told.readings, Capacity()))
+        wide = replace(told, readings=pad_to_capacity(told.readings, Capacity()))
         self.readings, self.words = wide.readings, discourse_of(wide, grounded.spoken)
         self.joined = None
 
@@ -204,7 +204,7 @@ def test_doubts_multiply() -> None:
     grounded = Talk("go to the car")
     told = replace(grounded.ground("go to the car").instruction, readings=readings)
     joined = merge_utterance(
-        widen(readings, Capacity()), discourse_of(told, None),
+        pad_to_capacity(readings, Capacity()), discourse_of(told, None),
         replace(told, readings=by_hand.readings(
             [[CAR], [HYDRANT]], [[(0, NONE, NONE, False)]] * 2, [0.6, 0.4], sizes=(4, 6, 4)
         )),

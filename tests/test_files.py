@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.inputs import whole_files
-from jaxlangnav.inputs.arrays import parse_floats, value_errors
+from jaxlangnav.inputs.arrays import as_value_error, parse_floats
 from jaxlangnav.inputs.documents import MAX_NEST, DocumentError, parse_json, parse_toml, read_text
 from jaxlangnav.inputs.whole_files import read_file, read_user_file, user_folder, write_user_file
 from jaxlangnav.planner import prior
@@ -273,7 +273,7 @@ def test_anything_else_is_refused_in_one_line(content: bytes) -> None:
 
 def test_what_a_library_raises_is_said_in_what_can_be_printed() -> None:
     for error in (KeyError("\x1b[31m\n" * 99), RecursionError(), MemoryError()):
-        with pytest.raises(ValueError, match=r"^.{1,200}$") as caught, value_errors():
+        with pytest.raises(ValueError, match=r"^.{1,200}$") as caught, as_value_error():
             raise error
         assert str(caught.value).isprintable()
 

@@ -8,7 +8,7 @@ import pytest
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.annotation import describe_annotation, infer_annotations
 from jaxlangnav.grounding.asked import summarize_commands
-from jaxlangnav.grounding.readings import CapacityError, read, to_readings, unpad_readings
+from jaxlangnav.grounding.readings import CapacityError, build_reading, to_readings, unpad_readings
 from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase
@@ -76,31 +76,30 @@ def test_a_word_without_senses_does_not_ground_everything(model):
 def test_each_relation_can_be_grounded_given_the_earlier_ones():
     outer = (relation_symbol(HYDRANT, BEHIND, CONE), 0)
     inner = (relation_symbol(CONE, NEAR, CAR), 1)
-    reading = read((outer, inner))
+    reading = build_reading((outer, inner))
     assert reading.mentions == (CAR, CONE, HYDRANT)
     assert reading.relations == ((1, NEAR, 0, True), (2, BEHIND, 1, False))
 
 
 def test_things_of_one_type_are_one_thing():
     said = ((relation_symbol(HYDRANT, BEHIND, CONE), 0), (object_symbol(CONE), 0))
-    assert read(said).mentions == (CONE, HYDRANT)
-    both = read(((relation_symbol(CONE, NEAR, CONE), 0),))
+    assert build_reading(said).mentions == (CONE, HYDRANT)
+    both = build_reading(((relation_symbol(CONE, NEAR, CONE), 0),))
     assert both.mentions == (CONE, CONE)
 
 
 def test_a_region_without_a_figure_only_says_that_its_landmark_exists():
-    reading = read(((region_symbol(BEHIND, CONE), 0),))
+    reading = build_reading(((region_symbol(BEHIND, CONE), 0),))
     assert reading.mentions == (CONE,)
     assert reading.relations == ((0, NONE, NONE, False),)
 
 
 def test_the_robot_is_a_landmark_and_ranks_are_kept():
-    assert read(((relation_symbol(CONE, NEAR, ROBOT), 1),)).mentions == (ROBOT, CONE)
-    assert read(((relation_symbol(CONE, NEAR, ROBOT), 2),)).relations == ((1, NEAR, 0, 2),)
+    assert build_reading(((relation_symbol(CONE, NEAR, ROBOT), 1),)).mentions == (ROBOT, CONE)
+    assert build_reading(((relation_symbol(CONE, NEAR, ROBOT), 2),)).relations == ((1, NEAR, 0, 2),)
     # The robot's side comes after what ties the cone to a hydrant, which may show where it is.
-    assert [
-        one[2] for one in read((said(HYDRANT, BEHIND, CONE), said(CONE, NEAR, ROBOT))).relations
-    ] == [1, 0]
+    reading = build_reading((said(HYDRANT, BEHIND, CONE), said(CONE, NEAR, ROBOT)))
+    assert [one[2] for one in reading.relations] == [1, 0]
 
 
 def said(figure, relation, landmark, rank=0):
@@ -121,7 +120,7 @@ def said(figure, relation, landmark, rank=0):
     ],
 )
 def test_things_of_later_clauses(first, second, number):
-    reading = read(first, second)
+    reading = build_reading(first, second)
     assert reading.mentions.count(CONE) == number
     assert reading.mentions.count(ROBOT) <= 1
     assert len(set(reading.relations)) == len(reading.relations)
@@ -147,11 +146,11 @@ BETWEEN_TWO = (said(HYDRANT, BETWEEN, CONE), said(HYDRANT, BETWEEN, CAR))
     ],
 )
 def test_what_lies_between_has_two_relations(clause, mentions, relations):
-    reading = read(clause)
+    reading = build_reading(clause)
     assert reading.mentions == mentions
     assert [one[::2][:2] for one in reading.relations] == relations
     if mentions.count(CONE) < 2:
-        assert read(clause, clause) == reading
+        assert build_reading(clause, clause) == reading
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def near(robot: PhysicsRobot, metres: float, event: Callable[[PhysicsRobot], Non
 
 
 def cover(robot: PhysicsRobot) -> None:
-    robot.scene.cover(GOAL)
+    robot.scene.hide_tags(GOAL)
 
 
 def step_in(robot: PhysicsRobot) -> None:

@@ -140,11 +140,11 @@ def test_what_is_out_of_the_gates_is_not_used(husky: PhysicsRobot, gates: tags.G
 def test_a_covered_tag_is_not_seen_and_a_turned_cube_is() -> None:
     robot = put(objects=((HYDRANT, 2.5, 0.0),))
     for angle in np.linspace(0.0, 1.5, 4):
-        robot.scene.turn("thing0", angle)
+        robot.scene.set_heading("thing0", angle)
         robot.settle()
         (one,) = robot.detections()
         assert one.range == pytest.approx(2.5, abs=0.02)
-    robot.scene.cover(0)
+    robot.scene.hide_tags(0)
     assert robot.detections() == []
     robot.close()
 

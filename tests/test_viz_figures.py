@@ -175,7 +175,7 @@ def test_unknown_moments_are_refused(steps, said):
 
 def test_pictures_are_whole_files(tmp_path):
     one = make_recording(5, 12)
-    paths = html.write_pictures(one, tmp_path / "new" / "folder")
+    paths = html.write_report_files(one, tmp_path / "new" / "folder")
     assert [path.name for path in paths] == [
         "belief.png", "belief.svg", "values.png", "values.svg", "episode.html", "story.txt",
     ]  # fmt: skip

@@ -201,23 +201,23 @@ def test_hypotheses_survive_the_packing():
     x = array(data, "x").reshape(9, mentions, 20)
     is_in = frames.is_hypothesised[:, :mentions]
     assert np.array_equal(x != 65535, is_in)
-    low, high = data["frame"][:2]
+    low, high = data["bounds"][:2]
     unpacked = low + x / 65534 * (high - low)
     assert unpacked[is_in] == pytest.approx(frames.hypothesis_x[:, :mentions][is_in], abs=1e-3)
     kinds = array(data, "type").reshape(x.shape)
     assert np.array_equal(kinds[is_in], frames.mention_type[:, :mentions][is_in])
-    weight = array(data, "weight").reshape(9, 20) / 65535 * array(data, "heaviest")[:, None]
+    weight = array(data, "weight").reshape(9, 20) / 65535 * array(data, "max_weight")[:, None]
     assert weight == pytest.approx(frames.weight, rel=1e-4)
     assert np.array_equal(array(data, "value").reshape(9, -1), frames.value)
 
 
 def test_pictures_of_a_robot_go_with_their_steps():
     one = make_recording(3, 5)
-    assert page_data(one)["pictures"] == []
+    assert page_data(one)["camera_images"] == []
     pictures = tuple({"From outside": b"\xff\xd8" + bytes([step])} for step in range(3))
     page, data = read(dataclasses.replace(one, pictures=pictures, end_reason="blocked: <no way>"))
     assert "views" in page.ids
-    kept = [base64.b64decode(step["From outside"]) for step in data["pictures"]]
+    kept = [base64.b64decode(step["From outside"]) for step in data["camera_images"]]
     assert kept == [step["From outside"] for step in pictures]
     assert data["outcome"] == "blocked"
     assert data["closing"][0] == "Blocked: <no way>."

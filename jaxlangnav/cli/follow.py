@@ -200,7 +200,7 @@ class Follow:
         steps = recorder.play(task, instructions, max_steps=max_steps, speech=source, **sizes)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
         program = f"compile {self.policy} {sizes['config'].map}"
-        with spinner(message, program, typical=60.0):
+        with spinner(message, program, default_seconds=60.0):
             first = next(steps)
         steps, said = itertools.chain([first], steps), [] if source is None else source.utterances
         is_typed = self.talk or (self.ask and self.person is None)
@@ -258,10 +258,10 @@ class Follow:
     def _draw(self, recording: "Recording", document: dict[str, Any], output: Output) -> None:
         from jaxlangnav.inputs.whole_files import write_text
         from jaxlangnav.viz.film import write_film
-        from jaxlangnav.viz.html import write_pictures
+        from jaxlangnav.viz.html import write_report_files
 
         assert self.out is not None
-        paths = write_pictures(recording, self.out)
+        paths = write_report_files(recording, self.out)
         for name in ("gif", "mp4"):
             if getattr(self, name):
                 paths.append(write_film(recording, self.out / f"episode.{name}"))

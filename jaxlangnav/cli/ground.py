@@ -190,10 +190,10 @@ class Ground:
             counts = "{phrases} phrases, {factors} factors, {variables} variables".format_map(size)
             output.say(Text(f"{graph_name} graph: {counts}{objects}", style="dim"))
         if self.out is not None:
-            from jaxlangnav.viz.html import write_graph
+            from jaxlangnav.viz.html import write_factor_graph
 
             model = dataclasses.replace(model, type_names=understood.names)
-            pictures = write_graph(understood.parse, model, self.out)
+            pictures = write_factor_graph(understood.parse, model, self.out)
             document["pictures"] = [str(path) for path in pictures]
             output.say(f"Wrote {', '.join(document['pictures'])}")
         return document

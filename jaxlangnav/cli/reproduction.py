@@ -279,7 +279,7 @@ def _num_items(name: str, settings: Settings) -> int:
 
 def _estimate(name: str, settings: Settings) -> float:
     """Estimate the duration of an experiment in seconds, compilation included."""
-    return expected_duration(name, _num_items(name, settings), typical=_DURATIONS[name])
+    return expected_duration(name, _num_items(name, settings), default=_DURATIONS[name])
 
 
 def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, Any], Study]:

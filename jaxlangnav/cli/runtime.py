@@ -1,4 +1,4 @@
-"""Set-up of a command: the persistent compilation cache, progress and estimates of its time."""
+"""CLI runtime support: compilation cache, progress display, duration estimates."""
 
 import contextlib
 import functools
@@ -13,13 +13,13 @@ from jaxlangnav.cli.output import Output, one_line
 
 Advance = Callable[[int], None]  # called with the number of items just completed
 _INTERVAL = 60.0  # seconds between lines of progress where there is no terminal
-_PATIENCE = 5.0  # seconds before the first line of a task of unknown duration
+_FIRST_LINE_DELAY = 5.0  # seconds before the first line of a task of unknown duration
 _DURATIONS = "durations.json"
 """File of the last duration of each task: [number of items, seconds]."""
 
 
-def _cache_folder(name: str) -> Path:
-    """Return the path of a folder in the user's cache directory, which need not exist."""
+def _cache_path(name: str) -> Path:
+    """Return a path in the user's cache directory; it need not exist."""
     from platformdirs import user_cache_path
 
     path = user_cache_path("jaxlangnav") / name
@@ -47,15 +47,15 @@ def keep_compiled_programs() -> None:
     try:
         if jax_folder is None:
             # JAX executes what it loads, so other users must not write there.
-            folder = user_folder(_cache_folder("xla"))
+            folder = user_folder(_cache_path("xla"))
             check_user_files(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-        programs = None
+        program_dir = None
         if jax_folder and "://" not in jax_folder:
             with contextlib.suppress(OSError):
-                programs = user_folder(Path(jax_folder) / "programs")
-        set_cache_dir(programs or user_folder(_cache_folder("programs")), say=note)
+                program_dir = user_folder(Path(jax_folder) / "programs")
+        set_cache_dir(program_dir or user_folder(_cache_path("programs")), say=note)
     except OSError as error:
         note(f"compiled programs are not kept: {one_line(error)}")
 
@@ -65,43 +65,43 @@ def duration_text(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} min"
 
 
-def expected_duration(task: str, size: int = 1, *, typical: tuple[int, float]) -> float:
-    """Estimate the seconds of a task from its last run on this machine; ``typical`` if none.
+def expected_duration(task: str, num_items: int = 1, *, default: tuple[int, float]) -> float:
+    """Estimate the seconds of a task from its last run on this machine; ``default`` if none.
 
-    ``typical``: number of items, and seconds on two cores. More items take longer in proportion,
+    ``default``: number of items, and seconds on two cores. More items take longer in proportion,
     fewer as long: compilation is included.
     """
-    last_size, seconds = typical
+    last_num_items, seconds = default
     with contextlib.suppress(OSError, ValueError, TypeError, LookupError):
-        last_size, seconds = json.loads(_cache_folder(_DURATIONS).read_text())[task]
-    return seconds * max(1.0, size / last_size)
+        last_num_items, seconds = json.loads(_cache_path(_DURATIONS).read_text())[task]
+    return seconds * max(1.0, num_items / last_num_items)
 
 
-def save_duration(task: str, seconds: float, size: int = 1) -> None:
+def save_duration(task: str, seconds: float, num_items: int = 1) -> None:
     """Store the duration of a task for ``expected_duration``, if there is a cache folder."""
     from jaxlangnav.inputs.whole_files import write_text
 
     with contextlib.suppress(OSError):
-        path, durations = _cache_folder(_DURATIONS), {}
+        path, durations = _cache_path(_DURATIONS), {}
         with contextlib.suppress(OSError, ValueError):
             durations = dict(json.loads(path.read_text()))
-        write_text(json.dumps({**durations, task: (size, round(seconds, 1))}), path)
+        write_text(json.dumps({**durations, task: (num_items, round(seconds, 1))}), path)
 
 
 @contextlib.contextmanager
-def spinner(label: str, task: str | None = None, *, typical: float = 0.0) -> Iterator[None]:
+def spinner(label: str, task: str | None = None, *, default_seconds: float = 0.0) -> Iterator[None]:
     """Show a spinner on a terminal; elsewhere print a line after five seconds, then each minute.
 
     If a ``task`` is named, the label tells how many seconds it took when it last took more than
-    five, by default ``typical``: what is kept from an earlier run takes less.
+    five, or ``default_seconds``: what is kept from an earlier run takes less.
     """
     begin = time.monotonic()
     if task is not None:
-        label += f"; about {duration_text(expected_duration(task, typical=(1, typical)))}"
-    with progress_bar(label, None, delay=_PATIENCE):
+        label += f"; about {duration_text(expected_duration(task, default=(1, default_seconds)))}"
+    with progress_bar(label, None, delay=_FIRST_LINE_DELAY):
         yield
     seconds = time.monotonic() - begin
-    if task is not None and seconds > _PATIENCE:
+    if task is not None and seconds > _FIRST_LINE_DELAY:
         save_duration(task, seconds)
 
 

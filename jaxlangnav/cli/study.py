@@ -22,7 +22,7 @@ from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.task.follow import OpenedEpisode, record_episode
 from jaxlangnav.task.opening import open_task
-from jaxlangnav.viz.html import write_graph, write_html
+from jaxlangnav.viz.html import write_factor_graph, write_html
 from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, select_steps
 from jaxlangnav.viz.panels import belief_figure, values_figure
 from jaxlangnav.viz.style import save
@@ -192,7 +192,7 @@ def _count_factors(_: Settings, output: Output) -> StudyResult:
     }  # fmt: skip
     for row in _factors_table(document).rows:
         output.say(f"{row[0]}: {row[1]} factors (paper {row[2]}), {row[3]} variables ({row[4]})")
-    return document, lambda out: write_graph(parsed, model, out, name="figure3")
+    return document, lambda out: write_factor_graph(parsed, model, out, name="figure3")
 
 
 def _factors_table(document: Document) -> Table:

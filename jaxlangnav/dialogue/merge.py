@@ -19,7 +19,7 @@ from jaxlangnav.dialogue.history import (
 )
 from jaxlangnav.dialogue.memory import DiscourseInfo
 from jaxlangnav.grounding.instruction import Instruction, Referents
-from jaxlangnav.grounding.readings import topological_order, untyped_last
+from jaxlangnav.grounding.readings import move_untyped_last, topological_order
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 
 
@@ -146,7 +146,7 @@ def _fit_capacity(history: History, num_mentions: int, num_relations: int) -> Hi
     return dataclasses.replace(
         history,
         mentions=mentions,
-        edges=untyped_last(edges, [mention.type_code for mention in mentions]),
+        edges=move_untyped_last(edges, [mention.type_code for mention in mentions]),
         goals=renumber(history.goals, indices),
         new_goals=renumber(history.new_goals, indices),
         num_dropped=history.num_dropped + dropped,

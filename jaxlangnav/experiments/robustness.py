@@ -26,8 +26,8 @@ from jaxlangnav.planner.config import POLICIES
 _MAX_STEPS = 400
 """Decision cycles until a time-out; areas of 60 × 60 m need more than the paper's worlds."""
 ECE_TARGET = 0.05
-"""Upper limit of the ECE of "this is the goal", where sensor models and sentence are true."""
-_EXCLUDED = "arc"  # the baseline that knows the distribution of Table 2's worlds
+"""Upper limit of the ECE of "this is the goal", if sensor model and instruction are correct."""
+_EXCLUDED_POLICY = "arc"  # the baseline that knows the distribution of Table 2's worlds
 
 
 def default_params() -> NavigatorParams:
@@ -37,11 +37,11 @@ def default_params() -> NavigatorParams:
 
 def _arms(options: Options) -> list[Arm]:
     """Build the arms of all policies except ``arc``, which uses Table 2's world distribution."""
-    names = [name for name in check_policies(options.policies) if name != _EXCLUDED]
+    names = [name for name in check_policies(options.policies) if name != _EXCLUDED_POLICY]
     if not names:
-        rest = ", ".join(name for name in POLICY_NAMES if name != _EXCLUDED)
+        rest = ", ".join(name for name in POLICY_NAMES if name != _EXCLUDED_POLICY)
         raise ValueError(
-            f'policy is "{_EXCLUDED}", but it sweeps by the law of Table 2\'s worlds, which '
+            f'policy is "{_EXCLUDED_POLICY}", but it sweeps by the law of Table 2\'s worlds, which '
             f"these are not: choose from {rest}"
         )
     arms = []
@@ -57,16 +57,16 @@ def _arms(options: Options) -> list[Arm]:
     return arms
 
 
-def _measure(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
+def _row_metrics(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
     """Count the terminations of valid episodes, and compare the row with its targets."""
     valid = np.asarray(results.is_valid)
-    ending, success = np.asarray(results.ending)[valid], np.asarray(results.is_success)[valid]
+    termination, success = np.asarray(results.ending)[valid], np.asarray(results.is_success)[valid]
     stopped = np.asarray(results.is_stopped)[valid]
-    handled = [int(status) for status in (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE)]
+    counted = [int(status) for status in (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE)]
     entries: Row = {
-        "elsewhere": int((stopped & (ending == Status.ARRIVED) & ~success).sum()),
-        "asks": int((stopped & (ending == Status.WHICH_ONE)).sum()),
-        "other_ends": int((stopped & ~np.isin(ending, handled)).sum()),
+        "elsewhere": int((stopped & (termination == Status.ARRIVED) & ~success).sum()),
+        "asks": int((stopped & (termination == Status.WHICH_ONE)).sum()),
+        "other_ends": int((stopped & ~np.isin(termination, counted)).sum()),
         "overflow_episodes": int((np.asarray(results.overflow)[valid] > 0).sum()),
     }
     assert isinstance(spec, ScenarioSpec)
@@ -183,7 +183,7 @@ ROBUSTNESS = Experiment(
     specs=SCENARIOS,
     sentences=COMMANDS,
     arms=_arms,
-    measure=_measure,
+    measure=_row_metrics,
     extras=lambda rows, _: {
         "scenarios": [spec.described() for spec in SCENARIOS],
         "missed": _missed_targets(rows),

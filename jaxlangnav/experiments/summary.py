@@ -35,7 +35,7 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
     """
     folder = Path(path)
     manifest = read_manifest(folder)
-    settings, sweep = manifest["settings"], identity(manifest)
+    sweep_config, sweep = manifest["settings"], identity(manifest)
     tables, damaged = list[pa.Table](), list[str]()
     for index, file in sorted(episode_files(folder)):
         try:
@@ -57,13 +57,13 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
         rows += [setting | arm | _metrics(episodes) for arm, episodes in arms]
         comparisons += [setting | comparison for comparison in _comparisons(arms)]
     return {
-        "name": settings["name"],
+        "name": sweep_config["name"],
         "rows": rows,
         "comparisons": comparisons,
         "varied": [name for name in names if len(table[name].unique()) > 1],
         "episodes": table.num_rows,
         "files": len(tables),
-        "missing": settings["files"] - len(tables),
+        "missing": sweep_config["files"] - len(tables),
         "damaged": damaged,
     }
 
@@ -128,9 +128,9 @@ _TEST_NOTE = (
 )
 
 
-def _tables(document: Document) -> list[Table]:
+def _tables(summary: Document) -> list[Table]:
     """Build the tables of a summary: its rows, and the paired tests if any."""
-    varied, row, tests = document["varied"], document["rows"][0], document["comparisons"]
+    varied, row, tests = summary["varied"], summary["rows"][0], summary["comparisons"]
     labels = [name for name in row if name in _LABELS or (name in varied and name != "command")]
 
     def text(value: Any) -> str:
@@ -138,10 +138,10 @@ def _tables(document: Document) -> list[Table]:
             return "-"
         return f"{value:g}" if isinstance(value, float) else str(value)
 
-    def values(names: Iterable[str]) -> TableColumns:
+    def columns_of(names: Iterable[str]) -> TableColumns:
         return [(name, lambda row, name=name: text(row[name])) for name in names]
 
-    def arm(row: dict[str, Any]) -> str:
+    def arm_label(row: dict[str, Any]) -> str:
         varied_values = [
             f"{name.split('.')[-1]} {text(value)}"
             for name, value in row.items()
@@ -149,34 +149,34 @@ def _tables(document: Document) -> list[Table]:
         ]
         return " ".join([row["policy"], *varied_values])
 
-    missing = f"; {document['missing']} files are still missing" if document["missing"] else ""
-    if document["damaged"]:
-        missing += f", {len(document['damaged'])} of them because they are damaged"
-    state = f"{document['episodes']} episodes in {document['files']} files{missing}."
-    columns = [*values(labels), *_RESULT_COLUMNS]
-    tables = [Table.of(document["rows"], columns, title=document["name"], caption=state)]
+    missing = f"; {summary['missing']} files are still missing" if summary["missing"] else ""
+    if summary["damaged"]:
+        missing += f", {len(summary['damaged'])} of them because they are damaged"
+    caption = f"{summary['episodes']} episodes in {summary['files']} files{missing}."
+    columns = [*columns_of(labels), *_RESULT_COLUMNS]
+    tables = [Table.of(summary["rows"], columns, title=summary["name"], caption=caption)]
     if tests:
         arm_columns: TableColumns = [
-            (heading, lambda row, side=side: arm(row[side]))
+            (heading, lambda row, side=side: arm_label(row[side]))
             for heading, side in (("1st", "first"), ("2nd", "second"))
         ]
-        setting_columns = values(name for name in labels if name in tests[0])
+        setting_columns = columns_of(name for name in labels if name in tests[0])
         columns = [*setting_columns, *arm_columns, *_TEST_COLUMNS]
         tables.append(Table.of(tests, columns, title="Paired tests", caption=_TEST_NOTE))
     return tables
 
 
-def summary_markdown(document: Document) -> str:
-    """Format a document of ``summarize_directory`` in Markdown: title, rows, paired tests."""
-    rows, *tests = _tables(document)
+def summary_markdown(summary: Document) -> str:
+    """Format a summary of ``summarize_directory`` in Markdown: title, rows, paired tests."""
+    rows, *tests = _tables(summary)
     parts = [f"# {sanitize.markdown(rows.title)}", rows.caption, rows.markdown().rstrip()]
     for table in tests:
         parts += [f"## {table.title}", table.markdown().rstrip(), table.caption]
     return "\n\n".join(parts) + "\n"
 
 
-def render(document: Document) -> Any:
-    """Render a document of ``summarize_directory`` for the terminal: a group of rich tables."""
+def render(summary: Document) -> Any:
+    """Render a summary of ``summarize_directory`` for the terminal: a group of rich tables."""
     from rich.console import Group
 
-    return Group(*(table.text() for table in _tables(document)))
+    return Group(*(table.text() for table in _tables(summary)))

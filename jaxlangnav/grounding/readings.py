@@ -63,28 +63,28 @@ class CapacityError(ValueError):
     """A sentence has more mentions or relations than the arrays hold."""
 
 
-Entry = TypeVar("Entry", bound=tuple[int, ...])
-"""A tuple of a relation: its figure is item 0, its landmark item 2."""
+AnyRelation = TypeVar("AnyRelation", bound=tuple[int, ...])
+"""Any relation tuple: item 0 the figure, item 2 the landmark."""
 
 
-def topological_order(relations: Iterable[Entry]) -> list[Entry]:
+def topological_order(relations: Iterable[AnyRelation]) -> list[AnyRelation]:
     """Sort relations topologically: each after those whose figure is its landmark.
 
     In a cycle, the earliest relation comes first.
     """
     remaining, ordered = list(relations), []
     while remaining:
-        unplaced = {entry[0] for entry in remaining}
-        ready = [entry for entry in remaining if entry[2] not in unplaced - {entry[0]}]
+        pending_figures = {entry[0] for entry in remaining}
+        ready = [entry for entry in remaining if entry[2] not in pending_figures - {entry[0]}]
         ordered.append((ready or remaining)[0])
         remaining.remove(ordered[-1])
     return ordered
 
 
-def untyped_last(relations: Sequence[Entry], types: Sequence[int]) -> list[Entry]:
-    """Move relations of untyped figures ("the thing") last, as they exclude the other mentions.
+def move_untyped_last(relations: Sequence[AnyRelation], types: Sequence[int]) -> list[AnyRelation]:
+    """Move relations of untyped figures last: their referents differ from all other mentions'.
 
-    If such a figure is a landmark, the order is unchanged. ``types`` are those of all mentions.
+    If such a figure ("the thing") is a landmark, the order is unchanged. ``types``: of mentions.
     """
     untyped = {index for index, type_ in enumerate(types) if is_anything(type_)}
     if untyped & {entry[2] for entry in relations}:
@@ -101,86 +101,85 @@ class _ReadingBuilder:
 
     def __init__(self) -> None:
         self.mentions: list[int] = []
-        self.described: list[Description] = []
+        self.descriptions: list[Description] = []
         self.relations: list[Relation] = []
 
-    def read(self, annotations: RankedAnnotations) -> None:
+    def add_clause(self, annotations: RankedAnnotations) -> None:
         """Add the annotations of one clause."""
         relations = [
             Relation(*symbol[1:], rank)
             for symbol, rank in annotations
             if symbol.kind not in (OBJECT, REGION)
         ]
-        descriptions: dict[int, set[tuple[int, int, int]]] = {}
+        descriptions_by_type: dict[int, set[tuple[int, int, int]]] = {}
         for figure, relation, landmark, rank in relations:
-            descriptions.setdefault(figure, set()).add((relation, landmark, rank))
+            descriptions_by_type.setdefault(figure, set()).add((relation, landmark, rank))
         current: list[tuple[int, int]] = []  # mentions of this clause, with their rank
 
-        def mention(type_: int, *excluded: int, rank: int = 0, is_pair: bool = False) -> int:
+        def resolve(type_: int, *excluded: int, rank: int = 0, is_between: bool = False) -> int:
             for k, (i, old_rank) in enumerate(current):
                 is_same = self.mentions[i] == type_ and i not in excluded
                 if is_same and 0 in (old_rank, rank, old_rank - rank):
                     current[k] = (i, old_rank or rank)
                     return i
-            is_second = any(self.mentions[i] == type_ for i, _ in current) and not is_pair
-            description = frozenset(descriptions.get(type_, ()))
-            index = NONE if is_second else self._find(type_, description, excluded)
+            is_distinct = any(self.mentions[i] == type_ for i, _ in current) and not is_between
+            description = frozenset(descriptions_by_type.get(type_, ()))
+            index = NONE if is_distinct else self._antecedent(type_, description, excluded)
             if index == NONE:
                 index = len(self.mentions)
                 self.mentions.append(type_)
-                self.described.append(description)
+                self.descriptions.append(description)
             current.append((index, rank))
             return index
 
         ordered = topological_order(relations)
         for position, edge in enumerate(ordered):
             if edge.relation != BETWEEN:
-                landmark = mention(edge.landmark)
-                figure = mention(edge.figure, landmark, rank=edge.rank)
+                landmark = resolve(edge.landmark)
+                figure = resolve(edge.figure, landmark, rank=edge.rank)
                 self._add([Relation(figure, edge.relation, landmark, edge.rank)])
                 continue
             pair = [k for k, e in enumerate(ordered) if e[:2] == (edge.figure, BETWEEN)]
             if position == pair[-1]:  # both landmarks have been added
-                self._add_between(edge, [ordered[k].landmark for k in pair], mention)
+                self._add_between(edge, [ordered[k].landmark for k in pair], resolve)
         # Objects and regions come last: they say that things without a relation exist.
         for symbol, _ in annotations:
             for type_ in (symbol.landmark, symbol.figure):
                 if symbol.kind in (OBJECT, REGION) and type_ >= 0:
-                    is_new = type_ not in self.mentions
-                    index = mention(type_)
+                    is_new, index = type_ not in self.mentions, resolve(type_)
                     if is_new:
                         self.relations.append(Relation(index, NONE, NONE, 0))
 
     def _add(self, edges: Sequence[Relation]) -> None:
         self.relations += [edge for edge in edges if edge not in self.relations]
 
-    def _add_between(self, edge: Relation, sides: list[int], mention: Callable[..., int]) -> None:
+    def _add_between(self, edge: Relation, types: list[int], resolve: Callable[..., int]) -> None:
         """Add a figure between two landmarks, which are two objects even if of one type."""
-        first, second = (sides * 2)[:2]
+        first, second = (types * 2)[:2]
         if edge.figure in (first, second):
             # An earlier clause may have told the figure from landmarks of its type.
-            sides_of: dict[int, set[int]] = {}
+            landmark_types: dict[int, set[int]] = {}
             for figure_, relation, landmark, _ in self.relations:
                 if relation == BETWEEN and self.mentions[figure_] == edge.figure:
-                    sides_of.setdefault(figure_, set()).add(self.mentions[landmark])
-            if {first, second} in sides_of.values():
+                    landmark_types.setdefault(figure_, set()).add(self.mentions[landmark])
+            if {first, second} in landmark_types.values():
                 return
-        end_a = mention(first)
-        end_b = mention(second, end_a, is_pair=first == second)
-        figure = mention(edge.figure, end_a, end_b)
-        self._add([edge._replace(figure=figure, landmark=side) for side in (end_a, end_b)])
+        landmark_a = resolve(first)
+        landmark_b = resolve(second, landmark_a, is_between=first == second)
+        figure = resolve(edge.figure, landmark_a, landmark_b)
+        self._add([edge._replace(figure=figure, landmark=i) for i in (landmark_a, landmark_b)])
 
-    def _find(self, type_: int, description: Description, excluded: Sequence[int]) -> int:
+    def _antecedent(self, type_: int, description: Description, excluded: Sequence[int]) -> int:
         """Resolve coreference: find an earlier mention whose description is compatible."""
         for i in reversed(range(len(self.mentions))):
-            matches = description <= self.described[i] or self.described[i] <= description
+            matches = description <= self.descriptions[i] or self.descriptions[i] <= description
             if self.mentions[i] == type_ and i not in excluded and (type_ == ROBOT or matches):
-                self.described[i] = self.described[i] | description
+                self.descriptions[i] = self.descriptions[i] | description
                 return i
         return NONE
 
 
-def read(*clauses: RankedAnnotations) -> Reading:
+def build_reading(*clauses: RankedAnnotations) -> Reading:
     """Build a reading from ranked annotations by clause, resolving coreference between mentions.
 
     Mentions of one type in a clause are one object, unless a relation needs two or their ranks
@@ -190,11 +189,11 @@ def read(*clauses: RankedAnnotations) -> Reading:
     """
     builder = _ReadingBuilder()
     for annotations in clauses:
-        builder.read(annotations)
-    relations = untyped_last(builder.relations, builder.mentions)
+        builder.add_clause(annotations)
+    relations = move_untyped_last(builder.relations, builder.mentions)
     robots = {index for index, type_ in enumerate(builder.mentions) if type_ == ROBOT}
     object_edges = [edge for edge in relations if edge.landmark not in robots | {NONE}]
-    paired = {end for edge in object_edges for end in (edge.figure, edge.landmark)}
+    paired = {mention for edge in object_edges for mention in (edge.figure, edge.landmark)}
     # Relations between objects locate a figure better than those to the robot: they come first.
     relations = sorted(relations, key=lambda e: e.landmark in robots and e.figure in paired)
     return Reading(tuple(builder.mentions), tuple(relations))
@@ -215,7 +214,8 @@ def to_readings(
     Raises:
         CapacityError: the best reading has more mentions or relations than the arrays hold.
     """
-    ranked = sum_by_key(((read(*sets), score) for sets, score in belief.clauses), np.logaddexp)
+    scored = ((build_reading(*sets), score) for sets, score in belief.clauses)
+    ranked = sum_by_key(scored, np.logaddexp)
     if not _fits_arrays(ranked[0][0]):
         raise CapacityError(
             f"the sentence speaks of {len(ranked[0][0].mentions)} things and "
@@ -233,7 +233,7 @@ def to_readings(
     return pad_readings(bound_readings[:NUM_READINGS])
 
 
-def widen(readings: Readings, capacity: Capacity) -> Readings:
+def pad_to_capacity(readings: Readings, capacity: Capacity) -> Readings:
     """Pad the readings of one sentence to the sizes of a whole dialogue (host)."""
     padded = {}
     for name in ("mention_type", "figure", "relation", "landmark", "rank"):
@@ -266,7 +266,7 @@ def unpad_readings(readings: Readings) -> list[tuple[Reading, float]]:
     for k in np.flatnonzero(np.isfinite(fields.log_probability)):
         edges = fields.edges(int(k))
         relations = tuple(map(Relation._make, edges[fields.figure[k] != NONE].tolist()))
-        kinds = fields.mention_type[k]
-        mentions = tuple(kinds[kinds != NONE].tolist())
+        types = fields.mention_type[k]
+        mentions = tuple(types[types != NONE].tolist())
         ranked.append((Reading(mentions, relations), float(fields.log_probability[k])))
     return ranked

@@ -23,7 +23,7 @@ from jaxlangnav.grounding.model import (
     Vocabulary,
 )
 from jaxlangnav.grounding.properties import property_names
-from jaxlangnav.inputs.arrays import open_arrays, read_floats, read_text_entry, value_errors
+from jaxlangnav.inputs.arrays import as_value_error, open_arrays, read_floats, read_text_entry
 from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.inputs.whole_files import read_file, replacing
@@ -76,7 +76,7 @@ def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
 
 def _document(archive: ZipFile, name: str, schema: type[_Document]) -> _Document:
     text = read_text_entry(archive, name, max_length=_MAX_TEXT)
-    with value_errors():
+    with as_value_error():
         return convert(json.loads(text), schema, where=name)
 
 

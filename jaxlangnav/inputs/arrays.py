@@ -14,13 +14,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-_HEADER = 4096
+_MAX_HEADER_BYTES = 4096
 """Limit of a header's bytes; NumPy's own have 128."""
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 @contextlib.contextmanager
-def value_errors() -> Iterator[None]:
+def as_value_error() -> Iterator[None]:
     """Context that converts any exception of a parser into a one-line ``ValueError``."""
     try:
         with warnings.catch_warnings():
@@ -34,7 +34,7 @@ def value_errors() -> Iterator[None]:
 
 def open_arrays(content: bytes) -> zipfile.ZipFile:
     """Open an archive of arrays (``.npz``) from bytes; ValueError for a duplicate name."""
-    with value_errors():
+    with as_value_error():
         archive = zipfile.ZipFile(io.BytesIO(content))
         if len(set(archive.namelist())) < len(archive.namelist()):
             raise ValueError("a name stands in it twice")
@@ -43,8 +43,8 @@ def open_arrays(content: bytes) -> zipfile.ZipFile:
 
 def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """Read an array of a given shape: f32, finite, read-only; otherwise ValueError."""
-    with value_errors():
-        array = parse_floats(_read_member(archive, name, 4 * math.prod(shape) + _HEADER))
+    with as_value_error():
+        array = parse_floats(_read_member(archive, name, 4 * math.prod(shape) + _MAX_HEADER_BYTES))
         if array.shape != shape:
             raise ValueError(f"{name} has shape {array.shape}, not {shape}")
         return array
@@ -52,8 +52,8 @@ def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> 
 
 def read_text_entry(archive: zipfile.ZipFile, name: str, *, max_length: int) -> str:
     """Read a text, a 0-d array of at most ``max_length`` characters; otherwise ValueError."""
-    with value_errors():
-        array = _parse_array(_read_member(archive, name, 4 * max_length + _HEADER))
+    with as_value_error():
+        array = _parse_array(_read_member(archive, name, 4 * max_length + _MAX_HEADER_BYTES))
         if array.dtype.kind != "U" or array.shape != ():
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not one text")
         return str(array)
@@ -61,7 +61,7 @@ def read_text_entry(archive: zipfile.ZipFile, name: str, *, max_length: int) -> 
 
 def parse_floats(content: bytes) -> np.ndarray:
     """Parse the bytes of a ``.npy`` file: f32[...], finite, read-only; otherwise ValueError."""
-    with value_errors():
+    with as_value_error():
         array = _parse_array(content)
         if array.dtype != np.float32:
             raise ValueError(f"numbers are {array.dtype}, not float32")
@@ -85,10 +85,10 @@ def _read_member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
 
 def _parse_array(content: bytes) -> np.ndarray:
     """Parse numbers or text, with exactly as many bytes as the header declares."""
-    stream = io.BytesIO(content)
-    if np.lib.format.read_magic(stream) != (1, 0):
+    stream, npy = io.BytesIO(content), np.lib.format
+    if npy.read_magic(stream) != (1, 0):
         raise ValueError("not of NumPy's format 1.0")
-    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream, max_header_size=_HEADER)
+    shape, is_fortran, dtype = npy.read_array_header_1_0(stream, max_header_size=_MAX_HEADER_BYTES)
     body = content[stream.tell() :]
     if dtype.kind not in "fU" or dtype.itemsize == 0 or is_fortran:
         raise ValueError(f"holds {dtype}, not numbers or text in rows")

@@ -14,7 +14,7 @@ _TABLE = parse_toml(read_shipped("inputs", "old_names.toml"))
 MOVED: dict[str, str] = _TABLE["moved"]
 """New module paths by old ones, relative to the package."""
 RENAMED: dict[str, dict[str, str]] = _TABLE["renamed"]
-"""By old module path: new names of renamed attributes, by old ones."""
+"""Renamed attributes: old module path → {old name: new name}."""
 
 
 class _MovedFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -38,9 +38,9 @@ class _MovedFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
             return
         new = f"jaxlangnav.{MOVED[old]}"
         warnings.warn(f"jaxlangnav.{old} is now {new}", DeprecationWarning, stacklevel=2)
-        names = vars(importlib.import_module(new))
-        vars(module).update({name: value for name, value in names.items() if name[:2] != "__"})
-        vars(module).update({name: names[to] for name, to in RENAMED.get(old, {}).items()})
+        attrs = vars(importlib.import_module(new))
+        vars(module).update({name: value for name, value in attrs.items() if name[:2] != "__"})
+        vars(module).update({name: attrs[target] for name, target in RENAMED.get(old, {}).items()})
 
 
 def install_old_names() -> None:

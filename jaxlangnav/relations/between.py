@@ -1,4 +1,4 @@
-"""The relation "between": density, sampling and truth (beyond eq. 7a).
+"""The relation "between": log-density, sampler and truth test (beyond eq. 7a).
 
 "The hydrant between the cone and the car" has two landmarks and no viewer: a Gaussian about their
 midpoint, scaled by the distance d from one to the other, so it is scale invariant,
@@ -15,14 +15,14 @@ from jax import Array
 
 _Point = tuple[Array, Array] | tuple[np.ndarray, np.ndarray]
 
-SPREAD = (0.2, 0.15)
+SIGMA = (0.2, 0.15)
 """α and β (ours, not fitted): most of the mass is in the middle four fifths of the segment,
 within three tenths of its length from it."""
-_MAX_DEVIATIONS = 2.45
+_MAX_MAHALANOBIS = 2.45
 """Standard deviations from the midpoint: just short of the landmarks."""
 _LANDMARK_SD = (0.8, 0.6)
 """Standard deviations of the proposal for a landmark beyond its figure: of the log range ratio, and
-of the angle in radians. They are about as wide as ``SPREAD`` there, so that importance weights have
+of the angle in radians. They are about as wide as ``SIGMA`` there, so that importance weights have
 no heavy tail."""
 
 
@@ -38,42 +38,42 @@ def log_density(
     All are f32[...] x and y, metres, map frame: the figure, one landmark, and the other; returned
     is f32[...] per square metre.
     """
-    u, v, squared = _deviations(figure, landmark, other)
-    log_constant = math.log(2.0 * math.pi * SPREAD[0] * SPREAD[1])
-    return -0.5 * (u * u + v * v) - log_constant - jnp.log(squared)
+    z_along, z_across, d_squared = _standardised_offsets(figure, landmark, other)
+    log_constant = math.log(2.0 * math.pi * SIGMA[0] * SIGMA[1])
+    return -0.5 * (z_along * z_along + z_across * z_across) - log_constant - jnp.log(d_squared)
 
 
 def lies_between(figure: _Point, landmark: _Point, other: _Point) -> Any:
     """Test whether a figure lies between two landmarks, bool[...].
 
-    That is within ``_MAX_DEVIATIONS`` of the density: in an ellipse about their midpoint that ends
+    That is within ``_MAX_MAHALANOBIS`` of the density: in an ellipse about their midpoint that ends
     at the landmarks, three quarters as wide as it is long. No object lies between itself and
     another. All are f[...] x and y, metres, map frame; NumPy or JAX.
     """
-    u, v, _ = _deviations(figure, landmark, other)
-    return u * u + v * v < _MAX_DEVIATIONS**2
+    z_along, z_across, _ = _standardised_offsets(figure, landmark, other)
+    return z_along * z_along + z_across * z_across < _MAX_MAHALANOBIS**2
 
 
-def _deviations(figure: _Point, landmark: _Point, other: _Point) -> tuple[Any, Any, Any]:
+def _standardised_offsets(figure: _Point, landmark: _Point, other: _Point) -> tuple[Any, Any, Any]:
     """Compute standardised coordinates along and across, and the squared distance d²."""
-    along, across = SPREAD
+    sd_along, sd_across = SIGMA
     dx, dy = landmark[0] - other[0], landmark[1] - other[1]
     x, y = figure[0] - other[0], figure[1] - other[1]
-    squared = dx * dx + dy * dy + 1e-6
-    u = ((x * dx + y * dy) / squared - 0.5) / along
-    v = ((y * dx - x * dy) / squared) / across
-    return u, v, squared
+    d_squared = dx * dx + dy * dy + 1e-6
+    z_along = ((x * dx + y * dy) / d_squared - 0.5) / sd_along
+    z_across = ((y * dx - x * dy) / d_squared) / sd_across
+    return z_along, z_across, d_squared
 
 
-def sample(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Array]:
-    """Sample a new figure, or a new landmark, given the other landmark.
+def sample(z_first: Array, z_second: Array) -> tuple[Array, Array, Array]:
+    """Sample landmark-to-figure offsets for a new figure (row 0) and a new landmark (row 1).
 
     The figure is from ``log_density``; a landmark is from a proposal of its own, beyond its figure
     at about the range of the other landmark.
 
     Args:
-        along_normal: f32[2, ...], standard normal draws, for the figure and for the landmark.
-        across_normal: f32[2, ...]
+        z_first: f32[2, ...], standard normal draws, for the figure and for the landmark.
+        z_second: f32[2, ...]
 
     Returns:
         f32[2, ...] along and lateral, from landmark to figure, in the frame of a viewer at the
@@ -81,13 +81,13 @@ def sample(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Arr
         figure where the landmark is; and f32[1, ...], the log proposal density of the landmark, per
         square unit.
     """
-    (along, across), (range_sd, angle_sd) = SPREAD, _LANDMARK_SD
-    z_range, z_angle = along_normal[1:], across_normal[1:]
-    log_range, angle = range_sd * z_range, angle_sd * z_angle
-    distance = jnp.exp(log_range)
-    log_constant = math.log(2.0 * math.pi * range_sd * angle_sd)
+    (sd_along, sd_across), (sd_range, sd_angle) = SIGMA, _LANDMARK_SD
+    z_range, z_angle = z_first[1:], z_second[1:]
+    log_range, angle = sd_range * z_range, sd_angle * z_angle
+    range_ratio = jnp.exp(log_range)
+    log_constant = math.log(2.0 * math.pi * sd_range * sd_angle)
     return (
-        jnp.concatenate([along * along_normal[:1] - 0.5, -distance * jnp.cos(angle)]),
-        jnp.concatenate([across * across_normal[:1], -distance * jnp.sin(angle)]),
+        jnp.concatenate([sd_along * z_first[:1] - 0.5, -range_ratio * jnp.cos(angle)]),
+        jnp.concatenate([sd_across * z_second[:1], -range_ratio * jnp.sin(angle)]),
         -0.5 * (z_range * z_range + z_angle * z_angle) - log_constant - 2.0 * log_range,
     )

@@ -21,7 +21,7 @@ from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import summarize_commands
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Understanding
-from jaxlangnav.grounding.readings import Capacity, widen
+from jaxlangnav.grounding.readings import Capacity, pad_to_capacity
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.inputs.sanitize import shorten
@@ -99,7 +99,7 @@ _MAX_PER_STEP = 8
 def enlarge(understood: Understanding) -> Understanding:
     """Pad the arrays of a sentence to the capacity of the dialogue state."""
     instruction = understood.instruction
-    readings = jax.device_put(widen(instruction.readings, Capacity()))
+    readings = jax.device_put(pad_to_capacity(instruction.readings, Capacity()))
     return dataclasses.replace(understood, instruction=replace(instruction, readings=readings))
 
 

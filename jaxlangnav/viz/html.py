@@ -80,7 +80,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
     scene, frames, world = recording.scene, recording.frames, recording.scene.scenario
     claims = describe_readings(scene, min_prob=0.005)
     # Readings of the first sentence and after each later utterance.
-    scenes = [scene, *(remark.scene for remark in recording.utterances if remark.scene is not None)]
+    scenes = [scene, *(u.scene for u in recording.utterances if u.scene is not None)]
     readings = (describe_readings(current, min_prob=0.005) for current in scenes)
     all_claims = list(dict.fromkeys(claim for reading in readings for claim, _ in reading))
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
@@ -94,7 +94,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
         "num_steps": recording.num_steps,
         "num_particles": recording.num_particles,
         "num_nodes": int(frames.value.shape[1]),
-        "num_cells": int(frames.miss.shape[-1]),
+        "grid_size": int(frames.miss.shape[-1]),
         "area": list(scene.area),
         "range": float(scene.sensor.range_max),
         "field_of_view": float(scene.sensor.field_of_view),
@@ -109,17 +109,15 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
             }
             for slot in np.flatnonzero(world.is_object)
         ],
-        "value_stops": [
-            [int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in style.VALUE_STOPS
-        ],
+        "value_colormap": [[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in style.VALUE_STOPS],
         "types": [
             {"name": name, "color": style.type_color(type_id), "shape": style.type_marker(type_id)}
             for type_id, name in enumerate(scene.type_names)
         ],
         "claims": all_claims,
-        "pictures": [
-            {title: base64.b64encode(jpeg).decode("ascii") for title, jpeg in step.items()}
-            for step in recording.pictures
+        "camera_images": [
+            {title: base64.b64encode(jpeg).decode("ascii") for title, jpeg in images.items()}
+            for images in recording.pictures
         ],
         **_step_data(recording, all_claims, is_under_way=is_under_way),
         **_array_data(recording),
@@ -129,10 +127,10 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
 def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -> dict[str, Any]:
     """Collect the plain JSON data of each step: narrative, objects, detections, claims."""
     frames = recording.frames
-    story = [narrative.narrate_step(moment) for moment in recording.steps]
+    story = [narrative.narrate_step(step) for step in recording.steps]
     objects, detections, claim_probs = [], [], []
-    for moment in recording.steps:
-        frame = moment.frame
+    for step in recording.steps:
+        frame = step.frame
         rows = [
             [obj.object_type, *_rounded(obj.x, obj.y, obj.spread, obj.probability, obj.goal_mass)]
             for obj in summary.observed_objects(frame)
@@ -143,7 +141,7 @@ def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -
         y = frame.robot[1] + frame.detection_range * np.sin(bearing)
         visible = np.flatnonzero(frame.is_detection)
         detections.append([[int(frame.detection_type[i]), *_rounded(x[i], y[i])] for i in visible])
-        probs = sentences.claim_probabilities(moment.scene, frame)
+        probs = sentences.claim_probabilities(step.scene, frame)
         claim_probs.append(_rounded(*(probs.get(claim, 0.0) for claim in claims)))
     closing = narrative.closing(recording.last_scene, recording.at(-1), recording.result)
     if recording.end_reason:
@@ -152,10 +150,10 @@ def _step_data(recording: Recording, claims: list[str], *, is_under_way: bool) -
         closing = [f"{ended[:1].upper()}{ended[1:]}.", drove]
     return {
         "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
-        "headlines": [narrative.headline(moment) for moment in recording.steps],
+        "headlines": [narrative.headline(step) for step in recording.steps],
         "closing": [] if is_under_way else closing,
         "objects": objects,
-        "seen_types": sorted({obj[0] for seen in objects for obj in seen}),
+        "seen_types": sorted({obj[0] for rows in objects for obj in rows}),
         "detections": detections,
         "claim_shares": claim_probs,
         "news": frames.is_news.astype(bool).tolist(),
@@ -167,19 +165,19 @@ def _array_data(recording: Recording) -> dict[str, Any]:
     """Encode the large arrays with the sizes and scales needed to decode them."""
     frames = recording.frames
     mentions = np.flatnonzero(frames.is_hypothesised.any(axis=(0, 2)))
-    is_in = frames.is_hypothesised[:, mentions]
+    is_valid = frames.is_hypothesised[:, mentions]
     x, y = frames.hypothesis_x[:, mentions], frames.hypothesis_y[:, mentions]
-    types = np.where(is_in, np.minimum(frames.mention_type[:, mentions], _UNNAMED), _NO_TYPE)
-    heaviest = frames.weight.max(axis=1)
-    grid_x, x_low, x_high = _quantize(x, is_in)
-    grid_y, y_low, y_high = _quantize(y, is_in)
-    relative = frames.weight / np.maximum(heaviest, 1e-12)[:, None]
+    types = np.where(is_valid, np.minimum(frames.mention_type[:, mentions], _UNNAMED), _NO_TYPE)
+    max_weight = frames.weight.max(axis=1)
+    grid_x, x_low, x_high = _quantize(x, is_valid)
+    grid_y, y_low, y_high = _quantize(y, is_valid)
+    relative = frames.weight / np.maximum(max_weight, 1e-12)[:, None]
     arrays = {
         "x": grid_x,
         "y": grid_y,
         "type": types.astype("u1"),
         "weight": np.round(65535 * np.clip(relative, 0.0, 1.0)).astype("<u2"),
-        "heaviest": heaviest,
+        "max_weight": max_weight,
         "miss": np.round(255 * np.clip(frames.miss, 0.0, 1.0)).astype("u1"),
         "node_kind": frames.node_kind[0].astype("u1"),
         "regrounded": frames.num_regrounded,
@@ -195,20 +193,20 @@ def _array_data(recording: Recording) -> dict[str, Any]:
         arrays[name] = getattr(frames, name)
     return {
         "num_mentions": len(mentions),
-        "frame": [x_low, x_high, y_low, y_high],
-        "thought_types": np.unique(types[is_in]).astype(int).tolist(),
+        "bounds": [x_low, x_high, y_low, y_high],
+        "hypothesised_types": np.unique(types[is_valid]).astype(int).tolist(),
         "node_kinds": [_NODE_NAMES[code] for code in sorted(_NODE_NAMES)],
         "arrays": {name: _encode_array(array) for name, array in arrays.items()},
     }
 
 
-def _quantize(values: np.ndarray, is_in: np.ndarray) -> tuple[np.ndarray, float, float]:
+def _quantize(values: np.ndarray, is_valid: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Quantize coordinates to a 16-bit grid; missing values become ``_ABSENT``."""
-    low = float(values[is_in].min()) if is_in.any() else 0.0
-    high = float(values[is_in].max()) if is_in.any() else 1.0
+    low = float(values[is_valid].min()) if is_valid.any() else 0.0
+    high = float(values[is_valid].max()) if is_valid.any() else 1.0
     high = max(high, low + 1e-3)
     scaled = np.clip((values - low) / (high - low), 0.0, 1.0)
-    grid = np.where(is_in, np.round(scaled * (_ABSENT - 1)), _ABSENT).astype("<u2")
+    grid = np.where(is_valid, np.round(scaled * (_ABSENT - 1)), _ABSENT).astype("<u2")
     return grid, low, high
 
 
@@ -225,7 +223,7 @@ def _rounded(*values: float) -> list[float]:
     return [round(float(value), 3) for value in values]
 
 
-def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
+def write_report_files(recording: Recording, folder: Path | str) -> list[Path]:
     """Write figures of belief and value function, the interactive page and the narrative.
 
     belief.png, belief.svg, values.png, values.svg, episode.html and story.txt; the folder is made.
@@ -241,7 +239,7 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
     return [*paths, write_text("\n".join(narrate(recording)) + "\n", folder / "story.txt")]
 
 
-def write_graph(
+def write_factor_graph(
     parse: Parse, model: GroundingModel, folder: Path | str, *, name: str = "graph"
 ) -> list[Path]:
     """Write the factor graph of a parsed sentence as PNG and SVG."""

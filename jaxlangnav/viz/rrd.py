@@ -24,11 +24,11 @@ def write_rrd(recording: Recording, path: Path | str) -> Path:
         stream = rerun.RecordingStream(_APPLICATION, recording_id=recording.scene.text or None)
         stream.save(str(temporary))
         _log_scene(rerun, stream, recording.scene)
-        for moment in recording.steps:
-            stream.set_time("step", sequence=moment.step)
-            _log_belief(rerun, stream, recording, moment.step)
-            _log_plan(rerun, stream, recording, moment.step)
-            frame = moment.frame
+        for step in recording.steps:
+            stream.set_time("step", sequence=step.step)
+            _log_belief(rerun, stream, recording, step.step)
+            _log_robot_and_plan(rerun, stream, recording, step.step)
+            frame = step.frame
             for name, value in (
                 ("goal_seen", frame.goal_mass.sum()),
                 ("goal_not_seen", frame.hypothesis_goal_mass.sum()),
@@ -37,7 +37,7 @@ def write_rrd(recording: Recording, path: Path | str) -> Path:
                 ("drawn_anew", frame.num_regrounded),
             ):
                 stream.log(f"numbers/{name}", rerun.Scalars(float(value)))
-            stream.log("story", rerun.TextLog(" ".join(narrative.narrate_step(moment))))
+            stream.log("story", rerun.TextLog(" ".join(narrative.narrate_step(step))))
         for line in narrative.closing(recording.last_scene, recording.at(-1), recording.result):
             stream.log("story", rerun.TextLog(line))
         stream.flush()
@@ -64,7 +64,7 @@ def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
     """Log the static scene: the area, walls and true objects."""
     x_min, x_max, y_min, y_max = scene.area
     world = scene.scenario
-    is_in = np.asarray(world.is_object)
+    is_object = np.asarray(world.is_object)
     stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     corners = _to_3d([x_min, x_max, x_max, x_min, x_min], [y_min, y_min, y_max, y_max, y_min])
     border = rerun.LineStrips3D([corners], colors=_rgba(style.MUTED), radii=0.02)
@@ -72,9 +72,9 @@ def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
     walls = [_to_3d(item[::2], item[1::2]) for item in scene.walls]
     wall_strips = rerun.LineStrips3D(walls, colors=_rgba(style.WALL), radii=0.05)
     stream.log("world/walls", wall_strips, static=True)
-    types = [int(item) for item in world.object_type[is_in]]
+    types = [int(item) for item in world.object_type[is_object]]
     truth = rerun.Points3D(
-        _to_3d(world.object_x[is_in], world.object_y[is_in]),
+        _to_3d(world.object_x[is_object], world.object_y[is_object]),
         radii=0.22,
         colors=[_rgba(style.type_color(item), 0.35)[0] for item in types],
         labels=[f"{scene.type_name(item)} (truth)" for item in types],
@@ -83,21 +83,21 @@ def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
 
 
 def _log_belief(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
-    scene, frame = recording.scene, recording.at(step)
+    scene, frames, frame = recording.scene, recording.frames, recording.at(step)
     x_min, x_max, y_min, y_max = scene.area
-    size = frame.miss.shape[0]
+    grid_size = frame.miss.shape[0]
     rows, columns = np.nonzero(frame.miss >= 0.5)
-    x = x_min + (columns + 0.5) / size * (x_max - x_min)
-    y = y_min + (rows + 0.5) / size * (y_max - y_min)
+    x = x_min + (columns + 0.5) / grid_size * (x_max - x_min)
+    y = y_min + (rows + 0.5) / grid_size * (y_max - y_min)
     unseen = rerun.Points3D(_to_3d(x, y, -0.02), radii=0.05, colors=_rgba(style.LINE))
     stream.log("world/not_looked_at", unseen)
-    for code, name in (*enumerate(scene.type_names), (ANYTHING, "thing")):
-        mask = frame.is_hypothesised & (frame.mention_type == code)
-        if not (recording.frames.is_hypothesised & (recording.frames.mention_type == code)).any():
+    for type_id, name in (*enumerate(scene.type_names), (ANYTHING, "thing")):
+        mask = frame.is_hypothesised & (frame.mention_type == type_id)
+        if not (frames.is_hypothesised & (frames.mention_type == type_id)).any():
             continue
         weight = np.broadcast_to(frame.weight, mask.shape)[mask]
         alpha = 0.2 + 0.6 * weight / max(float(frame.weight.max()), 1e-12)
-        color = _rgba(style.type_color(code), alpha)
+        color = _rgba(style.type_color(type_id), alpha)
         points = _to_3d(frame.hypothesis_x[mask], frame.hypothesis_y[mask])
         stream.log(f"world/hypotheses/{name}", rerun.Points3D(points, radii=0.06, colors=color))
     observed = summary.observed_objects(frame)
@@ -112,7 +112,7 @@ def _log_belief(rerun: Any, stream: Any, recording: Recording, step: int) -> Non
     )
 
 
-def _log_plan(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
+def _log_robot_and_plan(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
     frame = recording.at(step)
     xy = recording.frames.position[: step + 1]
     path = rerun.LineStrips3D([_to_3d(xy[:, 0], xy[:, 1])], colors=_rgba(style.PATH), radii=0.03)
@@ -125,10 +125,10 @@ def _log_plan(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
         colors=_rgba(style.INK),
     )
     stream.log("world/robot", arrow)
-    goal = _to_3d(frame.waypoint[0], frame.waypoint[1], 0.03)
-    stream.log("world/waypoint", rerun.Points3D(goal, radii=0.12, colors=_rgba(style.WAYPOINT)))
-    open_nodes = np.isfinite(frame.value)
-    nodes = _to_3d(frame.node_x[open_nodes], frame.node_y[open_nodes], 0.01)
-    labels = [f"{value:.3g}" for value in frame.value[open_nodes]]
+    waypoint = _to_3d(frame.waypoint[0], frame.waypoint[1], 0.03)
+    stream.log("world/waypoint", rerun.Points3D(waypoint, radii=0.12, colors=_rgba(style.WAYPOINT)))
+    valued_nodes = np.isfinite(frame.value)
+    nodes = _to_3d(frame.node_x[valued_nodes], frame.node_y[valued_nodes], 0.01)
+    labels = [f"{value:.3g}" for value in frame.value[valued_nodes]]
     options = {"radii": 0.09, "colors": _rgba(style.VIEW), "labels": labels, "show_labels": False}
     stream.log("world/nodes", rerun.Points3D(nodes, **options))

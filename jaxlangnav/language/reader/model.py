@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxlangnav.inputs.arrays import open_arrays, read_floats, read_text_entry, value_errors
+from jaxlangnav.inputs.arrays import as_value_error, open_arrays, read_floats, read_text_entry
 from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.inputs.whole_files import read_file, replacing
 from jaxlangnav.language.phrase import LanguageError
@@ -121,7 +121,7 @@ def save_reader(path: Path, model: ReaderModel, *, command: str) -> None:
 
 def _read(content: bytes) -> ReaderModel:
     """Load and validate a reader; any fault is a ``ValueError``."""
-    with value_errors(), open_arrays(content) as archive:
+    with as_value_error(), open_arrays(content) as archive:
         about = json.loads(read_text_entry(archive, "about", max_length=_MAX_TEXT))
         features, labels = tuple(about["features"]), tuple(about["labels"])
         if not (0 < len(features) <= _MAX_FEATURES and 0 < len(labels) <= _MAX_LABELS):

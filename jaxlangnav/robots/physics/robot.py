@@ -13,7 +13,7 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.kinematic import BEAM_ANGLES, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, MotionPlanner
 from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
-from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, compile_scene
+from jaxlangnav.robots.physics.scene import HIDDEN_POSITION, compile_scene
 from jaxlangnav.robots.physics.tags import (
     Camera,
     Gates,
@@ -176,12 +176,12 @@ class PhysicsRobot(SimulatedRobot):
 
     def put_person(self, x: float, y: float) -> None:
         """Put the person at a position, metres, map frame."""
-        self.scene.put("person", x, y)
+        self.scene.set_position("person", x, y)
 
     def move_object(self, slot: int, x: float, y: float) -> None:
         """Move the object of a slot, metres; out of sight where x or y is not finite."""
-        position = (x, y) if np.isfinite([x, y]).all() else OUT_OF_SIGHT
-        self.scene.put(f"thing{slot}", *position)
+        position = (x, y) if np.isfinite([x, y]).all() else HIDDEN_POSITION
+        self.scene.set_position(f"thing{slot}", *position)
 
     def picture(self) -> np.ndarray:
         """Render the robot's camera image, u8[H, W, 3], red, green, blue, without noise."""

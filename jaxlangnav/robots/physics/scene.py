@@ -1,4 +1,4 @@
-"""Build the MuJoCo scene: ``place.xml``, a robot, and objects with tags on four sides.
+"""Build the MuJoCo scene: ``place.xml``, a robot, and objects with fiducial tags on four faces.
 
 Objects and the person are mocap bodies, which no contact moves. Geom groups select what the scanner
 hits: 0 the floor, 1 objects and people, 2 their visual parts, 3 the robot.
@@ -15,9 +15,9 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.physics.tags import CUBE_SIDE, TAGS_PER_TYPE, draw_tag
 from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 
-MIDDLE_HEIGHT = 0.45
+CUBE_CENTER_HEIGHT = 0.45
 """Metres from the floor to the center of a cube."""
-OUT_OF_SIGHT = (500.0, 500.0)
+HIDDEN_POSITION = (500.0, 500.0)
 _VISUAL_ONLY = {"contype": 0, "conaffinity": 0, "group": 2}  # geoms without collisions
 _COLORS = {HYDRANT: (0.75, 0.1, 0.1, 1.0), CONE: (0.95, 0.45, 0.05, 1.0)}
 _COVER_COLOR = (0.45, 0.45, 0.45, 1.0)
@@ -37,15 +37,15 @@ class PhysicsScene:
         """Look up the mocap ID of a movable body."""
         return int(self.model.body_mocapid[self.model.body(name).id])
 
-    def put(self, name: str, x: float, y: float) -> None:
-        """Move an object, "thing3" for slot 3, or the "person", metres, map frame."""
+    def set_position(self, name: str, x: float, y: float) -> None:
+        """Set the map position of a mocap body ("thing3", "person"), metres."""
         self.data.mocap_pos[self._mocap_id(name), :2] = x, y
 
-    def turn(self, name: str, heading: float) -> None:
-        """Turn an object about its vertical axis to a heading, radians, map frame."""
+    def set_heading(self, name: str, heading: float) -> None:
+        """Set the heading of a mocap body about its vertical axis, radians, map frame."""
         self.data.mocap_quat[self._mocap_id(name)] = _yaw_quaternion(heading)
 
-    def cover(self, slot: int) -> None:
+    def hide_tags(self, slot: int) -> None:
         """Cover the tags of an object in grey."""
         for side in _SIDES:
             geom = int(self.model.geom(f"tag{slot}_{side}").id)
@@ -60,16 +60,15 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
     scene_xml, robot_xml = (folder / f"{name}.xml" for name in ("place", robot))
     included = {"robot.xml": robot_xml.read_bytes()}
     spec = mujoco.MjSpec.from_string(scene_xml.read_text("utf-8"), include=included)
-    random, counts = np.random.default_rng(seed), Counter[int]()
+    rng, counts = np.random.default_rng(seed), Counter[int]()
     for slot in np.flatnonzero(np.asarray(scenario.is_object)).tolist():
         object_type = int(np.asarray(scenario.object_type)[slot])
         position = float(scenario.object_x[slot]), float(scenario.object_y[slot])
-        quat, pos = _yaw_quaternion(random.uniform(0.0, 0.5 * np.pi)), [*position, MIDDLE_HEIGHT]
+        quat, pos = _yaw_quaternion(rng.uniform(0.0, 0.5 * np.pi)), [*position, CUBE_CENTER_HEIGHT]
         body = spec.worldbody.add_body(name=f"thing{slot}", mocap=True, pos=pos, quat=quat)
         _add_cube(mujoco, body, _COLORS.get(object_type, (0.3, 0.4, 0.6, 1.0)))
-        _add_tags(
-            spec, mujoco, body, f"tag{slot}", object_type * TAGS_PER_TYPE + counts[object_type]
-        )
+        tag_id = object_type * TAGS_PER_TYPE + counts[object_type]
+        _add_tags(spec, mujoco, body, f"tag{slot}", tag_id)
         counts[object_type] += 1
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -91,8 +90,9 @@ def _add_cube(mujoco: Any, body: Any, color: tuple[float, ...]) -> None:
     cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
     solid = {"contype": 1, "conaffinity": 2, "group": 1}
     body.add_geom(type=box, size=[half - 0.004] * 3, rgba=[0.9, 0.9, 0.9, 1], **solid)
-    leg = 0.5 * (MIDDLE_HEIGHT - half)
-    body.add_geom(type=cylinder, size=[0.1, leg, 0], pos=[0, 0, -half - leg], rgba=color, **solid)
+    leg_half_length = 0.5 * (CUBE_CENTER_HEIGHT - half)
+    size, pos = [0.1, leg_half_length, 0], [0, 0, -half - leg_half_length]
+    body.add_geom(type=cylinder, size=size, pos=pos, rgba=color, **solid)
     body.add_geom(
         type=cylinder, size=[0.14, 0.05, 0], pos=[0, 0, half + 0.05], rgba=color, **_VISUAL_ONLY
     )
@@ -109,8 +109,8 @@ def _add_tags(spec: Any, mujoco: Any, body: Any, name: str, tag_id: int) -> None
     for side, angle in zip(_SIDES, 0.5 * np.pi * np.arange(4), strict=True):
         cos, sin = np.cos(angle), np.sin(angle)
         # The plane faces outwards, x to the viewer's right, y up.
-        columns = np.array([[-sin, 0.0, cos], [cos, 0.0, sin], [0.0, 1.0, 0.0]])
-        mujoco.mju_mat2Quat(quat := np.empty(4), columns.ravel())
+        rotation = np.array([[-sin, 0.0, cos], [cos, 0.0, sin], [0.0, 1.0, 0.0]])
+        mujoco.mju_mat2Quat(quat := np.empty(4), rotation.ravel())
         body.add_geom(
             name=f"{name}_{side}",
             type=mujoco.mjtGeom.mjGEOM_PLANE,
