@@ -25,7 +25,7 @@ from msgspec import field
 
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines, shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
-from jaxlangnav.language.lexicon import WORDS
+from jaxlangnav.language.lexicon import WORDS, load_lexicon
 from jaxlangnav.language.parser import split_text
 from jaxlangnav.language.reader.features import ReaderSentence, featurize, load_verbs
 from jaxlangnav.language.reader.model import DELETE, KEEP, REJECT, ReaderModel
@@ -50,8 +50,8 @@ class ReaderConfig:
     epochs: int = 5
     batch: int = 256  # sentences
     rate: float = 0.08  # of Adam, with cosine decay to 0
-    l2: float = 6e-5
-    copies: int = 2  # of each sentence, each with a variation
+    l2: float = 2e-5
+    copies: int = 1  # of each sentence, each with a variation
     least_features: int = 3  # rarer features are dropped
     least_labels: int = 3  # sentences; rarer labels are dropped
     smallest: float = 0.03  # smaller weights are set to 0
@@ -128,9 +128,12 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
             if not isinstance(document, dict):
                 raise ValueError("must have text, read, and maybe names")
             rows.append(convert(document, _Row))
-    names = frozenset(name for row in rows for name in row.names)
+    # A name that is another word as well ("keep", "drive") is one only where its line says so.
+    other_words = load_lexicon().vocabulary.union(*load_verbs().values())
+    pooled = frozenset(name for row in rows for name in row.names) - other_words
     examples = []
     for row in rows:
+        names = pooled.union(row.names)
         words = tuple(token.text for token in split_text(row.text, names))
         labels = (REJECT,) * len(words) if row.read is None else align(words, row.read.split())
         if words and labels is not None:
@@ -210,7 +213,7 @@ def train_reader(
     """
     start_time = time.perf_counter()
     label_counts = Counter(label for ex in examples for label in set(ex.labels))
-    names = frozenset().union(*(ex.names for ex in examples))
+    names = frozenset.intersection(*(ex.names for ex in examples))
     frequent = sorted(label for label, n in label_counts.items() if n >= config.least_labels)
     # A label that inserts an object name would insert it for any sentence.
     insertions = {label: tuple(label.lstrip("K>=").split()) for label in frequent}
