@@ -136,9 +136,6 @@ def _run_conversation(settings: Settings, output: Output) -> StudyResult:
 
 def _run_table3(settings: Settings, output: Output) -> StudyResult:
     """Run the physics simulations of Table 3; trials found in the folder are not repeated."""
-    from jaxlangnav.robots.libraries import check_libraries
-
-    check_libraries()
     from jaxlangnav.robots.trials import TABLE3, TrialPlan, reproduce_table3, trials_table
 
     args, policies = settings.args, settings.options.policies
@@ -256,13 +253,17 @@ REPORTED = ("table1", "fig1", "fig3", "fig4", "table2", "fig5", "unknowns", "tim
 
 
 def check_sizes(names: Sequence[str], settings: Settings) -> None:
-    """Check the memory needs of experiments before the first one runs."""
+    """Check memory needs and libraries of experiments before the first one runs."""
     for name in names:
         if name in GRIDS:
             experiment, options = GRIDS[name](settings)
             experiment.check(options)
         elif name in ("fig1", "fig4"):
             check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
+        elif name == "table3":
+            from jaxlangnav.robots.libraries import check_libraries
+
+            check_libraries()
 
 
 def _num_items(name: str, settings: Settings) -> int:
