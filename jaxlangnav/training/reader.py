@@ -32,12 +32,10 @@ from jaxlangnav.language.reader.model import DELETE, KEEP, REJECT, ReaderModel
 from jaxlangnav.language.reader.proposals import Labelling
 from jaxlangnav.language.tokens import MARKS
 
-_MAX_BYTES = 1 << 24
-"""Size limit of a corpus."""
+_MAX_BYTES = 1 << 24  # of a corpus
 _REFUSAL_CUES = WORDS["contrary"] | WORDS["impossible"]
 _SIMPLE_LABELS = frozenset({"=go", "=go to", "=stop"})
-_SMALL_TALK_RATE = 0.3
-"""Probability of adding small talk to a verbatim sentence."""
+_SMALL_TALK_RATE = 0.3  # probability of adding small talk to a verbatim sentence
 _IMPOSSIBLE = -1e4  # log score of an impossible transition
 _TINY = 1e-30  # added before the logarithm of a sum that may underflow
 _PADDING = 8  # lengths are rounded up to a multiple of this, to limit compilations
@@ -121,7 +119,7 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
         ValueError: a line is invalid; the message has its number.
     """
     path = shipped_file("language", "readings.jsonl") if path is None else path
-    rows = []
+    rows, examples = [], []
     for line_no, line in read_lines(path, max_bytes=_MAX_BYTES):
         with error_prefix(f"{path.name} line {line_no}"):
             document = parse_json(line)
@@ -129,9 +127,8 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
                 raise ValueError("must have text, read, and maybe names")
             rows.append(convert(document, _Row))
     # A name that is another word as well ("keep", "drive") is one only where its line says so.
-    other_words = load_lexicon().vocabulary.union(*load_verbs().values())
-    pooled = frozenset(name for row in rows for name in row.names) - other_words
-    examples = []
+    pooled = frozenset(name for row in rows for name in row.names)
+    pooled -= load_lexicon().vocabulary.union(*load_verbs().values())
     for row in rows:
         names = pooled.union(row.names)
         words = tuple(token.text for token in split_text(row.text, names))
