@@ -84,7 +84,7 @@ def page(folder: Path, commit: str, handwritten: str) -> str:
     unknowns = read(folder, "unknowns")
     body = (folder / "table2.md").read_text("utf-8").split("\n", 2)[2].strip()
     figure4 = (folder / "figure4.md").read_text("utf-8").strip().split("\n\n")[-1]
-    machine = read(folder, "time")["machine"]
+    setup = read(folder, "table2_manifest")
     return f"""# Results
 
 `jaxlangnav reproduce all --out results` writes this page up to "Where the time goes" and
@@ -92,8 +92,8 @@ def page(folder: Path, commit: str, handwritten: str) -> str:
 run of commit {commit}: {table2["episodes"]} episodes a row of Table 2,
 {figure5["rows"][0]["episodes"]} of Figure 5 (seed {table2["seed"]}), {unknowns["episodes"]}
 of the paper's unknowns (seed {unknowns["seed"]}),
-models SHA-256 `{table2["models_sha256"][:12]}…`, JAX {machine["jax"]},
-CPU threads: {machine["threads"]}. Table 2 took {table2["wall_s"]:.0f} s,
+models SHA-256 `{table2["models_sha256"][:12]}…`, JAX {setup["libraries"]["jax"]},
+{setup["device"]["kind"]}, {setup["machine"]["cores"]} cores. Table 2 took {table2["wall_s"]:.0f} s,
 {table2["compile_s"]:.0f} s of them compilation; Figure 5 took {figure5["wall_s"]:.0f} s.
 
 ## Table 2
