@@ -433,9 +433,12 @@ def test_a_node_that_starts_anew_takes_up_its_task_and_a_silent_robot_makes_it_b
     # Another node, while the camera still delivers nothing: told, and no crash.
     driven(session(navigator, Loop(simulated), path=kept)[0], ending=Ending.BLIND)
     assert json.loads(kept.read_text("utf-8")) == []
-    kept.write_text(json.dumps([TEXT]), "utf-8")
+    # What is understood no more, as nothing is approached now, is refused: the rest is taken up.
+    kept.write_text(json.dumps([TEXT, "no, the other one"]), "utf-8")
     simulated.camera_works = True
-    driven(session(navigator, Loop(simulated), path=kept)[0], simulated)
+    talk, told = session(navigator, Loop(simulated), path=kept)
+    driven(talk, simulated)
+    assert [one["status"] for one in told[:2]] == ["refused", "heard"]
 
 
 def test_words_under_way_and_after_the_end(navigator) -> None:

@@ -102,7 +102,8 @@ def drive(
         on_step: called after each decision.
 
     Raises:
-        ValueError: the instruction is not understood, or contains no command.
+        ValueError: the instruction is not understood, or contains no command; or an utterance of
+            ``listen`` is not understood in the state of the drive.
     """
     if state is None:
         state = navigator.start(text, pose=wrap_heading(robot.pose()), area=robot.area)

@@ -67,15 +67,15 @@ class Session:
 
     def go(self) -> NavigationRun | None:
         """Drive to an ending; None without an utterance that gives a task."""
-        pending, self._texts = self._texts, []
-        for text in pending[:-1]:
+        resumed, self._texts, before = self._texts, [], self._state
+        for text in resumed:
             if (state := self._apply(text)) is not None:
-                self._state = state
+                before, self._state = self._state, state
                 self._texts.append(text)
-        text = pending[-1] if pending else self._listen()
+        # The last text that is understood begins the drive.
+        self._state = before
+        text = self._texts.pop() if self._texts else self._listen()
         if text is None:
-            return None
-        if self._state is None and self._apply(text) is None:
             return None
         self._record(text)
         run = drive(
