@@ -12,7 +12,7 @@ from jaxlangnav.episode.recording import Recording, Snapshot, StepView, stack_fr
 from jaxlangnav.grounding.asked import CommandSummary
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.viz import narrative, sentences, summary
+from jaxlangnav.viz import html, narrative, sentences, summary
 from jaxlangnav.viz.panels import outcome, verdict
 from jaxlangnav.viz.sentences import FAULT_WORDS
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -76,10 +76,11 @@ def readings_of(types, edges, superlative=False):
         (readings_of([HYDRANT, CONE], [(0, BEHIND, 1), (1, BEHIND, 0)]), "nothing"),
     ],
 )
-def test_readings_in_words(readings, said):
-    scene = make_scene()
-    object.__setattr__(scene, "readings", readings)
+def test_readings_in_words(one, readings, said):
+    scene = dataclasses.replace(one.scene, readings=readings)
     assert sentences.describe_reading(scene, 0) == said
+    head = html.page_data(dataclasses.replace(one, scene=scene))["summary"].split(".")[0]
+    assert (f"there is {said} (" in head) is (said != "nothing")
 
 
 @pytest.mark.parametrize(

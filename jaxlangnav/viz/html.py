@@ -78,17 +78,20 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
         is_under_way: it goes on: how it ends cannot be told yet.
     """
     scene, frames, world = recording.scene, recording.frames, recording.scene.scenario
-    claims = describe_readings(scene, min_prob=0.005)
     # Readings of the first sentence and after each later utterance.
     scenes = [scene, *(u.scene for u in recording.utterances if u.scene is not None)]
     readings = (describe_readings(current, min_prob=0.005) for current in scenes)
-    all_claims = list(dict.fromkeys(claim for reading in readings for claim, _ in reading))
-    first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
+    claims = list(dict.fromkeys(claim for reading in readings for claim, _ in reading))
+    summary = [
+        f"Taken to say that there is {claim} ({percent(p)})."
+        for claim, p in describe_readings(scene)[:1]
+        if claim != "nothing"
+    ]
+    if not is_under_way:
+        summary.append(f"The {panels.verdict(recording)}.")
     return {
         "text": sanitize(scene.text),
-        "summary": " ".join(
-            first if is_under_way else [*first, f"The {panels.verdict(recording)}."]
-        ),
+        "summary": " ".join(summary),
         "outcome": "under way" if is_under_way else panels.outcome(recording),
         "is_under_way": is_under_way,
         "num_steps": recording.num_steps,
@@ -114,12 +117,12 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
             {"name": name, "color": style.type_color(type_id), "shape": style.type_marker(type_id)}
             for type_id, name in enumerate(scene.type_names)
         ],
-        "claims": all_claims,
+        "claims": claims,
         "camera_images": [
             {title: base64.b64encode(jpeg).decode("ascii") for title, jpeg in images.items()}
             for images in recording.pictures
         ],
-        **_step_data(recording, all_claims, is_under_way=is_under_way),
+        **_step_data(recording, claims, is_under_way=is_under_way),
         **_array_data(recording),
     }
 
