@@ -37,10 +37,6 @@ def near(robot: PhysicsRobot, metres: float, event: Callable[[PhysicsRobot], Non
     robot.at(0.0, look)
 
 
-def cover(robot: PhysicsRobot) -> None:
-    robot.scene.hide_tags(GOAL)
-
-
 def step_in(robot: PhysicsRobot) -> None:
     x, y, heading = robot.true_pose
     robot.put_person(x + 1.3 * np.cos(heading), y + 1.3 * np.sin(heading))
@@ -56,7 +52,7 @@ def slip(robot: PhysicsRobot) -> None:
     ("fault", "endings"),
     [
         (lambda one: one.at(4.0, lambda it: setattr(it, "camera_works", False)), {Ending.BLIND}),
-        (lambda one: one.at(0.0, cover), {Ending.NOT_FOUND}),
+        (lambda one: one.at(0.0, lambda it: it.scene.hide_tags(GOAL)), {Ending.NOT_FOUND}),
         (
             lambda one: near(one, 2.2, lambda it: it.move_object(GOAL, np.nan, np.nan)),
             {Ending.NOT_FOUND},

@@ -118,10 +118,10 @@ class TerminalUser:
         if self._has_left or not (is_waiting or self._is_talking):
             return None
         if asked:
-            self._output.note("Which one? The nearest first:")
             from jaxlangnav.navigator.candidates import believed_pose
             from jaxlangnav.viz.sentences import describe_offset
 
+            self._output.note("Which one? The nearest first:")
             pose = believed_pose(progress.navigator).tolist()
             for rank, it in enumerate(asked, start=1):
                 where = describe_offset(it.x, it.y, *pose)

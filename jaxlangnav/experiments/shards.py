@@ -194,7 +194,7 @@ def _check_overlaps(folder: Path, part: Part, on_note: OnNote) -> None:
             continue
         with contextlib.suppress(FileNotFoundError):
             handle = _acquire(path, on_note, flags=os.O_RDWR)
-            path.unlink()
+            path.unlink(missing_ok=True)
             os.close(handle)
 
 

@@ -243,9 +243,9 @@ def _by_reading(grounded: Grounded, names: Sequence[str]) -> Iterator[Alternativ
     ranked = sorted(unpad_readings(grounded.instruction.readings), key=lambda item: -item[1])
     for reading, score in ranked:
         nouns = ["robot" if m == ROBOT else name_of(m, names) for m in reading.mentions]
-        names_ = [*nouns, None]  # NONE is the last index
+        entries = [*nouns, None]  # NONE is the last index
         documents = tuple(
-            annotation_document(names_[figure], names_[landmark], relation, rank, 1.0)
+            annotation_document(entries[figure], entries[landmark], relation, rank, 1.0)
             for figure, relation, landmark, rank in reading.relations
         )
         instruction = replace(grounded.instruction, readings=pad_readings([(reading, 0.0)]))

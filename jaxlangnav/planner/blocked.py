@@ -12,6 +12,7 @@ from jax import Array
 
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.terrain.view import rotate
 
 NUM_CLOSED = 4
 """Number of abandoned waypoints that are stored; the oldest is dropped first."""
@@ -71,9 +72,8 @@ def init_progress(pose: Array) -> ProgressMonitor:
 
 def sidestep(monitor: ProgressMonitor) -> tuple[Array, Array]:
     """Compute the end of the current leg of a sidestep, f32[] x and y, metres, map frame."""
-    cosine, sine = jnp.cos(monitor.stall_heading), jnp.sin(monitor.stall_heading)
     left, ahead = _ASIDE * monitor.side, jnp.where(monitor.leg == 1, -_BACK, _BEYOND)
-    x, y = ahead * cosine - left * sine, ahead * sine + left * cosine
+    x, y = rotate(ahead, left, monitor.stall_heading)
     return monitor.stall_x + x, monitor.stall_y + y
 
 

@@ -130,7 +130,7 @@ def loss(weights: Mapping[str, Array], design: Design, counts: Array, l2: Array 
         l2: λ, f32[] or f32[W]; 0 for the loss on sentences held out.
     """
     chex.assert_shape(counts, (*design.properties.shape[:2], 2))
-    problem = Problem(jnp.asarray(design.words), jnp.asarray(design.properties), counts)
+    problem = Problem(*on_device(design), counts)
     matrix = jnp.concatenate([jnp.asarray(weights[kind]) for kind in design.columns], axis=1)
     strength = jnp.broadcast_to(jnp.asarray(l2, jnp.float32), matrix.shape[:1])
     return data_loss(problem, matrix) + 0.5 * jnp.vdot(strength, jnp.sum(matrix * matrix, axis=1))

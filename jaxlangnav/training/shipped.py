@@ -231,7 +231,7 @@ def _train_model(
         return score_behaviors(tested, ranks, scaled, None, type_names).by_width[BEAM_WIDTH][0]
 
     tuning = [*itertools.compress(train, is_tuning)]
-    temperature = fit_temperature(lambda t: score(part, t, tuning)) if tuning else 1.0
+    temperature = fit_temperature(lambda t: score(part, t, tuning))
     report = {
         "examples": int(data.sizes.sum()),
         "features": full.num_features,

@@ -62,10 +62,8 @@ def disc_distance(x: np.ndarray, y: np.ndarray, discs: np.ndarray) -> np.ndarray
 
     f64[...] x and y, f64[K, 3] to f64[...]; negative inside a disc, infinite without discs.
     """
-    if not len(discs):
-        return np.full(np.shape(x), np.inf)
     distance = np.hypot(x[..., None] - discs[:, 0], y[..., None] - discs[:, 1])
-    return (distance - discs[:, 2]).min(axis=-1)
+    return (distance - discs[:, 2]).min(axis=-1, initial=np.inf)
 
 
 CELL = 0.15
@@ -88,8 +86,6 @@ def inflate(
         radius: of the body, metres.
         clearance: metres to keep besides, where possible.
     """
-    if not len(discs):
-        return discs
     from_goal = np.hypot(*(discs[:, :2] - goal).T) - discs[:, 2]
     margin = radius + np.where(from_goal <= _TARGET_DIST, _MIN_GAP, np.maximum(clearance, _MIN_GAP))
     from_start = np.hypot(*(discs[:, :2] - start).T) - discs[:, 2]
@@ -99,8 +95,6 @@ def inflate(
 
 def is_clear(start: np.ndarray, end: np.ndarray, discs: np.ndarray) -> bool:
     """Tell whether the segment between two points f64[2] stays out of discs f64[K, 3]."""
-    if not len(discs):
-        return True
     segment = end - start
     squared = float(segment @ segment)
     offset = discs[:, :2] - start

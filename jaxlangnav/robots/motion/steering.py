@@ -127,7 +127,7 @@ def _lookahead_point(
     """Choose the target point of a path: at the lookahead, or nearer if an obstacle is between."""
     target = _point_along(pose[:2], path, lookahead)
     margin = body.radius + _MARGIN
-    distance = np.hypot(*(discs[:, :2] - pose[:2]).T) if len(discs) else np.zeros(0)
+    distance = np.hypot(*(discs[:, :2] - pose[:2]).T)
     # Discs already in contact are shrunk, so that the robot can leave them.
     radius = np.minimum(discs[:, 2] + margin, np.maximum(distance - CONTACT, 0.0))
     inflated = np.column_stack([discs[:, :2], radius])

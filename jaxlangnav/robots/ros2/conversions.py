@@ -270,9 +270,7 @@ def compose(frame: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 def inverse(frame: np.ndarray) -> np.ndarray:
     """Invert a pose f64[3] (⊖); composed with ``frame`` it is zero."""
-    cos, sin = math.cos(frame[2]), math.sin(frame[2])
-    x, y = frame[0], frame[1]
-    return np.array([-cos * x - sin * y, sin * x - cos * y, -frame[2]])
+    return compose(np.array([0.0, 0.0, -frame[2]]), np.array([-frame[0], -frame[1], 0.0]))
 
 
 def transformed(seen: Sequence[Detection], then: np.ndarray, now: np.ndarray) -> list[Detection]:
