@@ -14,14 +14,7 @@ from typing import Any
 from jaxlangnav.grounding.readings import Relation
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_shipped
 from jaxlangnav.inputs.sanitize import shorten
-from jaxlangnav.messages import (
-    ACTIONS,
-    AT,
-    BETWEEN,
-    MODES,
-    REGIONS,
-    ROBOT,
-)
+from jaxlangnav.messages import ACTIONS, AT, BETWEEN, MODES, REGIONS, ROBOT
 from jaxlangnav.relations.table import ORDERS, REGISTRY
 
 MAX_FORM_CHARACTERS = 65_536

@@ -12,15 +12,7 @@ from jax import Array
 from jaxlangnav.grounding.behavior import infer_behaviors
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.object_types import is_anything
-from jaxlangnav.messages import (
-    ACTIONS,
-    MODES,
-    NONE,
-    REGIONS,
-    Behavior,
-    Readings,
-    UtteranceContext,
-)
+from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, Behavior, Readings, UtteranceContext
 from jaxlangnav.numerics.batching import lookup, pack, select_row, skip_unless_any, unpack
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import RelationModel
