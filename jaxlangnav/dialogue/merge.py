@@ -86,7 +86,7 @@ def _product(
         if edge.relation not in (NONE, BETWEEN) or edge._replace(utterance=0) not in old_edges:
             edges.append(edge)
     total, goals = old.log_probability + new.log_probability, renumber(new.new_goals, indices)
-    return History(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
+    return History(mentions, edges, old.goals, old.pinned, goals, total)
 
 
 def _is_inconsistent(old: History, new: History, spoken: Referents) -> bool:
@@ -149,7 +149,7 @@ def _fit_capacity(history: History, num_mentions: int, num_relations: int) -> Hi
         edges=move_untyped_last(edges, [mention.type_code for mention in mentions]),
         goals=renumber(history.goals, indices),
         new_goals=renumber(history.new_goals, indices),
-        num_dropped=history.num_dropped + dropped,
+        num_dropped=dropped,
     )
 
 

@@ -92,9 +92,8 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> tuple[Arr
 
     Positions are f32[A] metres, map frame; paths may end ``spare`` metres short of them. f32[A]
     each: cost in excess of the straight line, metres, and x and y of the first corner, or of the
-    position itself. Limits:
-    without forbidden objects paths are straight, and nothing is computed; a position within a zone
-    has a finite cost. Corners behind walls are not used.
+    position itself. Corners behind walls are not used. Limits: without forbidden objects paths are
+    straight, and nothing is computed; a position within a zone has a finite cost.
     """
     zones = situation.forbidden
     is_active = jnp.broadcast_to(jnp.any(zones.cost > 0.0), x.shape)
