@@ -138,19 +138,13 @@ def test_the_paper_s_sentence(model):
     assert all(one in said for one in ("2,964 factors", "5,934 random variables", PAPER))
 
 
-@pytest.mark.parametrize("number", [1, 3, 5])
-def test_every_phrase_shows_its_likeliest_symbols(model, number):
-    figure = graph_figure(parse("go to the hydrant"), model, num_symbols=number)
+def test_every_phrase_shows_its_likeliest_symbols(model):
+    figure = graph_figure(parse("go to the hydrant"), model)
     squares = [line for line in figure.axes[0].lines if line.get_marker() == "s"]
-    assert len(squares) == 3 * number + 1  # and one in the key
+    assert len(squares) == 3 * 3 + 1  # and one in the key
     wedges = [patch for patch in figure.axes[0].patches if isinstance(patch, Wedge)]
     full = [one for one in wedges if one.theta2 - one.theta1 > 350]
     assert len(full) == 3  # each phrase is sure of one symbol
-
-
-def test_no_symbols_are_refused(model):
-    with pytest.raises(ValueError, match="num_symbols is 0"):
-        graph_figure(parse("go to the hydrant"), model, num_symbols=0)
 
 
 HOSTILE = "</script><script>alert(1)</script><!-- __DATA__ __TITLE__ \x1b[31m \u202e <b> & \"'"

@@ -15,7 +15,6 @@ from jaxlangnav.grounding.correspondence import CorrespondenceGraph, PhraseBelie
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.properties import Annotations
 from jaxlangnav.grounding.symbols import AnnotationSpace, AnnotationSymbol
-from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE, ROBOT
 from jaxlangnav.relations.table import REGISTRY
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PHRASE_WIDTH, _SYMBOL_HEIGHT = 2.0, 0.62  # inches
+_NUM_SYMBOLS = 3  # the likeliest of each phrase, which are drawn
 
 
 def _symbol_name(symbol: AnnotationSymbol, type_names: tuple[str, ...]) -> str:
@@ -38,31 +38,29 @@ def _symbol_name(symbol: AnnotationSymbol, type_names: tuple[str, ...]) -> str:
     return " ".join(parts).strip()
 
 
-def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -> "Figure":
+def graph_figure(parse: Parse, model: GroundingModel) -> "Figure":
     """Draw a sentence's factor graph, phrases in reading order; limits as ``beliefs_figure``."""
     space = AnnotationSpace(len(model.type_names))
     names = [_symbol_name(symbol, model.type_names) for symbol in space.symbols]
     graph = CorrespondenceGraph(Annotations(model.type_names), model.annotation)
     trees = (graph.weigh(root, None, clause) for clause, root in enumerate(parse.clauses))
     beliefs = [belief for tree in trees for belief in tree.beliefs()]
-    return beliefs_figure(beliefs, names, title=parse.instruction, num_symbols=num_symbols)
+    return beliefs_figure(beliefs, names, title=parse.instruction)
 
 
 def beliefs_figure(
-    beliefs: Sequence[PhraseBelief], names: Sequence[str], *, title: str, num_symbols: int = 3
+    beliefs: Sequence[PhraseBelief], names: Sequence[str], *, title: str
 ) -> "Figure":
     """Draw the factor graph of a phrase tree over any S symbols (``grounding.correspondence``).
 
     ``beliefs``: of all phrases, parents first; ``names``: of the S symbols; ``title``: the
-    sentence; ``num_symbols``: how many of the likeliest symbols of each phrase to show, at least 1.
-    ``MissingExtraError`` without matplotlib.
+    sentence. ``MissingExtraError`` without matplotlib.
     """
-    check_minimum(1, num_symbols=num_symbols)
     with style.house_style():
         from matplotlib.figure import Figure
 
         width = max(_PHRASE_WIDTH * len(beliefs) + 0.6, 8.9)
-        height = 2.35 + _SYMBOL_HEIGHT * num_symbols
+        height = 2.35 + _SYMBOL_HEIGHT * _NUM_SYMBOLS
         figure = Figure(figsize=(width, height))
         axes = figure.add_axes((0, 0, 1, 1 - 0.62 / height))
         axes.set(xlim=(0, width), ylim=(0, height - 0.62))
@@ -70,7 +68,7 @@ def beliefs_figure(
         left = (width - _PHRASE_WIDTH * len(beliefs)) / 2 + 0.32
         columns = {belief.path: left + _PHRASE_WIDTH * i for i, belief in enumerate(beliefs)}
         for belief in beliefs:
-            _draw_phrase(axes, belief, columns, names, num_symbols)
+            _draw_phrase(axes, belief, columns, names)
         x, y = 0.25, 0.16
         axes.plot([x], [y], marker="s", markersize=7, color=style.INK)
         _draw_variable(axes, x + 1.05, y, face=style.LINE)
@@ -89,7 +87,7 @@ def beliefs_figure(
             figure,
             f"“{title}”",
             f"{len(beliefs)} phrases × {len(names)} symbols: {factors:,} factors, {variables:,} "
-            f"random variables; of each phrase the {num_symbols} likeliest are shown.",
+            f"random variables; of each phrase the {_NUM_SYMBOLS} likeliest are shown.",
         )
     return figure
 
@@ -100,15 +98,11 @@ def _factor_height(rank: int) -> float:
 
 
 def _draw_phrase(
-    axes: "Axes",
-    belief: PhraseBelief,
-    columns: dict[tuple[int, ...], float],
-    names: Sequence[str],
-    num_symbols: int,
+    axes: "Axes", belief: PhraseBelief, columns: dict[tuple[int, ...], float], names: Sequence[str]
 ) -> None:
     """Draw a phrase, its likeliest symbols and the link to its parent's factors."""
     x = columns[belief.path]
-    top_symbols = np.argsort(-belief.probability, kind="stable")[:num_symbols]
+    top_symbols = np.argsort(-belief.probability, kind="stable")[:_NUM_SYMBOLS]
     top = _factor_height(len(top_symbols) - 1)
     axes.plot([x, x], [0.95, top], color=style.MUTED, linewidth=0.9, zorder=1)
     axes.plot([x, x], [top, top + 0.42], color=style.MUTED, linewidth=0.9, linestyle=":", zorder=1)
