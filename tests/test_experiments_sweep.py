@@ -105,6 +105,9 @@ def test_missing_keys_and_files(tmp_path: Path) -> None:
     broken.write_text('worlds = ["1H1C"]\ncommands = ["null"]\nrange = 3\n')
     with pytest.raises(ValueError, match=r"broken.toml: range is unknown: .*Did you mean 'ranges'"):
         read_config(broken)
+    (tmp_path / "list.json").write_text("[1]")
+    with pytest.raises(ValueError, match=r"list.json: the file is \[1\], but must be a table"):
+        read_config(tmp_path / "list.json", overrides={"planner": {"discount": 0.9}})
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def read_config(
     path = Path(path)
     table = read_document(path, max_bytes=_MAX_BYTES)
     for name, keys in (overrides or {}).items():
-        if isinstance(table.setdefault(name, {}), dict):
+        if isinstance(table, dict) and isinstance(table.setdefault(name, {}), dict):
             table[name] |= keys
     with error_prefix(path):
         return config_from_dict(table, folder=path.parent)
