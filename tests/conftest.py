@@ -14,6 +14,8 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import jax
 import pytest
 
+from jaxlangnav.cli.runtime import compile_fast
+
 RUN_LONG = ("test_experiments_", "test_kept", "test_language_", "test_training_")
 """Files whose programs run longer than they compile, or are held to the last digits of float32 or
 to other processes; single programs elsewhere: readings.OFTEN."""
@@ -40,10 +42,12 @@ FULL = 2e9
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Set JAX up before any test module is imported."""
+    """Set JAX up before any test module is imported, and a cache other than the user's."""
+    compile_fast()
     jax.config.update("jax_numpy_rank_promotion", "raise")
-    cache = Path(config.rootpath) / ".pytest_cache" / "jax"
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+    cache = Path(config.rootpath) / ".pytest_cache"
+    os.environ["XDG_CACHE_HOME"] = str(cache / "user")
+    jax.config.update("jax_compilation_cache_dir", str(cache / "jax"))
     # Small programs too: there are thousands, and workers share them.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 

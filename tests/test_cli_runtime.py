@@ -12,6 +12,7 @@ import pytest
 from jaxlangnav.cli.main import DEBUG, XLA_LOG_LEVEL, main
 from jaxlangnav.cli.output import Output
 from jaxlangnav.cli.runtime import (
+    compile_fast,
     expected_duration,
     keep_compiled_programs,
     progress_bar,
@@ -135,3 +136,19 @@ def test_a_duration_is_expected_from_the_last_run(home):
     assert [expected_duration("table2", n, default=default) for n in sizes] == [30.0, 30.0, 60.0]
     (home / ".cache" / "jaxlangnav" / "durations.json").write_text("{")
     assert expected_duration("table2", 10, default=default) == 8.0
+
+
+def test_compilation_is_fast_unless_somebody_chose_otherwise(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    monkeypatch.setattr(jax, "__version_info__", (0, 10, 2))
+    for _ in range(2):  # once: the flags are part of the name of what is kept
+        compile_fast()
+        flags = "--xla_cpu_multi_thread_eigen=false --xla_cpu_use_fusion_emitters=false"
+        assert os.environ["XLA_FLAGS"] == flags
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=true")
+    compile_fast()
+    assert os.environ["XLA_FLAGS"] == "--xla_cpu_use_fusion_emitters=true"
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.setattr(jax, "__version_info__", (0, 12, 0))
+    compile_fast()
+    assert os.environ["XLA_FLAGS"] == ""
