@@ -133,7 +133,8 @@ def _give_back_memory() -> None:
     if trim is None:
         return
     trim(0)
-    if _resident() > FULL:
+    pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
+    if pages * os.sysconf("SC_PAGE_SIZE") > FULL:
         _drop_programs()
         trim(0)
 
@@ -143,9 +144,3 @@ def _drop_programs() -> None:
     jax.clear_caches()
     if "jaxlangnav.experiments.monte_carlo" in sys.modules:
         sys.modules["jaxlangnav.experiments.monte_carlo"]._programs.clear()
-
-
-def _resident() -> int:
-    """Read off how many bytes of memory this process has; only where there is glibc."""
-    pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")

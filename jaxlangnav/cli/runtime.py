@@ -89,8 +89,8 @@ def expected_duration(task: str, num_items: int = 1, *, default: tuple[int, floa
     """
     last_num_items, seconds = default
     with contextlib.suppress(OSError, ValueError, TypeError, LookupError):
-        last_num_items, seconds = json.loads(_cache_path(_DURATIONS).read_text())[task]
-    return seconds * max(1.0, num_items / last_num_items)
+        last_num_items, seconds = map(float, json.loads(_cache_path(_DURATIONS).read_text())[task])
+    return seconds * max(1.0, num_items / max(1.0, last_num_items))
 
 
 def save_duration(task: str, seconds: float, num_items: int = 1) -> None:
@@ -99,7 +99,7 @@ def save_duration(task: str, seconds: float, num_items: int = 1) -> None:
 
     with contextlib.suppress(OSError):
         path, durations = _cache_path(_DURATIONS), {}
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, TypeError):
             durations = dict(json.loads(path.read_text()))
         write_text(json.dumps({**durations, task: (num_items, round(seconds, 1))}), path)
 
