@@ -125,7 +125,7 @@ class BehaviorWorld:
     is_object: Array  # bool[N + 1]
     is_related: Array  # bool[6, N + 1, N + 1] relation, figure slot, landmark slot
     is_superlative: Array  # bool[6, N + 1, N + 1] related, and the extreme one of the figure's type
-    is_later: Array  # bool[6, N + 1, N + 1] related, with the sentence's rank (second, third, ...)
+    is_ordinal: Array  # bool[6, N + 1, N + 1] related, at the sentence's rank (second, third, ...)
     is_previous: Array  # bool[N + 1] the goal of the previous command ("the other cone")
 
 

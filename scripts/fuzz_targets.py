@@ -208,8 +208,7 @@ def _forms() -> list[bytes]:
 def _form(text: bytes, _: Path) -> None:
     grounder = AnnotationGrounder(("hydrant", "cone", "car"))
     grounded = grounder.ground(text.decode("utf-8", "surrogateescape"), Context(is_under_way=False))
-    program = grounded.instruction.program
-    for leaf in jax.tree.leaves(program):
+    for leaf in jax.tree.leaves(grounded.instruction.clauses):
         assert np.isfinite(np.asarray(leaf)).all()
 
 

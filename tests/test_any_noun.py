@@ -61,11 +61,11 @@ def arrays(text, model, labels):
     def named(indices):
         return [labels[i] if i >= 0 else i for i in np.ravel(indices)]
 
-    names = named(told.readings.mention_type), named(told.program.own)
+    names = named(told.readings.mention_type), named(told.clauses.named_types)
     blank = replace(
         told,
         readings=replace(told.readings, mention_type=None),
-        program=replace(told.program, own=None),
+        clauses=replace(told.clauses, named_types=None),
     )
     return names, jax.tree.leaves(blank)
 
@@ -134,7 +134,7 @@ def test_a_noun_may_be_any_of_several_labels(model) -> None:
     signs = {LABELS.index("stop sign"), LABELS.index("yield sign")}
     assert {int(kind) for kind in told.readings.mention_type[:2, 1]} == signs
     np.testing.assert_allclose(np.exp(told.readings.log_probability[:2]), 0.5, atol=0.01)
-    named = [set(row[row != NONE].tolist()) for row in np.asarray(told.program.own)[0]]
+    named = [set(row[row != NONE].tolist()) for row in np.asarray(told.clauses.named_types)[0]]
     assert signs in named
 
 

@@ -106,7 +106,7 @@ def test_a_statement_changes_no_task(robot) -> None:
     assert heard.kind == Kind.STATEMENT
     names = ("clause", "status", "is_halted", "previous_goal")
     before, after = (
-        (one.instruction.program, *(getattr(one, name) for name in names))
+        (one.instruction.clauses, *(getattr(one, name) for name in names))
         for one in (run.state, state)
     )
     jax.tree.map(np.testing.assert_array_equal, before, after)

@@ -16,7 +16,7 @@ from grounding_fixture import TYPES, random_topology
 from jaxlangnav.grounding import infer_behavior, infer_behaviors, understand
 from jaxlangnav.grounding.behavior import MAX_SLOTS
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.program import BehaviorProgram, softmax
+from jaxlangnav.grounding.program import CompiledClause, softmax
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import CONSTRAINT, GOAL, BehaviorSpace
 from jaxlangnav.grounding.worlds import World, to_device, to_world
@@ -38,9 +38,9 @@ SLOTS = 9
 infer = jax.jit(infer_behavior)
 
 
-def program_of(text, model, clause=0) -> BehaviorProgram:
+def compiled_clause(text, model, clause=0) -> CompiledClause:
     understood = understand(text, model)
-    return jax.tree.map(lambda leaf: leaf[clause], understood.instruction.program)
+    return jax.tree.map(lambda leaf: leaf[clause], understood.instruction.clauses)
 
 
 def world_of(kinds, edges=(), previous=None, extremes=()):
@@ -58,7 +58,7 @@ def test_one_of_several_is_expressed_by_its_odds():
 
 
 def test_a_model_that_knows_nothing_prefers_no_goal(model):
-    program = program_of(BEHIND_CONE, model.zeroed())
+    program = compiled_clause(BEHIND_CONE, model.zeroed())
     world = world_of(["hydrant", "hydrant", "cone"], [(BEHIND, 1, 2)])
     goal = infer(program, to_device(world, SLOTS), num_phrases=program.num_phrases).goal
     assert goal.max() - goal[AT, 1] >= -1e-6  # no goal is singled out
@@ -70,7 +70,7 @@ def test_kernel_agrees_with_the_host_search(model, text):
     rng = np.random.default_rng(7)
     space = BehaviorSpace(9)
     understood = understand(text, model)
-    program = program_of(text, model)
+    program = compiled_clause(text, model)
     for _ in range(4):
         world = random_topology(rng)
         graph = CorrespondenceGraph(Behaviors(TYPES, understood.belief.rank), model.behavior)
@@ -91,7 +91,7 @@ def test_kernel_agrees_with_the_host_search(model, text):
     ("text", "slots"), [*((text, SLOTS) for text in SENTENCES), (SENTENCES[0], MAX_SLOTS + 9)]
 )
 def test_empty_slots_and_spare_phrases_change_nothing(model, text, slots):
-    program = program_of(text, model)
+    program = compiled_clause(text, model)
     world = random_topology(np.random.default_rng(1), num_objects=5)
     plain = infer(program, to_device(world), num_phrases=program.num_phrases)
     padded = to_device(world, slots)
@@ -117,21 +117,21 @@ def test_batches_equal_a_loop(model):
     """Different sentences in one batch of episodes, different worlds in their particles."""
     rng = np.random.default_rng(11)
     texts = SENTENCES[:4]
-    programs = [program_of(text, model) for text in texts]
+    compiled = [compiled_clause(text, model) for text in texts]
     worlds = [[to_device(random_topology(rng)) for _ in range(3)] for _ in texts]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *programs)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *compiled)
     particles = [jax.tree.map(lambda *leaves: jnp.stack(leaves, -1), *row) for row in worlds]
     episodes = jax.tree.map(lambda *leaves: jnp.stack(leaves), *particles)
     batch = jax.jit(jax.vmap(lambda p, w: infer_behaviors(p, w, num_phrases=p.num_phrases)))
     together = batch(stacked, episodes)
     shared = jax.jit(jax.vmap(lambda p, w: infer_behaviors(p, w, num_phrases=24), (None, 0)))
-    same_words = shared(programs[0], episodes)
-    for e, program in enumerate(programs):
+    same_words = shared(compiled[0], episodes)
+    for e, program in enumerate(compiled):
         for p in range(3):
             alone = infer(program, worlds[e][p], num_phrases=program.num_phrases)
             np.testing.assert_allclose(together.goal[e, ..., p], alone.goal, atol=1e-5)
             np.testing.assert_allclose(together.constraint[e, ..., p], alone.constraint, atol=1e-5)
-            first = infer(programs[0], worlds[e][p], num_phrases=programs[0].num_phrases)
+            first = infer(compiled[0], worlds[e][p], num_phrases=compiled[0].num_phrases)
             np.testing.assert_allclose(same_words.goal[e, ..., p], first.goal, atol=1e-5)
 
 
@@ -140,23 +140,23 @@ def test_a_new_sentence_is_not_a_new_program(model):
     traced = jax.jit(chex.assert_max_traces(infer_behavior, n=1))
     world = to_device(random_topology(np.random.default_rng(0)))
     for text in SENTENCES:
-        program = program_of(text, model)
+        program = compiled_clause(text, model)
         traced(program, world, num_phrases=program.num_phrases)
 
 
 def test_a_clause_that_does_not_exist_asks_for_nothing(model):
-    program = program_of("go to the hydrant", model, clause=2)
+    program = compiled_clause("go to the hydrant", model, clause=2)
     behavior = infer(program, to_device(world_of(["hydrant"]), SLOTS), num_phrases=jnp.int32(6))
     assert behavior.goal.sum() == 0.0
     assert behavior.constraint.sum() == 0.0
 
 
 def test_worlds_of_other_shapes_and_types_are_refused(model):
-    program, world = program_of("go to the hydrant", model), to_device(world_of(["hydrant"]))
+    program, world = compiled_clause("go to the hydrant", model), to_device(world_of(["hydrant"]))
     for wrong, said in (
         (dataclasses.replace(world, object_type=world.object_type.astype(jnp.float32)), "type"),
         (dataclasses.replace(world, is_object=world.is_object[:-1]), "shape"),
-        (dataclasses.replace(world, is_later=world.is_later[:5]), "shape"),
+        (dataclasses.replace(world, is_ordinal=world.is_ordinal[:5]), "shape"),
     ):
         with pytest.raises(AssertionError, match=said):
             infer_behavior(program, wrong, num_phrases=3)

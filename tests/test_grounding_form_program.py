@@ -133,7 +133,7 @@ def infer(program: object, worlds: object) -> object:
 
 def behaviors(grounded: Grounded, worlds: list[World], clause: int = 0) -> object:
     """Infer the behavior of a command in ``WORLDS`` worlds, leaves [..., WORLDS]."""
-    program = jax.tree.map(lambda leaf: leaf[clause], grounded.instruction.program)
+    program = jax.tree.map(lambda leaf: leaf[clause], grounded.instruction.clauses)
     padded = [to_device(world, SLOTS) for world in worlds]
     padded += [padded[-1]] * (WORLDS - len(padded))
     lanes = jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=-1), *padded)

@@ -84,8 +84,8 @@ def test_the_weightiest_meaning_commands_not_the_likeliest_wording(graph) -> Non
         (BEHIND_CAR, math.log(0.35)),
         ("move to the cone behind the car", math.log(0.25)),
     ).ground("x", START)
-    own = graph.ground(BEHIND_CAR, START).instruction.program
-    assert np.array_equal(grounded.instruction.program.own, own.own)
+    own = graph.ground(BEHIND_CAR, START).instruction.clauses
+    assert np.array_equal(grounded.instruction.clauses.named_types, own.named_types)
     assert [one.says for one in grounded.alternatives] == [BEHIND_CAR, "go to the car"]
     assert [one.probability for one in grounded.alternatives] == pytest.approx([0.6, 0.4])
     assert goals_of(grounded) == (TYPES.index("cone"),)

@@ -11,7 +11,7 @@ import readings as by_hand
 import jaxlangnav
 from jaxlangnav import navigator
 from jaxlangnav.grounding import Context
-from jaxlangnav.grounding.behavior import MAX_SLOTS, likeliest_slots
+from jaxlangnav.grounding.behavior import MAX_SLOTS, most_relevant_slots
 from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, ROBOT, BehaviorWorld
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import PlannerConfig
@@ -148,10 +148,10 @@ def test_slots_are_kept_by_what_the_words_say_of_them() -> None:
         is_object=jnp.asarray(kind != NONE),
         is_related=jnp.asarray(related),
         is_superlative=jnp.zeros((6, size, size), bool),
-        is_later=jnp.zeros((6, size, size), bool),
+        is_ordinal=jnp.zeros((6, size, size), bool),
         is_previous=jnp.arange(size) == 45,
     )
-    kept, slots = likeliest_slots(world, jnp.arange(16) <= CONE)
+    kept, slots = most_relevant_slots(world, jnp.arange(16) <= CONE)
     assert slots.shape == (MAX_SLOTS,)
     assert {40, 44, 45, 46, size - 1} <= set(np.asarray(slots).tolist())
     assert 47 not in slots

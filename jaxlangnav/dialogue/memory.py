@@ -103,7 +103,7 @@ def default_discourse(
     """
     readings = instruction.readings
     mentions, relations = readings.mention_type.shape, readings.relation.shape
-    commands = mentions[0], instruction.program.num_phrases.shape[-1]
+    commands = mentions[0], instruction.clauses.num_phrases.shape[-1]
     return DiscourseInfo(
         is_asked=xp.full(mentions, is_asked),
         avoid=xp.zeros(mentions, xp.int32),

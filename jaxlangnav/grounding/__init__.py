@@ -29,7 +29,7 @@ from jaxlangnav.grounding.instruction import (
     understand as understand,
     understand_parse as understand_parse,
 )
-from jaxlangnav.grounding.program import BehaviorProgram as BehaviorProgram
+from jaxlangnav.grounding.program import CompiledClause as CompiledClause
 from jaxlangnav.grounding.rewrites import (
     RecordedRewrites as RecordedRewrites,
     RewriteGrounder as RewriteGrounder,

@@ -71,7 +71,7 @@ class AnnotationGrounder:
 
 
 def form_instruction(form: Form) -> Instruction:
-    """Convert a form to an instruction: its readings, and a program for each command."""
+    """Convert a form to an instruction: its readings, and a compiled clause for each command."""
     readings = [
         (reading_of_form(reading, f"$.readings[{i}]"), float(np.log(reading.probability)))
         for i, reading in enumerate(form.readings)

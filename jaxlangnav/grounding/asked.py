@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlangnav.grounding.behavior import BehaviorProgram, infer_behavior
+from jaxlangnav.grounding.behavior import CompiledClause, infer_behavior
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import World, to_device
 from jaxlangnav.inputs.object_types import name_of
@@ -51,8 +51,8 @@ class CommandSummary:
 
 
 @cached_jit()
-def _infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
-    return infer_behavior(program, world, num_phrases=program.num_phrases)
+def _infer_once(clause: CompiledClause, world: BehaviorWorld) -> Behavior:
+    return infer_behavior(clause, world, num_phrases=clause.num_phrases)
 
 
 def summarize_commands(instruction: Instruction) -> list[CommandSummary]:
@@ -93,10 +93,10 @@ def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
     # Padded like any other world, so that one compiled program serves them all.
     num_slots = max(_SLOTS, size)
     slots = np.append(np.arange(size - 1), num_slots - 1)
-    programs = jax.tree.map(np.asarray, instruction.program)
-    for clause in range(int(instruction.num_clauses)):
-        program = jax.tree.map(lambda leaf, index=clause: leaf[index], programs)
-        behavior = jax.device_get(_infer_once(program, to_device(world, num_slots)))
+    clauses = jax.tree.map(np.asarray, instruction.clauses)
+    for index in range(int(instruction.num_clauses)):
+        clause = jax.tree.map(lambda leaf, i=index: leaf[i], clauses)
+        behavior = jax.device_get(_infer_once(clause, to_device(world, num_slots)))
         goal, constraint = behavior.goal[:, slots], behavior.constraint[:, slots]
         behaviors.append(dataclasses.replace(behavior, goal=goal, constraint=constraint))
         best = goal.max(axis=0)

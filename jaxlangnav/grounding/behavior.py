@@ -1,4 +1,4 @@
-"""Behavior inference in every particle (section 3.3): DCG beam search on the device, width 4.
+"""Behavior inference per particle (section 3.3): beam search of width 4 over phrases, on device.
 
 Words are contracted beforehand (``program``), which leaves table look-ups, sums and k-best. Sets
 of objects are bit masks, so joining children, and finding what lies in regions, is a few integer
@@ -8,7 +8,7 @@ flipped, the second smallest, and the cheaper of the third smallest and the two 
 Phrases come bottom-up, so the hypotheses of a phrase's children lie on top of a stack, a shift
 register that needs no look-up. Equal sets that rest on different child hypotheses stay apart.
 Arrays carry two lane axes **last**, episodes E and particles P, so that every operation is a
-vector operation over lanes; ``vmap`` over episodes is told to put its axis there.
+vector operation over lanes; a rule of ``vmap`` puts its axis there.
 """
 
 import dataclasses
@@ -26,11 +26,11 @@ from jaxlangnav.grounding.behavior_odds import (
     build_object_sets,
     constraint_odds,
     iota,
-    lying_in,
     object_odds,
-    pick_of_four,
+    objects_in,
     region_odds,
     smallest,
+    take_of_beam,
     to_mask,
 )
 from jaxlangnav.grounding.program import (
@@ -39,7 +39,7 @@ from jaxlangnav.grounding.program import (
     NUM_CHILDREN,
     NUM_PHRASES,
     NUM_REGION_SLOTS,
-    BehaviorProgram,
+    CompiledClause,
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.inputs.object_types import label_of
@@ -52,8 +52,8 @@ _COST_EMPTY = 1e6
 """Cost of a hypothesis that does not exist."""
 _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
 """Index pairs into two sorted lists of four that include the four smallest sums."""
-_OBJECTS, _REGIONS, _CONSTRAINTS, _LIES = 0, 1, 1 + NUM_REGION_SLOTS, 2 + NUM_REGION_SLOTS
-"""Rows of ``_Stack.sets``."""
+_OBJECTS, _REGIONS, _CONSTRAINTS, _LOCATED = 0, 1, 1 + NUM_REGION_SLOTS, 2 + NUM_REGION_SLOTS
+"""Indices into ``_Stack.sets``."""
 
 
 class _Stack(NamedTuple):
@@ -63,28 +63,28 @@ class _Stack(NamedTuple):
     cost: Array  # f32[D, 4, E, P] −log-probability, ascending
 
 
-class _Expressed(NamedTuple):
+class _SymbolOdds(NamedTuple):
     """Log-odds of a phrase's symbols, given each of the four best combinations of its children."""
 
-    odds: Array  # f32[4, 3 N, E, P] log-odds: objects (of a verb: constraints), regions by slot
+    log_odds: Array  # f32[4, 3 N, E, P] objects (of a verb: constraints), regions by slot
     cost: Array  # f32[4, E, P] of the combinations
 
 
-def _child_beam(row: BehaviorProgram, stack: _Stack, k: Array | int) -> Combinations:
+def _child_beam(phrase: CompiledClause, stack: _Stack, k: Array | int) -> Combinations:
     """Read a phrase's k-th child from the stack as a combination by itself."""
-    exists = row.num_children > k
+    exists = phrase.num_children > k
     sets = jnp.where(exists, stack.sets[k], 0)
     objects, regions = sets[_OBJECTS], sets[_REGIONS : _REGIONS + NUM_REGION_SLOTS]
-    slots = jnp.append(row.region_from[k], row.constraint_region[k][None], axis=0)
+    slots = jnp.append(phrase.child_region_slot[k], phrase.constraint_region_slot[k][None], axis=0)
     in_slot = [jnp.where(slots == i, sets_i[:, None], 0) for i, sets_i in enumerate(regions)]
     by_slot = functools.reduce(jnp.bitwise_or, in_slot)
-    touched = functools.reduce(jnp.bitwise_or, [objects, *regions])
-    kept = jnp.where(row.constraint_from[k] == NONE, 0, sets[_CONSTRAINTS])
-    outside = jnp.where(row.is_restrictor[k] & exists, ~sets[_LIES], 0)
-    first = jnp.where(iota(_BEAM, 3) == 0, 0.0, _COST_EMPTY).astype(jnp.float32)
+    mentioned = functools.reduce(jnp.bitwise_or, [objects, *regions])
+    constraints = jnp.where(phrase.child_constraint_slot[k] == NONE, 0, sets[_CONSTRAINTS])
+    excluded = jnp.where(phrase.is_restrictor[k] & exists, ~sets[_LOCATED], 0)
+    single = jnp.where(iota(_BEAM, 3) == 0, 0.0, _COST_EMPTY).astype(jnp.float32)
     return Combinations(
-        sets=jnp.concatenate([jnp.stack([objects, touched, kept, outside], axis=1), by_slot], 1),
-        cost=jnp.where(exists, stack.cost[k], first),
+        sets=jnp.append(jnp.stack([objects, mentioned, constraints, excluded], 1), by_slot, axis=1),
+        cost=jnp.where(exists, stack.cost[k], single),
     )
 
 
@@ -97,18 +97,18 @@ def _combine(left: Combinations, right: Combinations) -> Combinations:
     i = jnp.where(pair < 4, 0, jnp.where(pair < 6, 1, pair - 4))
     j = jnp.where(pair < 4, pair, jnp.where(pair == 5, 1, 0))
     return Combinations(
-        sets=pick_of_four(left.sets, i[:, None]) | pick_of_four(right.sets, j[:, None]),
+        sets=take_of_beam(left.sets, i[:, None]) | take_of_beam(right.sets, j[:, None]),
         cost=jnp.stack(values),
     )
 
 
-def _four_best_sets(odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
+def _four_best_sets(log_odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
     """Find the four best sets over the four combinations of the children.
 
     By log-odds f32[4, (1 + L) N, E, P] of objects (or constraints) and regions by slot, and costs
     f32[4, E, P] of the combinations: masks i32[4, 1 + L, E, P] and their costs, best first.
     """
-    margin = jnp.abs(odds)
+    margin = jnp.abs(log_odds)
     # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
     base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-3))
     (m1, m2, m3), (f1, f2, f3) = smallest(margin, 3)
@@ -117,31 +117,31 @@ def _four_best_sets(odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
     values, indices = smallest(costs, _BEAM)
     index = jnp.stack(indices)
     rank, combination = index >> 2, index & 3
-    pair = (rank == 3) & (pick_of_four(is_pair, combination) == 1)
+    pair = (rank == 3) & (take_of_beam(is_pair, combination) == 1)
     flips = (
-        jnp.where((rank == 1) | pair, pick_of_four(f1, combination), NONE),
-        jnp.where((rank == 2) | pair, pick_of_four(f2, combination), NONE),
-        jnp.where((rank == 3) & ~pair, pick_of_four(f3, combination), NONE),
+        jnp.where((rank == 1) | pair, take_of_beam(f1, combination), NONE),
+        jnp.where((rank == 2) | pair, take_of_beam(f2, combination), NONE),
+        jnp.where((rank == 3) & ~pair, take_of_beam(f3, combination), NONE),
     )
-    masks = to_mask(odds.reshape(_BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 1 + L, E, P]
-    first = size * jnp.arange(masks.shape[1], dtype=jnp.int32)[:, None, None]
-    chosen = pick_of_four(masks, combination[:, None])
+    masks = to_mask(log_odds.reshape(_BEAM, -1, size, *log_odds.shape[-2:]) > 0)  # [4, 1 + L, E, P]
+    offset = size * jnp.arange(masks.shape[1], dtype=jnp.int32)[:, None, None]
+    chosen = take_of_beam(masks, combination[:, None])
     for flip in flips:
-        bit = flip[:, None] - first
-        is_here = (bit >= 0) & (bit < size)
-        chosen = chosen ^ jnp.where(is_here, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
+        bit = flip[:, None] - offset
+        in_mask = (bit >= 0) & (bit < size)
+        chosen = chosen ^ jnp.where(in_mask, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
     return chosen, jnp.stack(values)
 
 
 def _push_phrase(stack: _Stack, top: _Stack, num_children: Array) -> _Stack:
-    """Replace the children's hypotheses on the stack by the phrase's (depth 1)."""
+    """Replace the children's hypotheses on the stack by the phrase's, one entry."""
 
     def shifted(old: Array, new: Array) -> Array:
-        rows = old  # of a padded row
+        entries = old  # of a padding phrase
         for count in range(NUM_CHILDREN + 1):
-            rest = [old[count:], *[old[-1:]] * count]
-            rows = jnp.where(num_children == count, jnp.concatenate([new, *rest])[:MAX_DEPTH], rows)
-        return rows
+            pushed = jnp.concatenate([new, old[count:], *[old[-1:]] * count])[:MAX_DEPTH]
+            entries = jnp.where(num_children == count, pushed, entries)
+        return entries
 
     return jax.tree.map(shifted, stack, top)
 
@@ -149,36 +149,36 @@ def _push_phrase(stack: _Stack, top: _Stack, num_children: Array) -> _Stack:
 MAX_SLOTS = 31
 """Object slots, the robot's included: a bit mask and a sorted list of factors hold them."""
 ROOT = -1
-"""Row of the root in a program: the last one, however many phrases there are."""
+"""Index of the root phrase in a clause: the last, however many phrases there are."""
 
 
-def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_Stack, _Expressed]:
+def _reduce(phrase: CompiledClause, scene: ObjectSets, stack: _Stack) -> tuple[_Stack, _SymbolOdds]:
     """Infer the beam of one phrase from those of its children, and push it on the stack."""
-    size = scene.lies.shape[1]
+    size = scene.in_region.shape[1]
     # The trip count is the maximum over lanes; the loop also keeps the compiler from recomputing
     # the same values inside every later fusion.
     joined = jax.lax.fori_loop(
         1,
-        jnp.max(row.num_children),
-        lambda k, joined: _combine(joined, _child_beam(row, stack, k)),
-        _child_beam(row, stack, 0),
+        jnp.max(phrase.num_children),
+        lambda k, joined: _combine(joined, _child_beam(phrase, stack, k)),
+        _child_beam(phrase, stack, 0),
     )
     # A phrase expresses objects or constraints, never both: they share the first N symbols.
-    first = jax.lax.cond(
-        jnp.any(row.is_verb),
-        lambda noun: jnp.where(row.is_verb, constraint_odds(row, scene, joined, size), noun),
+    leading = jax.lax.cond(
+        jnp.any(phrase.is_verb),
+        lambda noun: jnp.where(phrase.is_verb, constraint_odds(phrase, scene, joined, size), noun),
         lambda noun: noun,
-        object_odds(row, scene, joined, size),
+        object_odds(phrase, scene, joined, size),
     )
-    odds = jnp.concatenate([first[:, None], region_odds(row, scene, joined, size)], axis=1)
-    odds = materialize(odds.reshape(_BEAM, -1, *odds.shape[-2:]))
-    sets, cost = materialize(_four_best_sets(odds, joined.cost, size))
-    both, slots = sets[:, 0], sets[:, 1:]
-    objects, constraints = jnp.where(row.is_verb, 0, both), jnp.where(row.is_verb, both, 0)
-    lies = lying_in(row, scene, slots)
-    rows = jnp.stack([objects, *jnp.unstack(slots, axis=1), constraints, lies])
-    top = materialize(_Stack(rows[None], cost[None]))
-    return _push_phrase(stack, top, row.num_children), _Expressed(odds, joined.cost)
+    log_odds = jnp.concatenate([leading[:, None], region_odds(phrase, scene, joined, size)], axis=1)
+    log_odds = materialize(log_odds.reshape(_BEAM, -1, *log_odds.shape[-2:]))
+    best, cost = materialize(_four_best_sets(log_odds, joined.cost, size))
+    regions, is_verb = best[:, 1:], phrase.is_verb
+    objects, constraints = jnp.where(is_verb, 0, best[:, 0]), jnp.where(is_verb, best[:, 0], 0)
+    located = objects_in(phrase, scene, regions)
+    sets = jnp.stack([objects, *jnp.unstack(regions, axis=1), constraints, located])
+    top = materialize(_Stack(sets[None], cost[None]))
+    return _push_phrase(stack, top, phrase.num_children), _SymbolOdds(log_odds, joined.cost)
 
 
 def _by_relation(values: Array, relation: Array) -> Array:
@@ -190,7 +190,7 @@ def _by_relation(values: Array, relation: Array) -> Array:
     return functools.reduce(jnp.add, spread)
 
 
-def _root_marginals(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior:
+def _root_marginals(clause: CompiledClause, root: _SymbolOdds, size: int) -> Behavior:
     """Compute the behavior marginals at the root, averaged over its children's combinations.
 
     A behavior has one goal: the probability that any goal is expressed is divided in proportion
@@ -202,59 +202,59 @@ def _root_marginals(program: BehaviorProgram, root: _Expressed, size: int) -> Be
 
     batch_shape = root.cost.shape[1:]
     # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
-    probability = materialize(1.0 / (1.0 + jnp.exp(-root.odds)))
+    probability = materialize(1.0 / (1.0 + jnp.exp(-root.log_odds)))
     constraint, goal = probability[:, :size], probability[:, size:]
     goal = goal.reshape(_BEAM, NUM_REGION_SLOTS, size, *batch_shape)
     is_none = jnp.prod(functools.reduce(jnp.multiply, jnp.unstack(1.0 - goal, axis=1)), axis=1)
     total = jnp.sum(functools.reduce(jnp.add, jnp.unstack(goal, axis=1)), axis=1)
-    exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
+    exists = jnp.where(clause.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-root.cost, axis=0)
     scale = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
     by_slot = materialize((mean(goal, scale[:, None, None]), mean(constraint, weight[:, None])))
     return Behavior(
-        action=jnp.broadcast_to(program.action, (program.action.shape[0], *batch_shape)),
-        mode=jnp.broadcast_to(program.mode, (program.mode.shape[0], *batch_shape)),
-        goal=_by_relation(by_slot[0], program.region_relation[ROOT]),
-        constraint=_by_relation(by_slot[1][None], program.constraint_relation[ROOT][None]),
+        action=jnp.broadcast_to(clause.action, (clause.action.shape[0], *batch_shape)),
+        mode=jnp.broadcast_to(clause.mode, (clause.mode.shape[0], *batch_shape)),
+        goal=_by_relation(by_slot[0], clause.region_relation[ROOT]),
+        constraint=_by_relation(by_slot[1][None], clause.constraint_relation[ROOT][None]),
     )
 
 
-def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
-    """Infer behaviors, given leaves [..., E, 1] of the program and [..., E, P] of the worlds."""
-    scene = build_object_sets(program, worlds)
-    size, *lanes = scene.lies.shape[1:]
+def _infer_lanes(clause: CompiledClause, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
+    """Infer behaviors, given leaves [..., E, 1] of the clause and [..., E, P] of the worlds."""
+    scene = build_object_sets(clause, worlds)
+    size, *lanes = scene.in_region.shape[1:]
     stack = _Stack(
         sets=jnp.zeros((MAX_DEPTH, 3 + NUM_REGION_SLOTS, _BEAM, *lanes), jnp.int32),
         cost=jnp.zeros((MAX_DEPTH, _BEAM, *lanes), jnp.float32),
     )
-    nothing = _Expressed(
-        odds=jnp.zeros((_BEAM, (1 + NUM_REGION_SLOTS) * size, *lanes), jnp.float32),
+    nothing = _SymbolOdds(
+        log_odds=jnp.zeros((_BEAM, (1 + NUM_REGION_SLOTS) * size, *lanes), jnp.float32),
         cost=stack.cost[0],
     )
-    rows = {
-        field.name: getattr(program, field.name)
-        for field in dataclasses.fields(program)
+    phrases = {
+        field.name: getattr(clause, field.name)
+        for field in dataclasses.fields(clause)
         if field.name not in CLAUSE_FIELDS
     }
 
-    def infer(index: Array, carry: tuple[_Stack, _Expressed]) -> tuple[_Stack, _Expressed]:
+    def infer(index: Array, carry: tuple[_Stack, _SymbolOdds]) -> tuple[_Stack, _SymbolOdds]:
         # The root comes last in every lane, however many phrases a lane has.
-        phrase = jnp.where(index == num_phrases - 1, NUM_PHRASES - 1, index)
-        return _advance(replace(program, **select_row(rows, phrase)), scene, carry[0])
+        row = jnp.where(index == num_phrases - 1, NUM_PHRASES - 1, index)
+        return _reduce(replace(clause, **select_row(phrases, row)), scene, carry[0])
 
     # Phrases are processed bottom-up.
     _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))
-    return _root_marginals(program, root, size)
+    return _root_marginals(clause, root, size)
 
 
 @jax.custom_batching.custom_vmap
-def _infer(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
-    """Infer behaviors of one episode: leaves [...] of the program and [..., P] of the worlds."""
-    program = jax.tree.map(lambda leaf: leaf[..., None, None], program)
+def _infer(clause: CompiledClause, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
+    """Infer behaviors of one episode: leaves [...] of the clause and [..., P] of the worlds."""
+    clause = jax.tree.map(lambda leaf: leaf[..., None, None], clause)
     worlds = jax.tree.map(lambda leaf: leaf[..., None, :], worlds)
     # Lanes stand last everywhere, so aligning shapes from the right is what is meant.
     with jax.numpy_rank_promotion("allow"):
-        behavior = _infer_lanes(program, worlds, num_phrases)
+        behavior = _infer_lanes(clause, worlds, num_phrases)
     return jax.tree.map(lambda leaf: leaf[..., 0, :], behavior)
 
 
@@ -262,65 +262,65 @@ def _infer(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) 
 def _infer_episodes(
     axis_size: int,
     in_batched: Any,
-    program: BehaviorProgram,
+    clause: CompiledClause,
     worlds: BehaviorWorld,
     num_phrases: Array,
 ) -> tuple[Behavior, Behavior]:
     """Infer behaviors of a batch of episodes, whose axis becomes a lane axis."""
 
-    def of_program(leaf: Array, is_batched: bool) -> Array:
+    def of_clause(leaf: Array, is_batched: bool) -> Array:
         return (jnp.moveaxis(leaf, 0, -1) if is_batched else leaf[..., None])[..., None]
 
     def of_worlds(leaf: Array, is_batched: bool) -> Array:
         return jnp.moveaxis(leaf, 0, -2) if is_batched else leaf[..., None, :]
 
-    program = jax.tree.map(of_program, program, in_batched[0])
+    clause = jax.tree.map(of_clause, clause, in_batched[0])
     worlds = jax.tree.map(of_worlds, worlds, in_batched[1])
     shape = (axis_size, max(leaf.shape[-1] for leaf in jax.tree.leaves(worlds)))
     worlds = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*leaf.shape[:-2], *shape)), worlds)
     with jax.numpy_rank_promotion("allow"):
-        behavior = _infer_lanes(program, worlds, jnp.max(num_phrases))
+        behavior = _infer_lanes(clause, worlds, jnp.max(num_phrases))
     behavior = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -2, 0), behavior)
     return behavior, jax.tree.map(lambda _: True, behavior)
 
 
 def infer_behaviors(
-    program: BehaviorProgram, worlds: BehaviorWorld, *, num_phrases: Array | int
+    clause: CompiledClause, worlds: BehaviorWorld, *, num_phrases: Array | int
 ) -> Behavior:
     """Infer the distribution over behaviors in every particle (section 3.3), leaves [..., P].
 
-    Limits: a program without phrases has no goal; without the object, goals sum to nearly zero.
+    Limits: a clause without phrases has no goal; without the object, goals sum to nearly zero.
     Empty object slots and padded phrases change nothing.
 
     Args:
-        program: one clause.
+        clause: compiled; traced.
         worlds: the particles' objects, leaves [..., P]; of more than ``MAX_SLOTS`` those that
-            matter most are inferred (``likeliest_slots``), and the others are 0.
-        num_phrases: number of phrases to infer, at least the program's. It is a trip count, so
+            matter most are inferred (``most_relevant_slots``), and the others are 0.
+        num_phrases: number of phrases to infer, at least the clause's. It is a trip count, so
             padding costs nothing; a batch of episodes takes the maximum.
     """
     size = worlds.object_type.shape[0]
     if size > MAX_SLOTS:
-        choose = jax.vmap(likeliest_slots, in_axes=(-1, None), out_axes=-1)
-        worlds, slots = choose(worlds, label_of(program.own.reshape(-1)))
-        behavior = infer_behaviors(program, worlds, num_phrases=num_phrases)
+        choose = jax.vmap(most_relevant_slots, in_axes=(-1, None), out_axes=-1)
+        worlds, slots = choose(worlds, label_of(clause.named_types.reshape(-1)))
+        behavior = infer_behaviors(clause, worlds, num_phrases=num_phrases)
         lanes = jnp.arange(slots.shape[-1])[None]
         goal, constraint = (
             jnp.zeros((NUM_REGIONS, size, lanes.size)).at[:, slots, lanes].set(values)
             for values in (behavior.goal, behavior.constraint)
         )
         return replace(behavior, goal=goal, constraint=constraint)
-    edges = worlds.is_related, worlds.is_superlative, worlds.is_later
+    edges = worlds.is_related, worlds.is_superlative, worlds.is_ordinal
     chex.assert_shape([worlds.object_type, worlds.is_object, worlds.is_previous], (size, None))
     chex.assert_shape(edges, (NUM_RELATIONS, size, size, None))
     chex.assert_type([worlds.object_type, worlds.is_object, worlds.is_previous], [int, bool, bool])
     chex.assert_type(edges, bool)
-    chex.assert_shape(program.regions, (NUM_PHRASES, None, NUM_REGION_SLOTS))
-    chex.assert_type([program.objects, program.regions], jnp.float32)
-    return _infer(program, worlds, jnp.asarray(num_phrases, jnp.int32))
+    chex.assert_shape(clause.regions, (NUM_PHRASES, None, NUM_REGION_SLOTS))
+    chex.assert_type([clause.objects, clause.regions], jnp.float32)
+    return _infer(clause, worlds, jnp.asarray(num_phrases, jnp.int32))
 
 
-def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, Array]:
+def most_relevant_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, Array]:
     """Select the most relevant slots, as many as the bit masks of the behavior model can hold.
 
     Referents and the last goal come first, then objects of named types, i32[n] labels, then the
@@ -340,9 +340,9 @@ def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, 
 
 
 def infer_behavior(
-    program: BehaviorProgram, world: BehaviorWorld, *, num_phrases: Array | int
+    clause: CompiledClause, world: BehaviorWorld, *, num_phrases: Array | int
 ) -> Behavior:
     """Infer the distribution over behaviors in one world; see ``infer_behaviors``."""
     worlds = jax.tree.map(lambda leaf: leaf[..., None], world)
-    behaviors = infer_behaviors(program, worlds, num_phrases=num_phrases)
+    behaviors = infer_behaviors(clause, worlds, num_phrases=num_phrases)
     return jax.tree.map(lambda leaf: leaf[..., 0], behaviors)

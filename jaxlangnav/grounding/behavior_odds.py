@@ -1,8 +1,8 @@
 """Log-odds of behavior symbols in the particles (eq. 4, section 3.3), given the children's sets.
 
-The device version of ``behavior_properties``: leaves of a program are [..., E, 1], those of worlds
-[..., E, P]; episodes and particles are lanes. A ``row`` is a program of one phrase: its fields
-have lost their first axis.
+The device version of ``behavior_properties``: leaves of a clause are [..., E, 1], those of worlds
+[..., E, P]; episodes and particles are lanes. A ``phrase`` is one of a clause: its fields have lost
+their first axis.
 """
 
 import functools
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.program import LOG_NEVER, BehaviorProgram
+from jaxlangnav.grounding.program import LOG_NEVER, CompiledClause
 from jaxlangnav.inputs.object_types import is_type, label_of
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 from jaxlangnav.numerics.batching import lookup
@@ -22,11 +22,11 @@ from jaxlangnav.numerics.batching import lookup
 class ObjectSets(NamedTuple):
     """Sets of each particle's objects as bit masks."""
 
-    kind: Array  # i32[N, E, P] types of the objects
+    object_type: Array  # i32[N, E, P]
     previous: Array  # i32[3, E, P] the previous goal; others of its type; those of other types
     robot: Array  # i32[E, P]
     everything: Array  # i32[E, P]
-    lies: Array  # i32[T, N, E, P] objects in the region, by the program's tables and landmark
+    in_region: Array  # i32[T, N, E, P] objects in the region, by the clause's tables and landmark
 
 
 class Combinations(NamedTuple):
@@ -39,30 +39,30 @@ class Combinations(NamedTuple):
     cost: Array  # f32[4, E, P]
 
 
-_OBJECTS, _TOUCHED, _KEPT, _OUTSIDE, _SLOTS, _NEAR = 0, 1, 2, 3, slice(4, -1), -1
+_OBJECTS, _MENTIONED, _CONSTRAINTS, _EXCLUDED, _SLOTS, _NEAR = 0, 1, 2, 3, slice(4, -1), -1
 """Indices into ``Combinations.sets``."""
 
 
-def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectSets:
+def build_object_sets(clause: CompiledClause, world: BehaviorWorld) -> ObjectSets:
     """Encode worlds as bit masks; leaves of the world are [..., E, P]."""
-    is_object, kind = world.is_object, world.object_type
-    itself = jnp.where(is_object, _bit_of_each(kind.shape[0], 3), 0)
+    is_object, object_type = world.is_object, world.object_type
+    itself = jnp.where(is_object, _bit_of_each(object_type.shape[0], 3), 0)
     everything = jnp.sum(itself, axis=0)
-    edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_later])
+    edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_ordinal])
     figures = jnp.sum(jnp.where(edges, itself[None, :, None], 0), axis=1)
     figures = jnp.append(figures, itself[None], axis=0)  # [18 + 1, N, E, P]: the last table is "at"
     previous = world.is_previous & is_object
-    last_type = jnp.max(jnp.where(previous, kind, NONE - 9), axis=0)
-    same_type = (label_of(kind) == label_of(last_type)[None]) & is_object
-    is_robot = (kind == ROBOT) & is_object
+    last_type = jnp.max(jnp.where(previous, object_type, NONE - 9), axis=0)
+    same_type = (label_of(object_type) == label_of(last_type)[None]) & is_object
+    is_robot = (object_type == ROBOT) & is_object
     goal, others, robot = to_mask(jnp.stack([previous, same_type & ~previous, is_robot]))
     rest = jnp.where(goal != 0, everything & ~(goal | others), 0)
     return ObjectSets(
-        kind=kind,
+        object_type=object_type,
         previous=jnp.stack([goal, others, rest]),
         robot=robot,
         everything=everything,
-        lies=lookup(figures, _per_object(program.table, is_object)),
+        in_region=lookup(figures, _per_object(clause.table, is_object)),
     )
 
 
@@ -71,69 +71,69 @@ def _per_object(index: Array, objects: Array) -> Array:
     return jnp.broadcast_to(index[:, None], (index.shape[0], *objects.shape))
 
 
-def _named(row: BehaviorProgram, scene: ObjectSets) -> Array:
+def _named(phrase: CompiledClause, scene: ObjectSets) -> Array:
     """Find the objects of the types that the words name, i32[E, P]."""
-    named = is_type(scene.kind[None], row.own[:, None])  # [W, N, E, P]
+    named = is_type(scene.object_type[None], phrase.named_types[:, None])  # [W, N, E, P]
     return to_mask(functools.reduce(jnp.logical_or, named)) & scene.everything
 
 
-def object_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int) -> Array:
+def object_odds(phrase: CompiledClause, scene: ObjectSets, given: Combinations, size: int) -> Array:
     """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
-    named_mask = _named(row, scene)
-    own = _is_in(named_mask, size)
-    always, named, other, expressed, there, elsewhere, absent, named_there, *previous = row.objects
-    base = jnp.where(own, always + named, always + other)
+    named_mask = _named(phrase, scene)
+    is_named, terms = _is_in(named_mask, size), phrase.objects
+    always, named, unnamed, child, located, elsewhere, no_child, named_located, *previous = terms
+    base = jnp.where(is_named, always + named, always + unnamed)
     base = base + jnp.where(_is_in(named_mask & scene.previous[0], size), previous[0], 0.0)
     for n in range(3):
         base = base + jnp.where(_is_in(scene.previous[n], size), previous[1 + n], 0.0)
     base = base + jnp.where(scene.previous[0] == 0, previous[4], 0.0)[None]
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
-    objects, outside = joined.sets[:, _OBJECTS], joined.sets[:, _OUTSIDE]
-    inside, lies = _is_in(objects, size), ~_is_in(outside, size)
-    given = expressed + jnp.where(lies, there, elsewhere)
-    own_there = jnp.where(own[None] & lies, named_there, 0.0)
-    return base[None] + own_there + jnp.where(inside, given, absent)
+    objects, excluded = given.sets[:, _OBJECTS], given.sets[:, _EXCLUDED]
+    in_child, is_located = _is_in(objects, size), ~_is_in(excluded, size)
+    child_odds = child + jnp.where(is_located, located, elsewhere)
+    named_odds = jnp.where(is_named[None] & is_located, named_located, 0.0)
+    return base[None] + named_odds + jnp.where(in_child, child_odds, no_child)
 
 
-def region_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int) -> Array:
+def region_odds(phrase: CompiledClause, scene: ObjectSets, given: Combinations, size: int) -> Array:
     """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
-    inside = _is_in(joined.sets[:, _OBJECTS], size)[:, None]
-    same = _is_in(joined.sets[:, _SLOTS], size)
-    base, expressed, same_region, absent, named_odds, robot = row.regions[:, :, None]
-    base = base + jnp.where(_is_in(_named(row, scene), size), named_odds, 0.0)
+    in_child = _is_in(given.sets[:, _OBJECTS], size)[:, None]
+    region_in_child = _is_in(given.sets[:, _SLOTS], size)
+    base, child, child_region, neither, named, robot = phrase.regions[:, :, None]
+    base = base + jnp.where(_is_in(_named(phrase, scene), size), named, 0.0)
     base = base + jnp.where(_is_in(scene.robot, size), robot, 0.0)
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     return (
         base[None]
-        + jnp.where(inside, expressed, 0.0)
-        + jnp.where(same, same_region, 0.0)
-        + jnp.where(inside | same, 0.0, absent)
+        + jnp.where(in_child, child, 0.0)
+        + jnp.where(region_in_child, child_region, 0.0)
+        + jnp.where(in_child | region_in_child, 0.0, neither)
     )
 
 
 def constraint_odds(
-    row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int
+    phrase: CompiledClause, scene: ObjectSets, given: Combinations, size: int
 ) -> Array:
-    """Evaluate the log-odds of the constraints, f32[4, N, E, P], of the row's one relation."""
-    base, same_region, inside, part, untouched, repeated, first = row.constraints
+    """Evaluate the log-odds of the constraints, f32[4, N, E, P], of the phrase's one relation."""
+    base, child_region, child, mention, no_mention, repeated, first = phrase.constraints
     base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
-    objects, touched, kept, near = (
-        _is_in(joined.sets[:, index], size) for index in (_OBJECTS, _TOUCHED, _KEPT, _NEAR)
+    in_child, is_mentioned, is_repeated, region_in_child = (
+        _is_in(given.sets[:, i], size) for i in (_OBJECTS, _MENTIONED, _CONSTRAINTS, _NEAR)
     )
     return (
         base[None]
-        + jnp.where(near, same_region, 0.0)
-        + jnp.where(objects, inside, 0.0)
-        + jnp.where(touched, part + jnp.where(kept, 0.0, first), untouched)
-        + jnp.where(kept, repeated, 0.0)
+        + jnp.where(region_in_child, child_region, 0.0)
+        + jnp.where(in_child, child, 0.0)
+        + jnp.where(is_mentioned, mention + jnp.where(is_repeated, 0.0, first), no_mention)
+        + jnp.where(is_repeated, repeated, 0.0)
     )
 
 
-def lying_in(row: BehaviorProgram, scene: ObjectSets, regions: Array) -> Array:
-    """Find the objects that lie in the expressed regions, i32[4, L, E, P] to i32[4, E, P]."""
-    table = lookup(scene.lies, _per_object(row.region_table, scene.lies[0]))
-    there = jnp.where(_is_in(regions, scene.lies.shape[1]), table[None], 0)  # [4, L, N, E, P]
-    return jax.lax.reduce_or(there, axes=(1, 2))
+def objects_in(phrase: CompiledClause, scene: ObjectSets, regions: Array) -> Array:
+    """Find the objects in the expressed regions, i32[4, L, E, P] to i32[4, E, P]."""
+    table = lookup(scene.in_region, _per_object(phrase.region_table, scene.in_region[0]))
+    is_region = _is_in(regions, scene.in_region.shape[1])  # [4, L, N, E, P]
+    return jax.lax.reduce_or(jnp.where(is_region, table[None], 0), axes=(1, 2))
 
 
 # ---------------------------------------------------------------- sets of objects as bit masks
@@ -178,8 +178,8 @@ def smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
     return values, [value & low for value in minima]
 
 
-def pick_of_four(values: Array, index: Array) -> Array:
-    """Read one of four: values i32[4, ..., E, P], index i32[m, ..., E, P] → i32[m, ..., E, P]."""
+def take_of_beam(values: Array, index: Array) -> Array:
+    """Gather from a beam of 4: i32[4, ..., E, P] at i32[m, ..., E, P] → i32[m, ..., E, P]."""
     odd = (index & 1) == 1
     low_part = jnp.where(odd, values[1:2], values[0:1])
     return jnp.where(index >= 2, jnp.where(odd, values[3:4], values[2:3]), low_part)

@@ -190,10 +190,10 @@ class BoundSentence:
             for name, bound in zip(self.names, self.kinds, strict=True)
         ]
 
-    def rewrite(self, own: np.ndarray) -> np.ndarray:
-        """Replace type indices by codes of label and attributes in a program, i32[H, 4]."""
-        codes = np.full_like(own, NONE)
-        for row, types in zip(codes, own, strict=True):
+    def type_codes(self, named_types: np.ndarray) -> np.ndarray:
+        """Replace type indices by codes of label and attributes in a compiled clause, i32[H, 4]."""
+        codes = np.full_like(named_types, NONE)
+        for row, types in zip(codes, named_types, strict=True):
             kinds = [kind for t in types[types != NONE] for kind in self.kinds_of(int(t))]
             row[: len(kinds)] = kinds[:MAX_NAMED_TYPES]
         return codes

@@ -15,7 +15,7 @@ from jax import Array
 from jaxlangnav.grounding.annotation import AnnotationBelief, describe_annotation, infer_annotations
 from jaxlangnav.grounding.binding import BoundSentence, Detector, noun_text
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program
+from jaxlangnav.grounding.program import CompiledClause, compile_clause, empty_clause
 from jaxlangnav.grounding.readings import to_readings
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, count_factors
 from jaxlangnav.inputs.object_types import ANYTHING
@@ -117,7 +117,7 @@ class Instruction:
     """A grounded instruction as data; commands in order, padded to C clauses."""
 
     readings: Readings  # annotations of the world
-    program: BehaviorProgram  # every leaf leads with C
+    clauses: CompiledClause  # every leaf leads with C
     num_clauses: Array  # i32[] commands; statements are not counted
     metres: Array  # f32[C] from landmark to goal, as commanded; 0: the relation's typical distance
     frame: Array  # f32[C, 3] reference pose of a command: x, y, heading; metres, radians, frame of
@@ -210,7 +210,7 @@ def understand(
     earlier: Antecedent | None = None,
     least_probability: float = MIN_PROBABILITY,
 ) -> Understanding:
-    """Parse a sentence, infer its annotations, and compile its program for behavior inference.
+    """Parse a sentence, infer its annotations, and compile its clauses for behavior inference.
 
     Args:
         text: what the person said.
@@ -246,12 +246,12 @@ def understand_parse(
             f"the sentence has {len(commands)} commands; at most {NUM_CLAUSES} are held: "
             "say less at once"
         )
-    programs = [
+    clauses = [
         compile_clause(tree.clauses[i], i, model.behavior, belief.rank, names) for i in commands
     ]
-    programs = [fields | {"own": bound.rewrite(fields["own"])} for fields in programs]
+    clauses = [c | {"named_types": bound.type_codes(c["named_types"])} for c in clauses]
     instruction = pack_instruction(
-        to_readings(belief, bound.kinds_of), programs, [tree.measures[i] for i in commands]
+        to_readings(belief, bound.kinds_of), clauses, [tree.measures[i] for i in commands]
     )
 
     return Understanding(
@@ -268,14 +268,14 @@ def understand_parse(
 def pack_instruction(
     readings: Readings, commands: Sequence[dict[str, np.ndarray]], measures: Sequence[Measure] = ()
 ) -> Instruction:
-    """Pack readings and the programs of commands into an instruction, padded to ``NUM_CLAUSES``.
+    """Pack readings and compiled commands into an instruction, padded to ``NUM_CLAUSES``.
 
     Args:
         readings: distribution over annotations of the world.
-        commands: fields of each command's program, in order, host arrays.
+        commands: fields of each command's compiled clause, in order, host arrays.
         measures: distance of each command; by default the relation's typical one.
     """
-    fields = [*commands, *[empty_program()] * (NUM_CLAUSES - len(commands))]
+    fields = [*commands, *[empty_clause()] * (NUM_CLAUSES - len(commands))]
     padded = [*measures, *[Measure()] * (NUM_CLAUSES - len(measures))]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *fields)
     arrays = {
@@ -283,5 +283,5 @@ def pack_instruction(
         "metres": np.array([measure.metres for measure in padded], np.float32),
         "frame": np.array([measure.frame for measure in padded], np.float32),
     }
-    program = BehaviorProgram(**jax.device_put(stacked))
-    return Instruction(readings=readings, program=program, **jax.device_put(arrays))
+    clauses = CompiledClause(**jax.device_put(stacked))
+    return Instruction(readings=readings, clauses=clauses, **jax.device_put(arrays))

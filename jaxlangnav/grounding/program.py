@@ -1,8 +1,8 @@
-"""The behavior program: a sentence compiled to coefficients per phrase (section 3.3).
+"""Compiled clauses: a sentence's words contracted to coefficients per phrase (section 3.3).
 
 Contracting the words of a sentence with the weights leaves a few coefficients per phrase, and
 inference per particle and step reads only these. All sentences have the same shapes, so a new
-sentence is new data and never a new program.
+sentence is new data and needs no compilation by XLA.
 
 A phrase rarely expresses more than one relation, so of the seven regions each object has, only
 the ``NUM_REGION_SLOTS`` with the largest upper bound on their log-odds are kept (constraints: one).
@@ -17,11 +17,11 @@ from jax import Array
 from jaxlangnav.grounding.behavior_properties import (
     CONSTRAINT_CONDITIONS,
     OBJECT_CONDITIONS,
-    PREVIOUS,
+    PREVIOUS_GOAL,
     REGION_CONDITIONS,
-    PhraseWords,
+    GateInputs,
     choice_tables,
-    contract,
+    sum_by_condition,
 )
 from jaxlangnav.grounding.model import RESTRICTORS, CorrespondenceModel, senses_of
 from jaxlangnav.grounding.properties import find_ranks
@@ -40,33 +40,33 @@ MAX_DEPTH = 6
 LOG_NEVER = -1e4
 """Log-odds of a symbol that a phrase cannot express."""
 NOTHING = -1
-"""Number of children in a padded row, which leaves the stack unchanged."""
+"""Number of children of a padding phrase, which leaves the stack unchanged."""
 AT_TABLE = 3 * NUM_RELATIONS
 
 
 @pytree
-class BehaviorProgram:
+class CompiledClause:
     """Coefficients of one clause: phrases bottom-up, then padding, the root in the last row.
 
-    H rows, 3 children, L region slots, T tables. Log-odds are sums over the conditions that hold.
+    H phrases, 3 children, L region slots, T tables. Log-odds: sums over the conditions that hold.
     The children of a phrase are the top entries of the stack; the last child is child 0.
     """
 
     num_phrases: Array  # i32[]
-    num_children: Array  # i32[H]; NOTHING in padded rows
+    num_children: Array  # i32[H]; NOTHING in padding
     is_verb: Array  # bool[H] expresses goals and constraints, otherwise objects and regions
     is_restrictor: Array  # bool[H, 3] the child states the figure's location
-    own: Array  # i32[H, 4] object types that the words name; NONE beyond them
+    named_types: Array  # i32[H, 4] object types that the words name; NONE beyond them
     objects: Array  # f32[H, 13] log-odds added under each of ``OBJECT_CONDITIONS``
     table: Array  # i32[T] 0-5 related, 6-11 extreme of its type, 12-17 the second, third, ... that
     # the sentence means, 18 at; NONE where unused
     region_relation: Array  # i32[H, L] relation of each slot; NONE where empty
     region_table: Array  # i32[H, L] index of the table for the region; NONE
-    region_from: Array  # i32[H, 3, L] slot of the child with the same relation; NONE
+    child_region_slot: Array  # i32[H, 3, L] slot of the child with the same relation; NONE
     regions: Array  # f32[H, 6, L] added under each of ``REGION_CONDITIONS``
     constraint_relation: Array  # i32[H]
-    constraint_from: Array  # i32[H, 3] 0 where the child has the same constraint; NONE
-    constraint_region: Array  # i32[H, 3] slot of the child with the same relation; NONE
+    child_constraint_slot: Array  # i32[H, 3] 0 where the child has the same constraint; NONE
+    constraint_region_slot: Array  # i32[H, 3] slot of the child with the same relation; NONE
     constraints: Array  # f32[H, 7] added under each of ``CONSTRAINT_CONDITIONS``
     action: Array  # f32[2] probability
     mode: Array  # f32[3] probability
@@ -76,8 +76,8 @@ CLAUSE_FIELDS = ("num_phrases", "table", "action", "mode")
 """Fields of the clause, without an axis over phrases."""
 
 
-def empty_program() -> dict[str, np.ndarray]:
-    """Build the fields of a program that expresses nothing."""
+def empty_clause() -> dict[str, np.ndarray]:
+    """Build the fields of a clause without phrases."""
     h, k, s = NUM_PHRASES, NUM_CHILDREN, NUM_REGION_SLOTS
     f32, i32 = np.float32, np.int32
     fields: dict[str, np.ndarray] = {
@@ -85,16 +85,16 @@ def empty_program() -> dict[str, np.ndarray]:
         "num_children": np.full(h, NOTHING, i32),
         "is_verb": np.zeros(h, bool),
         "is_restrictor": np.zeros((h, k), bool),
-        "own": np.full((h, MAX_NAMED_TYPES), NONE, i32),
+        "named_types": np.full((h, MAX_NAMED_TYPES), NONE, i32),
         "objects": np.zeros((h, len(OBJECT_CONDITIONS)), f32),
         "table": np.full(NUM_TABLES, NONE, i32),
         "region_relation": np.full((h, s), NONE, i32),
         "region_table": np.full((h, s), NONE, i32),
-        "region_from": np.full((h, k, s), NONE, i32),
+        "child_region_slot": np.full((h, k, s), NONE, i32),
         "regions": np.zeros((h, len(REGION_CONDITIONS), s), f32),
         "constraint_relation": np.full(h, NONE, i32),
-        "constraint_from": np.full((h, k), NONE, i32),
-        "constraint_region": np.full((h, k), NONE, i32),
+        "child_constraint_slot": np.full((h, k), NONE, i32),
+        "constraint_region_slot": np.full((h, k), NONE, i32),
         "constraints": np.zeros((h, len(CONSTRAINT_CONDITIONS)), f32),
         "action": np.array([1, 0], f32),
         "mode": np.array([1, 0, 0], f32),
@@ -109,11 +109,11 @@ def _upper_bound(
 ) -> np.ndarray:
     """Compute an upper bound on the log-odds of each relation, f32[7]."""
     is_in_child = np.isin(np.arange(NUM_REGIONS), fields["region_relation"][list(children)])
-    bound = terms["base"].copy()
-    for name in ("inside", "touched", "kept", "new", "own", "robot"):
+    bound = terms["always"].copy()
+    for name in ("in_child", "mentioned", "constraint_in_child", "new_mention", "named", "robot"):
         bound += np.maximum(terms.get(name, 0), 0)
-    bound += np.where(is_in_child, np.maximum(terms["same"], 0), 0)
-    rest = np.maximum(terms.get("absent", 0), 0) + np.maximum(terms.get("untouched", 0), 0)
+    bound += np.where(is_in_child, np.maximum(terms["region_in_child"], 0), 0)
+    rest = np.maximum(terms.get("neither", 0), 0) + np.maximum(terms.get("unmentioned", 0), 0)
     return np.asarray(bound + rest)
 
 
@@ -144,7 +144,7 @@ def _fill_regions(
         slots.append((float(bounds[relation]), row, slot, int(table)))
         fields["regions"][row, :, slot] = [term[relation] for term in terms.values()]
         for k, child in enumerate(children):
-            fields["region_from"][row, k, slot] = _slot_of(fields, child, relation)
+            fields["child_region_slot"][row, k, slot] = _slot_of(fields, child, relation)
     return slots
 
 
@@ -157,68 +157,68 @@ def _fill_constraint(
     fields["constraints"][row] = [term[relation] for term in terms.values()]
     for k, child in enumerate(children):
         if fields["constraint_relation"][child] == relation:
-            fields["constraint_from"][row, k] = 0
-        fields["constraint_region"][row, k] = _slot_of(fields, child, relation)
+            fields["child_constraint_slot"][row, k] = 0
+        fields["constraint_region_slot"][row, k] = _slot_of(fields, child, relation)
 
 
 def _check_sizes(nodes: tuple[Node, ...]) -> None:
     """Refuse a clause that the arrays do not hold."""
-    for what, size, limit in (
+    for parts, size, limit in (
         ("phrases", len(nodes), NUM_PHRASES),
         ("parts of one phrase", max(len(node.children) for node in nodes), NUM_CHILDREN),
         ("nested phrases", max(accumulate(1 - len(node.children) for node in nodes)), MAX_DEPTH),
     ):
         if size > limit:
             raise ValueError(
-                f"the command has {size} {what}; at most {limit} are held: say less at once"
+                f"the command has {size} {parts}; at most {limit} are held: say less at once"
             )
 
 
 def compile_clause(
     root: Phrase,
-    clause: int,
+    index: int,
     model: CorrespondenceModel,
     rank: Mapping[Path, int],
     type_names: tuple[str, ...],
 ) -> dict[str, np.ndarray]:
-    """Contract the words of a clause: the fields of its ``BehaviorProgram``, host arrays.
+    """Contract the words of a clause: the fields of its ``CompiledClause``, host arrays.
 
     Args:
         root: the clause; its root is a verb phrase.
-        clause: its position in the sentence.
+        index: its position in the sentence.
         model: behavior model.
         rank: of each phrase: 0, 1 nearest, 2 second, ... (annotation model).
         type_names: object types.
 
     Raises:
-        ValueError: the clause has more phrases, or nests deeper, than a program holds.
+        ValueError: the clause has more phrases, or nests deeper, than the arrays hold.
     """
-    nodes = post_order(root, clause)
+    nodes = post_order(root, index)
     _check_sizes(nodes)
-    fields = empty_program()
+    fields = empty_clause()
     fields["num_phrases"] = np.asarray(len(nodes), np.int32)
     candidates = []
-    for index, node in enumerate(nodes):
-        row = NUM_PHRASES - 1 if index == len(nodes) - 1 else index
+    for i, node in enumerate(nodes):
+        row = NUM_PHRASES - 1 if i == len(nodes) - 1 else i
         children = node.children[::-1]  # the last child is child 0
-        z = model.coefficients(node.phrase)
-        senses = senses_of(node.phrase, type_names)
-        labels = [nodes[child].phrase.label in RESTRICTORS for child in children]
-        fields["num_children"][row], fields["is_verb"][row] = len(labels), node.is_verb
-        fields["is_restrictor"][row, : len(labels)] = labels
-        words = PhraseWords.of(senses, bool(node.children), any(labels))
+        z, senses = model.coefficients(node.phrase), senses_of(node.phrase, type_names)
+        restricts = [nodes[child].phrase.label in RESTRICTORS for child in children]
+        fields["num_children"][row], fields["is_verb"][row] = len(children), node.is_verb
+        fields["is_restrictor"][row, : len(children)] = restricts
+        words = GateInputs.of(senses, bool(node.children), any(restricts))
         if node.is_verb:
-            terms = contract("goal", words, z["goal"])
-            _fill_constraint(fields, row, children, contract("constraint", words, z["constraint"]))
+            terms = sum_by_condition("goal", words, z["goal"])
+            constraints = sum_by_condition("constraint", words, z["constraint"])
+            _fill_constraint(fields, row, children, constraints)
         else:
-            terms = contract("region", words, z["region"])
-            objects = contract("object", words, z["object"])
+            terms = sum_by_condition("region", words, z["region"])
+            objects = sum_by_condition("object", words, z["object"])
             if senses.is_thing:  # as if there were no previous goal
                 objects["always"] += objects["no_previous"]
-                objects |= dict.fromkeys(PREVIOUS, np.zeros(NUM_REGIONS, np.float32))
+                objects |= dict.fromkeys(PREVIOUS_GOAL, np.zeros(NUM_REGIONS, np.float32))
             fields["objects"][row] = [term[0] for term in objects.values()]
             named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:MAX_NAMED_TYPES]
-            fields["own"][row, : len(named)] = named
+            fields["named_types"][row, : len(named)] = named
         ranks = find_ranks(node.phrase, node.path, rank, type_names)
         slots = _fill_regions(fields, row, children, terms, ranks)
         if node.phrase.label in RESTRICTORS:

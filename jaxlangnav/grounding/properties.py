@@ -16,10 +16,10 @@ from scipy.linalg import block_diag
 
 from jaxlangnav.grounding.behavior_properties import (
     ChildGroundings,
-    PhraseWords,
-    behavior_names,
-    behavior_tables,
-    lies_in,
+    GateInputs,
+    feature_matrices,
+    feature_names,
+    objects_in_regions,
 )
 from jaxlangnav.grounding.correspondence import RANKS, SYMBOLS, Block, Described
 from jaxlangnav.grounding.model import (
@@ -113,7 +113,7 @@ def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
     head = np.append(child.heads, False)[None, :]
     named = np.append(_members(senses.types, types), senses.is_robot)[None, :]
     has_object = bool(child.heads.any())
-    is_lone = not has_children and not senses.types
+    is_bare = not has_children and not senses.types
     is_type = np.eye(NUM_IDENTITY, types + 1) * ~is_robot
     return {
         "bias": True,
@@ -123,13 +123,13 @@ def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
         "head, other relation named": ~relation & head & bool(senses.relations),
         "named": named,
         "named, relation named": relation & named,
-        "lone relation to the robot": relation & is_robot & is_lone,
+        "lone relation to the robot": relation & is_robot & is_bare,
         "robot named": is_robot & senses.is_robot,
         "of a child": child.regions,
         "of a child, of an object": child.regions & has_object,
         "of a child, of no object": child.regions & (not has_object),
         "not of a child, not head": has_children & ~child.regions & ~head,
-        "relation named, of nothing": relation & ~head & ~named & ~(is_robot & is_lone),
+        "relation named, of nothing": relation & ~head & ~named & ~(is_robot & is_bare),
         **by_name("is", RELATIONS, np.eye(NUM_RELATIONS)[:, :, None]),
         **by_name("landmark is type", range(NUM_IDENTITY), is_type[:, None]),
         "landmark is the robot": is_robot,
@@ -211,7 +211,7 @@ def property_names() -> Mapping[str, tuple[str, ...]]:
     nothing = Senses(*[frozenset()] * 5, is_robot=False)
     names, _ = annotation_table(_annotation_space(1), nothing, [])
     annotation = {SYMBOLS: names, RANKS: tuple(rank_columns(nothing))}
-    return MappingProxyType(annotation | behavior_names())
+    return MappingProxyType(annotation | feature_names())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,34 +260,34 @@ class Behaviors:
         space, senses = self.symbols_in(world), senses_of(phrase, self.type_names)
         is_verb = phrase.label in VERB_LABELS
         is_restrictor = [child.label in RESTRICTORS for child in phrase.children]
-        words = PhraseWords.of(senses, bool(phrase.children), any(is_restrictor))
+        words = GateInputs.of(senses, bool(phrase.children), any(is_restrictor))
         ranks = [
             find_ranks(child, (*path, i), self.rank, self.type_names)
             for i, child in enumerate(phrase.children)
         ]
 
-        def block(kind: str, table: np.ndarray) -> Block:
+        def block(kind: str, matrix: np.ndarray) -> Block:
             begin, end = space.spans[KINDS.index(kind)]
             if kind in ("action", "mode") or world.is_object.all():
-                return Block(slice(begin, end), table)
-            real = np.flatnonzero(np.resize(world.is_object, end - begin))
-            return Block(begin + real, table[real])
+                return Block(slice(begin, end), matrix)
+            present = np.flatnonzero(np.resize(world.is_object, end - begin))
+            return Block(begin + present, matrix[present])
 
         def given(children: Sequence[np.ndarray]) -> Mapping[str, Block]:
             union = np.any([*children, np.zeros(space.size, bool)], axis=0)
-            lies = world.is_object.copy()
+            is_located = world.is_object.copy()
             for restricts, rank, expressed in zip(is_restrictor, ranks, children, strict=True):
                 if restricts:
                     regions = space.part(expressed, REGION) | space.part(expressed, GOAL)
-                    lies &= lies_in(world, regions, rank)
+                    is_located &= objects_in_regions(world, regions, rank)
             joined = ChildGroundings(
                 objects=space.part(union, OBJECT),
                 regions=space.part(union, REGION) | space.part(union, GOAL),
                 constraints=space.part(union, CONSTRAINT),
-                lies=lies,
+                is_located=is_located,
             )
-            tables = behavior_tables(world, is_verb, senses, words, joined)
-            return {kind: block(kind, table) for kind, table in tables.items()}
+            matrices = feature_matrices(world, is_verb, senses, words, joined)
+            return {kind: block(kind, matrix) for kind, matrix in matrices.items()}
 
         return Described(given)
 

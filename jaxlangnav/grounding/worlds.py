@@ -176,6 +176,6 @@ def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:
         is_object=pad(world.is_object, 1, False),
         is_related=pad(world.is_related, 2, False),
         is_superlative=pad(world.is_ranked[0], 2, False),
-        is_later=pad(world.is_ranked[1], 2, False),
+        is_ordinal=pad(world.is_ranked[1], 2, False),
         is_previous=pad(world.is_previous, 1, False),
     )

@@ -207,9 +207,9 @@ def _mentioned_types(state: NavigatorState) -> Array:
     def type_at(slot: Array) -> Array:
         return jnp.where(slot == NONE, NONE, select_row(object_type, jnp.maximum(slot, 0))[0])
 
-    approached = [type_at(state.previous_goal), type_at(state.talk.approached)]
-    types = instruction.program.own.reshape(-1), instruction.readings.mention_type.reshape(-1)
-    label = label_of(jnp.concatenate([*types, jnp.stack(approached)]))
+    approached = jnp.stack([type_at(state.previous_goal), type_at(state.talk.approached)])
+    types = [instruction.clauses.named_types, instruction.readings.mention_type, approached]
+    label = label_of(jnp.concatenate([leaf.reshape(-1) for leaf in types]))
     # Negative labels, such as NONE, are dropped.
     index = jnp.where(label < 0, MAX_LABELS, label)
     is_mentioned = jnp.zeros(MAX_LABELS, bool).at[index].set(True, mode="drop")

@@ -132,7 +132,7 @@ def _enqueue(state: NavigatorState, merged: Merged, pose: Array, num_old: Array)
     pinned = jnp.where(is_old[None], words.is_pinned[:, from_old], merged.new_pinned[:, from_new])
     instruction = replace(
         old,
-        program=jax.tree.map(arrange, old.program, new.program),
+        clauses=jax.tree.map(arrange, old.clauses, new.clauses),
         num_clauses=(num_old + new.num_clauses).astype(jnp.int32),
         metres=arrange(old.metres, new.metres),
         frame=arrange(old.frame, new.frame),

@@ -38,7 +38,7 @@ def infer_clause_behaviors(
     once, ``_BLOCK`` of them at a time, for all particles that share it. ``previous_goal`` is the
     observed slot at which the previous command ended, i32[]; NONE.
     """
-    program = select_row(instruction.program, clause)
+    compiled = select_row(instruction.clauses, clause)
     num_particles = particles.reading.shape[-1]
     block = min(_BLOCK, num_particles)
     topology, representative, count = summary.distinct_topologies(particles)
@@ -55,7 +55,7 @@ def infer_clause_behaviors(
             instruction.readings,
             previous_goal,
         )
-        inferred = pack(infer_behaviors(program, worlds, num_phrases=program.num_phrases))
+        inferred = pack(infer_behaviors(compiled, worlds, num_phrases=compiled.num_phrases))
         offset_in_block = topology - index * block
         # Selects vectorise over particles, where a gather would go element by element.
         for row in range(block):

@@ -47,7 +47,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         is_object=is_object,
         is_related=jnp.any(edge, axis=0),
         is_superlative=jnp.any(edge & (reading.rank == 1)[:, None, None, None], axis=0),
-        is_later=jnp.any(edge & (reading.rank > 1)[:, None, None, None], axis=0),
+        is_ordinal=jnp.any(edge & (reading.rank > 1)[:, None, None, None], axis=0),
         is_previous=(slots == previous) & (previous != NONE),
     )
 
