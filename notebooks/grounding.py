@@ -254,7 +254,7 @@ print(f"right: {accuracy(train):.0%} of training, {accuracy(test):.0%} held out"
 for meaning in graph.ground(sentence, COUNTER)[:2]:
     print(f"{meaning.probability:.1%}", ", ".join(meaning.symbols))
 figure = beliefs_figure(
-    graph.weigh(sentence, COUNTER).beliefs(),
+    graph.score(sentence, COUNTER).beliefs(),
     space.symbols_in(COUNTER).symbols,
     title="fetch the red mug left of the kettle",
 )

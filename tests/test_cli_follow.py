@@ -24,7 +24,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.follow import follow as follow_text, params_and_config, score
 from jaxlangnav.task.labelled import meant_goals
-from jaxlangnav.task.opening import PreparedTask, detector_of, empty_world, open_task, step_limit
+from jaxlangnav.task.loading import PreparedTask, detector_of, empty_world, load_task, step_limit
 from jaxlangnav.viz.narrative import closing
 from jaxlangnav.world.files import open_world
 
@@ -145,7 +145,7 @@ def test_numbers_on_the_command_line_reach_the_engine(capsys: pytest.CaptureFixt
 
 def prepare(text: str, world: str, seed: int = 0) -> PreparedTask:
     understood = understand(text, load_shipped())
-    return open_task(world, understood, sensing_range=None, seed=seed)
+    return load_task(world, understood, sensing_range=None, seed=seed)
 
 
 def places(prepared: PreparedTask) -> dict[str, list[np.ndarray]]:
@@ -161,8 +161,8 @@ def test_the_goal_is_the_thing_meant() -> None:
     prepared = prepare("go to the cone", "1H1C")
     np.testing.assert_allclose(prepared.task.scenario.goal, places(prepared)["cone"][0], atol=1e-5)
     assert int(prepared.task.scenario.goal_index) == 1
-    assert not prepared.is_find
-    assert prepare("find the hydrant", "1H1C").is_find
+    assert not prepared.is_find_task
+    assert prepare("find the hydrant", "1H1C").is_find_task
 
 
 def test_a_region_is_judged_at_its_typical_place() -> None:
@@ -226,7 +226,7 @@ def test_a_world_of_own_nouns_needs_no_lexicon(tmp_path, capsys):
 
 
 def prepare_own(text: str, world: str) -> PreparedTask:
-    return open_task(
+    return load_task(
         world, understand(text, load_shipped(), detector_of(world, ())), sensing_range=None, seed=0
     )
 

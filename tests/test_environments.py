@@ -17,14 +17,14 @@ from jaxlangnav.environments.functional import (
     DISCRETE_ACTIONS,
     NUM_CELLS,
     OBSERVATION_SIZE,
-    STOP_ABOVE,
+    STOP_THRESHOLD,
     VIEW_SIZE,
 )
 from jaxlangnav.environments.gymnasium_env import (
     FollowEnv,
     FollowVectorEnv,
 )
-from jaxlangnav.environments.pool import draw_pool, next_world
+from jaxlangnav.environments.pool import draw_pool, sample_world
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import BEHIND, NONE, ROBOT
@@ -37,7 +37,7 @@ STOP = jnp.array([0.0, 0.0, 1.0])
 RESET, STEP = jax.jit(functional.reset), jax.jit(functional.step)
 STEP_AND_RESET = jax.jit(functional.step_and_reset)
 RESET_MANY = jax.jit(jax.vmap(functional.reset, in_axes=(0, None)))
-PICK_MANY = jax.jit(jax.vmap(next_world, in_axes=(0, None)))
+PICK_MANY = jax.jit(jax.vmap(sample_world, in_axes=(0, None)))
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_what_has_been_seen_is_remembered_and_where_it_was_looked() -> None:
 def test_a_sentence_is_embedded(
     text: str, relation: str | None, flags: list[int], landmark: int
 ) -> None:
-    command = command_of(understand(text, load_shipped()), is_find="find" in text)
+    command = command_of(understand(text, load_shipped()), is_find_task="find" in text)
     expected = [float(one.name == relation) for one in REGISTRY] + [float(one) for one in flags]
     np.testing.assert_allclose(command.embedding, expected, atol=0.01)
     assert int(command.landmark) == landmark
@@ -145,7 +145,7 @@ def test_stopping_elsewhere_earns_nothing_and_time_runs_out() -> None:
     still = jnp.array([0.0, 0.0, -1.0])
     for expected in (False, True):
         _, state, _, is_over, info = STEP(jax.random.key(1), state, still, params)
-        assert (bool(is_over), bool(info.is_cut_off)) == (expected, expected)
+        assert (bool(is_over), bool(info.is_truncated)) == (expected, expected)
         assert float(info.distance) == 0.0
 
 
@@ -201,7 +201,7 @@ def test_a_world_that_does_not_meet_the_law_is_replaced() -> None:
 
 
 def test_discrete_actions_are_stop_and_whole_steps() -> None:
-    assert (DISCRETE_ACTIONS[:, 2] > STOP_ABOVE).tolist() == [True, *[False] * 16]
+    assert (DISCRETE_ACTIONS[:, 2] > STOP_THRESHOLD).tolist() == [True, *[False] * 16]
     np.testing.assert_allclose(np.hypot(*DISCRETE_ACTIONS[1:, :2].T), 1.0, atol=1e-6)
     np.testing.assert_allclose(DISCRETE_ACTIONS[[1, 5], :2], [[1.0, 0.0], [0.0, 1.0]], atol=1e-6)
 

@@ -173,7 +173,7 @@ def test_a_setting_may_have_numbers_of_its_own_to_believe(monkeypatch):
     """Those of one set of numbers are run together, and each ends where its setting stands."""
     believed = ({}, {"concentration": 2.0}, {})
     settings = [dataclasses.replace(GRID.settings[0], overrides=numbers) for numbers in believed]
-    arm = dataclasses.replace(policy_arm("informed", num_particles=64), tallied=2)
+    arm = dataclasses.replace(policy_arm("informed", num_particles=64), calibration_episodes=2)
     calls: list[tuple[float, int]] = []
 
     def run(self: Arm, tasks: Task, *_: object, with_tally: bool, **__: object) -> tuple[Any, Any]:

@@ -15,9 +15,9 @@ from jaxlangnav.experiments.conversation import CONVERSATION, ROWS, _run_row
 from jaxlangnav.experiments.dialogue import ground_dialogue
 from jaxlangnav.experiments.experiment import Grid, Options
 from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed_targets
-from jaxlangnav.experiments.rows import PRINTED as SPECS, RowSpec, printed_rows
+from jaxlangnav.experiments.rows import TABLE2_ROWS as SPECS, RowSpec, printed_rows
 from jaxlangnav.experiments.scenarios import SCENARIOS
-from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _rotated
+from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _rotate
 from jaxlangnav.navigator import check
 from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.viz import sweep as picture
@@ -272,7 +272,7 @@ def test_only_sizes_compile_anew() -> None:
 def test_worlds_are_turned_as_a_whole() -> None:
     setting = RowSpec(world="2H2C", range=3.0, relation="behind").setting(seed=5)
     tasks = Grid(settings=[setting], arms=[], episodes=64, names=()).draw(np.arange(64))
-    after = _rotated(tasks, 5)
+    after = _rotate(tasks, 5)
     old, new = tasks.scenario, after.scenario
     before = np.asarray(old.object_x) + 1j * np.asarray(old.object_y)
     now = np.asarray(new.object_x) + 1j * np.asarray(new.object_y)
@@ -312,7 +312,7 @@ def study() -> dict[str, Any]:
     return {
         "episodes": 400, "seed": 3000, "num_particles": 64,
         "noise": {"field_of_view": 2 * np.pi, "detection_probability": 0.95, "step_length": 1.0},
-        "paper": PRINTED, "rows": rows, **UNKNOWNS.extras(rows, OPTIONS),
+        "paper": PRINTED, "rows": rows, **UNKNOWNS.derived(rows, OPTIONS),
     }  # fmt: skip
 
 

@@ -112,7 +112,7 @@ def test_the_terminal_table_fits_and_says_the_noise() -> None:
 def test_the_caption_counts_each_way_to_go_wrong() -> None:
     one = row(overflows=3, degenerate=2, contradictions=5, faults=4, invalid_worlds=1)
     text = " ".join(paper.caption(document(one, row(policy="informed", contradictions=2))))
-    assert "left out: 1; detections without a slot: 3; steps with all weights dead: 2" in text
+    assert "left out: 1; detections without a slot: 3; steps with all weights zero: 2" in text
     assert "contradicts the map: 7, at which it stood still for what cannot be: 4." in text
 
 
@@ -127,8 +127,8 @@ def test_falls_are_found() -> None:
 
 
 def test_totals_and_refusals() -> None:
-    counted = Options(episodes=100, policies=["faithful", "known"])
-    assert (TABLE.total_episodes(counted), TABLE.check(counted)[0].tallied) == (1400, 32)
+    given = Options(episodes=100, policies=["faithful", "known"])
+    assert (TABLE.total_episodes(given), TABLE.check(given)[0].calibration_episodes) == (1400, 32)
     for name, value, least in (("episodes", 0, 1), ("environments", -1, 0)):
         with pytest.raises(ValueError, match=f"{name} is {value}, but must be at least {least}"):
             TABLE.run(Options(**{name: value}))
@@ -238,7 +238,7 @@ def test_pictures_stand_in_the_page_and_nothing_is_fetched(picture: Path) -> Non
 def test_tables_and_how_they_were_made(picture: Path) -> None:
     table = Table(headings=["World", "paper"], rows=[["1H1C", "93.9"], ["2H<1C", "54.4"]])
     made = {"command": "jaxlangnav reproduce table2", "nothing": ""}
-    page = read(Section(title="T", lead="words", tables=[table], notes=["noise 2 %"], facts=made))
+    page = read(Section(title="T", intro="words", tables=[table], notes=["noise 2 %"], facts=made))
     assert page.cells == ["World", "paper", "1H1C", "93.9", "2H<1C", "54.4"]
     for part in ("words", "noise 2 %", "jaxlangnav reproduce table2"):
         assert part in page.text
@@ -248,7 +248,7 @@ def test_tables_and_how_they_were_made(picture: Path) -> None:
 
 def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
     evil = '</title><script>alert("x")</script>'
-    page = _report_html(evil, [Section(title=evil, lead=evil, notes=[evil])], facts={"a": evil})
+    page = _report_html(evil, [Section(title=evil, intro=evil, notes=[evil])], facts={"a": evil})
     assert "<script" not in page
     path = write_report("t", [], tmp_path / "new" / "report.html", facts={})
     assert path.read_text("utf-8").startswith("<!doctype html>")
@@ -257,7 +257,7 @@ def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
 
 
 def test_text_that_names_a_place_of_the_page_stays_text() -> None:
-    part = Section(title="__MADE__ <i>", lead="__CONTENTS__ \x1b[2J", notes=["__PARTS__"])
+    part = Section(title="__MADE__ <i>", intro="__CONTENTS__ \x1b[2J", notes=["__PARTS__"])
     text = _report_html("__PARTS__ <b>", [part], facts={"command": "__TITLE__ \u202e"})
     page = Page(text)
     assert text.count("<section") == 1

@@ -14,7 +14,7 @@ from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.follow import batched
-from jaxlangnav.task.opening import open_task
+from jaxlangnav.task.loading import load_task
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 PLACES = {
@@ -95,7 +95,7 @@ class Followed(NamedTuple):
 def task() -> Task:
     model = load_shipped()
     things = [(model.type_names.index(kind), x, y) for kind, x, y in PLACES.values()]
-    prepared = open_task("1H1C", understand("go to the cone", model), sensing_range=25.0, seed=0)
+    prepared = load_task("1H1C", understand("go to the cone", model), sensing_range=25.0, seed=0)
     return replace(prepared.task, scenario=placed(things, slots=len(things), area=AREA))
 
 

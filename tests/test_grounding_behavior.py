@@ -74,7 +74,7 @@ def test_kernel_agrees_with_the_host_search(model, text):
     for _ in range(4):
         world = random_topology(rng)
         graph = CorrespondenceGraph(Behaviors(TYPES, understood.belief.rank), model.behavior)
-        beam = graph.weigh(understood.parse.clauses[0], world).search(16)
+        beam = graph.score(understood.parse.clauses[0], world).search(16)
         goal, constraint = np.zeros((7, 9)), np.zeros((7, 9))
         for hypothesis in beam:
             chance = np.exp(hypothesis.log_probability)

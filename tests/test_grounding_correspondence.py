@@ -92,7 +92,7 @@ def labelled():
 
 def is_right(graph, one):
     """Whether the likeliest set at the root is exactly the labelled one."""
-    tree = graph.weigh(one.root, one.world, one.clause)
+    tree = graph.score(one.root, one.world, one.clause)
     return set(tree.symbols.members(tree.search()[0].expressed)) == one.expressed[-1]
 
 
@@ -111,7 +111,7 @@ def test_own_symbols_are_learned(graph):
 
 def test_beliefs_are_those_of_the_likeliest_reading(graph):
     root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
-    top, below = graph.weigh(root, world).beliefs()
+    top, below = graph.score(root, world).beliefs()
     assert below.parent == top.path
     meant = below.probability > 0.5
     assert meant.tolist() == [False, True, False, *[False] * 3]
@@ -124,7 +124,7 @@ def test_beliefs_are_those_of_the_likeliest_reading(graph):
 def test_a_picture_of_own_symbols(graph):
     root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
     figure = beliefs_figure(
-        graph.weigh(root, world).beliefs(),
+        graph.score(root, world).beliefs(),
         SPACE.symbols_in(world).symbols,
         title="take the blue one",
     )
@@ -176,7 +176,7 @@ def yard():
 
 def test_symbols_of_several_kinds_are_searched_as_enumerated(yard):
     world = ("red", "blue")
-    tree = yard.weigh(SECOND, world, clause=1)
+    tree = yard.score(SECOND, world, clause=1)
 
     def log_odds(phrase, path, children):
         return tree.log_odds(path, tuple(children))
@@ -192,11 +192,11 @@ def test_symbols_of_several_kinds_are_searched_as_enumerated(yard):
 
 def test_ranks_are_a_choice_by_the_words_alone(yard):
     (noun,) = SECOND.children
-    chance = yard.weigh(SECOND, WORLDS[0]).log_ranks()[(0, 0)]
+    chance = yard.score(SECOND, WORLDS[0]).log_ranks()[(0, 0)]
     coefficients = yard.model.coefficients(noun)[RANKS]
     scores = np.exp([0.0, coefficients[0], coefficients.sum()])
     np.testing.assert_allclose(np.exp(chance), scores / scores.sum(), rtol=1e-6)
-    beliefs = {one.path: one.rank for one in yard.weigh(SECOND, WORLDS[0]).beliefs()}
+    beliefs = {one.path: one.rank for one in yard.score(SECOND, WORLDS[0]).beliefs()}
     assert beliefs[(0, 0)] == np.argmax(chance)
 
 

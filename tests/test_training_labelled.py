@@ -151,7 +151,7 @@ def alone(space, model, trees, width):
     """Right, and how confident: the best sets of one search for each clause."""
     graph, right, confidence = CorrespondenceGraph(space, model), True, 1.0
     for tree in trees:
-        weighed = graph.weigh(tree.root, tree.world, tree.clause)
+        weighed = graph.score(tree.root, tree.world, tree.clause)
         best = weighed.search(width)[0]
         right &= bool((best.expressed == weighed.symbols.mask(tree.expressed[-1])).all())
         confidence *= np.exp(best.log_probability)

@@ -75,9 +75,9 @@ def test_things_stand_by_the_law(drawn: dict, name: str) -> None:
             (int(h), int(c))
             for h in hydrants
             for c in cones
-            if bool(is_related(jnp.asarray(at[:, h]), jnp.asarray(at[:, c]), law.said))
+            if bool(is_related(jnp.asarray(at[:, h]), jnp.asarray(at[:, c]), law.stated_side))
         }
-        is_true = bool(law.has_goal & law.has_cone) and float(law.side) == float(law.said)
+        is_true = bool(law.has_goal & law.has_cone) and float(law.side) == float(law.stated_side)
         assert fits == ({(0, 1)} if is_true else set())
         if len(own) == 2:
             assert PAIR_GAP[0] - 1e-4 <= apart[0, 1] <= PAIR_GAP[1] + 1e-4

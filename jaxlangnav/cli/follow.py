@@ -16,7 +16,7 @@ from jaxlangnav.inputs.limits import check_minimum
 if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
     from jaxlangnav.grounding.instruction import Understanding
-    from jaxlangnav.task.opening import PreparedTask
+    from jaxlangnav.task.loading import PreparedTask
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -95,7 +95,7 @@ class Follow:
         from jaxlangnav.experiments.policies import without_compass
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import batched, precompile_cycle
-        from jaxlangnav.task.opening import check_template, empty_world
+        from jaxlangnav.task.loading import check_template, empty_world
         from jaxlangnav.task.talk import enlarge
 
         check_template(self.world, understood)
@@ -145,7 +145,7 @@ class Follow:
         from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
         from jaxlangnav.task.follow import params_and_config
-        from jaxlangnav.task.opening import sensor_of
+        from jaxlangnav.task.loading import sensor_of
         from jaxlangnav.task.talk import allow_questions
 
         params, config = params_and_config(self.world, self.policy, self.particles)
@@ -159,9 +159,9 @@ class Follow:
 
     def _open(self, understood: "Understanding", output: Output) -> "PreparedTask":
         """Open the task in its world; notes object types that are missing there."""
-        from jaxlangnav.task.opening import absent_types, count_types, mismatch_message, open_task
+        from jaxlangnav.task.loading import absent_types, count_types, load_task, mismatch_message
 
-        prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
+        prepared = load_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
         missing = absent_types(scenario, understood.annotations, names)
         if not prepared.is_meant and prepared.is_drawn:
@@ -184,7 +184,7 @@ class Follow:
         from jaxlangnav.episode import recorder
         from jaxlangnav.episode.recording import stack_frames
         from jaxlangnav.task.follow import batched, score
-        from jaxlangnav.task.opening import step_limit
+        from jaxlangnav.task.loading import step_limit
         from jaxlangnav.task.talk import add_talk
         from jaxlangnav.viz.narrative import closing, narrate, narrate_live, opening
 

@@ -57,7 +57,7 @@ def understand_text(
     keep_compiled_programs()
     from jaxlangnav.grounding.instruction import understand_parse
     from jaxlangnav.grounding.weights import load
-    from jaxlangnav.task.opening import detector_of
+    from jaxlangnav.task.loading import detector_of
 
     models = load(weights)
     detector = detector_of(world, models.type_names)
@@ -201,9 +201,9 @@ class Ground:
     def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:
         """Infer the behavior distribution in a fully known world."""
         from jaxlangnav.task.labelled import list_behaviors, place_scenario
-        from jaxlangnav.task.opening import open_task
+        from jaxlangnav.task.loading import load_task
 
-        prepared = open_task(world_name, understood, sensing_range=None, seed=self.seed)
+        prepared = load_task(world_name, understood, sensing_range=None, seed=self.seed)
         labelled = place_scenario(prepared.task.scenario, understood.type_names)
         return {
             "world": prepared.world,

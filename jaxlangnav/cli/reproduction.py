@@ -215,7 +215,7 @@ def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
 STUDIES = {
     "table1": Study(
         title="Table 1: how often sentences are understood",
-        lead="Whole sentences whose annotation or behavior is exactly right among those held "
+        intro="Whole sentences whose annotation or behavior is exactly right among those held "
         "out, mean and 95 % interval over random splits of 67 to 33 percent (section 4.1).",
         run=_run_table1,
         tables=lambda document: [table_1(document)],
@@ -230,7 +230,7 @@ STUDIES = {
     "fig4": FIGURE_4,
     "time": Study(
         title="Where the time goes",
-        lead="The parts of one decision cycle of one episode, each compiled alone and timed on "
+        intro="The parts of one decision cycle of one episode, each compiled alone and timed on "
         "the same beliefs in a batch; planner, motion and what else there are is left over.",
         run=_run_timing,
         notes=lambda document: [

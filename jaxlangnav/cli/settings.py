@@ -16,7 +16,7 @@ from jaxlangnav.cli.output import UsageError
 
 if TYPE_CHECKING:
     from jaxlangnav.navigator import NavigatorParams
-    from jaxlangnav.task.opening import PreparedTask
+    from jaxlangnav.task.loading import PreparedTask
 
 _T = TypeVar("_T")
 SettingPath = tuple[str, ...]  # such as ("params", "planner", "discount")

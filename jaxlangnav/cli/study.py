@@ -21,7 +21,7 @@ from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.task.follow import OpenedEpisode, record_episode
-from jaxlangnav.task.opening import open_task
+from jaxlangnav.task.loading import load_task
 from jaxlangnav.viz.html import write_factor_graph, write_html
 from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, select_steps
 from jaxlangnav.viz.panels import belief_figure, values_figure
@@ -71,7 +71,7 @@ class Study(Report):
             duration += f", {document['compile_s']:.0f} s of them compilation"
         return Section(
             title=self.title,
-            lead=self.lead,
+            intro=self.intro,
             pictures=[(path, f"{self.title}: figure") for path in files if path.suffix == ".svg"],
             tables=self.tables(document),
             notes=self.notes(document),
@@ -106,7 +106,7 @@ def _figure(
         config = navigator_config(policy, settings.particles_drawn)
         with CompileClock() as clock, spinner(f"an episode in {name}"):
             understood = understand_parse(parse(TEXT), load(None))
-            prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
+            prepared = load_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = apply_to_task(prepared, settings.values, params=settings.params)
             args = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
             episode = record_episode(OpenedEpisode(**args, config=config))
@@ -145,7 +145,7 @@ def _figure(
 
     return Study(
         title=title,
-        lead=f"{paper} {ours}",
+        intro=f"{paper} {ours}",
         run=run,
         tables=lambda document: [moments_table(document["moments"])],
         notes=lambda _: _FIGURE_NOTES,
@@ -207,7 +207,7 @@ def _factors_table(document: Document) -> Table:
 
 FACTOR_GRAPH = Study(
     title="Figure 3: the factor graph of a sentence",
-    lead="A Distributed Correspondence Graph of the sentence; the counts are of the graph that "
+    intro="A Distributed Correspondence Graph of the sentence; the counts are of the graph that "
     "is constructed, with seven objects for behaviors.",
     run=_count_factors,
     tables=lambda document: [_factors_table(document)],

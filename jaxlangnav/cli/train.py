@@ -50,16 +50,15 @@ class Train:
         from jaxlangnav.grounding.weights import load, save
         from jaxlangnav.training.shipped import MODELS, train_models
 
-        models = MODELS if self.what == "both" else (self.what,)
-        trained = train_models(
-            self.corpus, kinds=models, base=load(self.base), on_progress=output.note
-        )
+        kinds = MODELS if self.what == "both" else (self.what,)
+        base = load(self.base)
+        trained = train_models(self.corpus, kinds=kinds, base=base, on_progress=output.note)
         if self.out is not None:
-            corpus = trained.report["corpus"]
-            save(self.out, trained.model, command=self._command, corpus_hash=corpus)
+            corpus_hash = trained.report["corpus"]
+            save(self.out, trained.model, command=self._command, corpus_hash=corpus_hash)
         document = {**trained.report, "file": self.out}
         output.say(f"{document['sentences']} sentences, corpus {document['corpus']}")
-        for name in models:
+        for name in kinds:
             report = document[name]
             output.say(
                 f"{name}: {report['examples']} factors, {report['features']} features; "
@@ -121,11 +120,11 @@ class Evaluate:
     sentences: File = None
     """Labelled sentences, one JSON object a line: score these, and leave Table 1 out."""
     least_probability: float = MIN_PROBABILITY
-    """Of --sentences: what the trained reader thinks less probable is refused, from 0 to 1."""
+    """Of --sentences: minimum probability of the trained reader's rewriting, from 0 to 1."""
     rewrites: File = None
-    """Recorded rewritings of them: compare the trained graph, the rewritings, and both."""
+    """Recorded paraphrases of them by a language model: score the graph, these, and both."""
     temperature: float = 1.0
-    """By which the log-probabilities of rewritings are divided."""
+    """Temperature: the log-probabilities of the paraphrases are divided by it."""
     fit_temperature: bool = False
     """Fit the temperature to these sentences first; take it to others with --temperature."""
     splits: int = 8
@@ -177,9 +176,9 @@ class Evaluate:
         document: dict[str, Any] = {"file": str(path)}
         model = load_shipped()
         if self.rewrites is None:
-            bound = self.least_probability
+            limit = self.least_probability
             with progress_bar("sentences", len(sentences)) as advance:
-                scores = scored.score_sentences(sentences, model, advance, least_probability=bound)
+                scores = scored.score_sentences(sentences, model, advance, least_probability=limit)
             document |= scored.summarize_scores(scores)
             table, lines = scored.render_scores(document)
         else:
@@ -190,8 +189,7 @@ class Evaluate:
                 output.note(f"note: {num_missing} sentences were not recorded; left out")
             fit = scored.fit_recorded(available, recorded, model) if self.fit_temperature else None
             temperature = self.temperature if fit is None else fit.temperature
-            fit_report = None if fit is None else dataclasses.asdict(fit)
-            document |= {"rewrites": str(self.rewrites), "fit": fit_report}
+            document |= {"rewrites": str(self.rewrites), "fit": fit and dataclasses.asdict(fit)}
             with progress_bar("sentences", len(available) * len(scored.VARIANTS)) as advance:
                 document |= scored.score_variants(available, recorded, model, temperature, advance)
             table, lines = scored.render_variants(document, fit)

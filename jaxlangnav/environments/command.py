@@ -27,14 +27,14 @@ class EmbeddedCommand:
     landmark: Array  # i32[] type of what it is placed against; NONE
 
 
-def command_of(understood: Understanding, *, is_find: bool = False) -> EmbeddedCommand:
+def command_of(understood: Understanding, *, is_find_task: bool = False) -> EmbeddedCommand:
     """Embed a command as expected features over its readings; types of the likeliest one."""
     embedding = np.zeros(COMMAND_SIZE, np.float32)
     names = [relation.name for relation in REGISTRY]
     types = {"robot": ROBOT, "thing": ANYTHING, None: NONE}
     types |= {name: type_id for type_id, name in enumerate(understood.type_names)}
     for row in understood.annotations:
-        flags = (row["superlative"], row["landmark"] == "robot", row["figure"] is None, is_find)
+        flags = row["superlative"], row["landmark"] == "robot", row["figure"] is None, is_find_task
         features = [name == row["relation"] for name in names] + [bool(flag) for flag in flags]
         embedding += row["probability"] * np.array(features, np.float32)
     best = max(understood.annotations, key=lambda row: row["probability"])

@@ -44,24 +44,24 @@ from jaxlangnav.environments.command import (
     command_of,
     text_of,
 )
-from jaxlangnav.environments.pool import next_world
+from jaxlangnav.environments.pool import sample_world
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.task.opening import detector_of, open_task
+from jaxlangnav.task.loading import detector_of, load_task
 from jaxlangnav.terrain.view import eye_of, rotate
 from jaxlangnav.world import simulator
 from jaxlangnav.world.files import WorldFile, open_world
-from jaxlangnav.world.motion import move_body, plain_action, stop_at_wall
+from jaxlangnav.world.motion import move_body, move_or_stop, stop_at_wall
 from jaxlangnav.world.scenario import ScenarioParams, scenario_params
 from jaxlangnav.world.sensor import NUM_DETECTIONS, sense
 from jaxlangnav.world.state import Scenario, WorldState
 
 ACTION_SIZE = 3
-STOP_ABOVE = 0.9
+STOP_THRESHOLD = 0.9
 """An action with a last entry above this stops: 1 of 20 uniformly random actions does."""
 NUM_DIRECTIONS = 16
 
@@ -71,7 +71,7 @@ DISCRETE_ACTIONS = np.array(
 )
 """f32[17, 3], the discrete actions: stop, then the maximum step in 16 directions, +x to +y."""
 
-BOUND = 100.0  # observations are clipped to ± this
+MAX_OBSERVATION = 100.0  # observations are clipped to ± this
 NUM_CELLS = 8
 """Cells of the coverage grid along each axis."""
 VIEW_SIZE = 9 + COMMAND_SIZE + 5 * NUM_DETECTIONS
@@ -100,9 +100,9 @@ class EnvironmentState:
     scenario: Scenario
     world: WorldState
     steps: Array  # i32[]
-    is_known: Array  # bool[2] goal type and landmark type have been detected
-    known_place: Array  # f32[2, 2] their last x and y by odometry, metres
-    is_looked_at: Array  # bool[NUM_CELLS, NUM_CELLS] cell centre has been in view; [y, x]
+    is_detected: Array  # bool[2] goal type and landmark type have been detected
+    last_position: Array  # f32[2, 2] where they were last detected by odometry: x, y metres
+    is_covered: Array  # bool[NUM_CELLS, NUM_CELLS] cell centre has been in view; [y, x]
 
 
 @pytree
@@ -111,7 +111,7 @@ class EnvironmentInfo:
 
     is_success: Array  # bool[] stopped within the stop radius of the goal
     is_stopped: Array  # bool[] the agent has stopped
-    is_cut_off: Array  # bool[] out of time
+    is_truncated: Array  # bool[] out of time
     distance: Array  # f32[] metres travelled in this episode
     goal_distance: Array  # f32[] metres to the intended goal
 
@@ -144,17 +144,17 @@ def default_params(
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be above 0 m")
     check_minimum(1, max_steps=max_steps)
-    model, source, is_find = load_shipped(), open_world(world), False
+    model, source, is_find_task = load_shipped(), open_world(world), False
     sensor, motion = default_sensor(sensing_range or 3.0), default_motion()
     if isinstance(source, WorldFile):
         text = text_of(world=world, instruction=instruction)
         if not text:
             raise ValueError(f"world {source.name} has no instruction of its own: give one")
         understood = understand(text, model, detector_of(world, model.type_names))
-        prepared = open_task(world, understood, sensing_range=sensing_range, seed=0)
+        prepared = load_task(world, understood, sensing_range=sensing_range, seed=0)
         if prepared.unscored:
             raise ValueError(f"world {source.name}: {prepared.unscored}")
-        task, is_find = prepared.task, prepared.is_find
+        task, is_find_task = prepared.task, prepared.is_find_task
         worlds = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], task.scenario)
         sensor, motion = task.sensor, task.motion
     elif instruction is not None:
@@ -165,11 +165,11 @@ def default_params(
     range_max = jnp.maximum(sensor.range_max, simulator.SUCCESS_RADIUS)
     return EnvironmentParams(
         worlds=worlds,
-        command=command_of(understood, is_find=is_find),
+        command=command_of(understood, is_find_task=is_find_task),
         sensor=sensor,
         motion=motion,
         max_steps=jnp.int32(max_steps),
-        stop_radius=range_max if is_find else jnp.float32(simulator.SUCCESS_RADIUS),
+        stop_radius=range_max if is_find_task else jnp.float32(simulator.SUCCESS_RADIUS),
         metre_cost=jnp.float32(metre_cost),
         shaping=jnp.float32(shaping),
     )
@@ -193,7 +193,7 @@ def step(
         key: random key, consumed.
         state: the episode.
         action: f32[3], in [−1, 1]: the step along the map's x and y in units of the greatest step
-            (1 m), and stop where above ``STOP_ABOVE``. A step longer than the greatest
+            (1 m), and stop where above ``STOP_THRESHOLD``. A step longer than the greatest
             one is shortened. ``DISCRETE_ACTIONS`` lists some.
         params: the environment.
 
@@ -204,7 +204,7 @@ def step(
     move_key, sense_key = jax.random.split(key)
     after, reward, info = _transition(move_key, state, action, params)
     observation, after = _observe(sense_key, after, params)
-    return observation, after, reward, info.is_stopped | info.is_cut_off, info
+    return observation, after, reward, info.is_stopped | info.is_truncated, info
 
 
 def step_and_reset(
@@ -217,7 +217,7 @@ def step_and_reset(
     """
     move_key, world_key, sense_key = jax.random.split(key, 3)
     after, reward, info = _transition(move_key, state, action, params)
-    is_over = info.is_stopped | info.is_cut_off
+    is_over = info.is_stopped | info.is_truncated
     observation, after = _observe(sense_key, _reset_if(world_key, after, params, is_over), params)
     return observation, after, reward, is_over, info
 
@@ -241,14 +241,14 @@ def step_or_reset(
 
 def _initial_state(key: Array, params: EnvironmentParams) -> EnvironmentState:
     """Build the initial state in a new world, sampled or taken from the pool."""
-    scenario = next_world(key, params.worlds)
+    scenario = sample_world(key, params.worlds)
     return EnvironmentState(
         scenario=scenario,
         world=simulator.reset(scenario),
         steps=jnp.int32(0),
-        is_known=jnp.zeros(2, bool),
-        known_place=jnp.zeros((2, 2)),
-        is_looked_at=jnp.zeros((NUM_CELLS, NUM_CELLS), bool),
+        is_detected=jnp.zeros(2, bool),
+        last_position=jnp.zeros((2, 2)),
+        is_covered=jnp.zeros((NUM_CELLS, NUM_CELLS), bool),
     )
 
 
@@ -264,10 +264,10 @@ def _transition(
 ) -> tuple[EnvironmentState, Array, EnvironmentInfo]:
     """Move the robot and compute the reward, without sensing."""
     action = jnp.clip(action, -1.0, 1.0)
-    is_stopped = action[2] > STOP_ABOVE
+    is_stopped = action[2] > STOP_THRESHOLD
     displacement = action[:2] * params.motion.step_length
-    command = plain_action(state.world.odometry[:2] + displacement, displacement, is_stopped)
-    target = move_body(key, state.world, command, params.motion)
+    motion_command = move_or_stop(state.world.odometry[:2] + displacement, displacement, is_stopped)
+    target = move_body(key, state.world, motion_command, params.motion)
     world = stop_at_wall(state.world, target, state.scenario.terrain)
     next_state = replace(state, world=world, steps=state.steps + 1)
     previous_distance = simulator.goal_distance(state.world, state.scenario)
@@ -276,7 +276,7 @@ def _transition(
     info = EnvironmentInfo(
         is_success=is_success,
         is_stopped=is_stopped,
-        is_cut_off=~is_stopped & (next_state.steps >= params.max_steps),
+        is_truncated=~is_stopped & (next_state.steps >= params.max_steps),
         distance=world.distance,
         goal_distance=goal_distance,
     )
@@ -302,19 +302,19 @@ def _observe(
         ]
     )
     state = _remember(state, scan.pose, is_match, position, params)
-    offset = state.known_place - scan.pose[None, :2]
-    known_ahead, known_left = rotate(offset[:, 0], offset[:, 1], -heading)
+    offset = state.last_position - scan.pose[None, :2]
+    last_ahead, last_left = rotate(offset[:, 0], offset[:, 1], -heading)
     parts = [
         jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)]),
         state.scenario.area,
         scan.sensor.range_max[None],
         command.embedding,
         jnp.stack([scan.is_detection, *position, *is_match], axis=1).reshape(-1),
-        (state.is_known[None] * jnp.stack([jnp.ones(2), known_ahead, known_left])).T.reshape(-1),
-        state.is_looked_at.reshape(-1),
+        (state.is_detected[None] * jnp.stack([jnp.ones(2), last_ahead, last_left])).T.reshape(-1),
+        state.is_covered.reshape(-1),
     ]
     observation = jnp.concatenate([part.astype(jnp.float32) for part in parts])
-    return jnp.clip(observation, -BOUND, BOUND), state
+    return jnp.clip(observation, -MAX_OBSERVATION, MAX_OBSERVATION), state
 
 
 def _remember(
@@ -326,9 +326,9 @@ def _remember(
     """
     nearest = jnp.argmax(is_match, axis=1)  # detections come nearest first
     dx, dy = rotate(offset[0, nearest], offset[1, nearest], pose[2])
-    is_detected = is_match.any(axis=1)
+    is_visible = is_match.any(axis=1)
     position = jnp.where(
-        is_detected[:, None], jnp.stack([pose[0] + dx, pose[1] + dy], 1), state.known_place
+        is_visible[:, None], jnp.stack([pose[0] + dx, pose[1] + dy], 1), state.last_position
     )
     x_min, x_max, y_min, y_max = state.scenario.area
     centre = (jnp.arange(NUM_CELLS) + 0.5) / NUM_CELLS
@@ -339,7 +339,7 @@ def _remember(
     in_view = state.scenario.terrain.view.sees(eye, x, y)
     return replace(
         state,
-        is_known=state.is_known | is_detected,
-        known_place=position,
-        is_looked_at=state.is_looked_at | in_view,
+        is_detected=state.is_detected | is_visible,
+        last_position=position,
+        is_covered=state.is_covered | in_view,
     )

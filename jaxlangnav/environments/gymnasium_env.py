@@ -39,8 +39,8 @@ def _choice(name: str, value: str, literal: Any, suffix: str = "") -> str:
 
 
 def observation_space() -> spaces.Box:
-    """Build the observation space, bounded by ``functional.BOUND``."""
-    limit = functional.BOUND
+    """Build the observation space, bounded by ``functional.MAX_OBSERVATION``."""
+    limit = functional.MAX_OBSERVATION
     return spaces.Box(-limit, limit, (functional.OBSERVATION_SIZE,), np.float32)
 
 
@@ -161,7 +161,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         seed = _seed(self.np_random)
         observation, state, reward, _, info = _step(seed, state_before, action, simulation.params)
         scalars = {name: value.item() for name, value in _info_dict(info).items()}
-        terminated, truncated = scalars["is_stopped"], scalars["is_cut_off"]
+        terminated, truncated = scalars["is_stopped"], scalars["is_truncated"]
         return simulation.update(observation, state), float(reward), terminated, truncated, scalars
 
     def render(self) -> np.ndarray | None:
@@ -232,7 +232,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
             keys, state_before, actions, self._params, self._is_over
         )
         info_arrays = _info_dict(info)
-        ended, late = info_arrays["is_stopped"], info_arrays["is_cut_off"]
+        ended, late = info_arrays["is_stopped"], info_arrays["is_truncated"]
         self._is_over = ended | late
         return simulation.update(observation, state), np.asarray(reward), ended, late, info_arrays
 

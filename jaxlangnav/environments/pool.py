@@ -34,7 +34,7 @@ def draw_pool(
     return jax.tree.map(lambda leaf: leaf[order[jnp.arange(num_worlds) % num_valid]], samples)
 
 
-def next_world(key: Array, worlds: ScenarioParams | Scenario) -> Scenario:
+def sample_world(key: Array, worlds: ScenarioParams | Scenario) -> Scenario:
     """Sample a world, or pick one of the N worlds of a pool uniformly."""
     if isinstance(worlds, ScenarioParams):
         return draw_scenario(key, worlds)

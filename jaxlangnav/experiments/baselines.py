@@ -32,7 +32,7 @@ from jaxlangnav.semantic_map.coverage import Coverage, add_view, empty_coverage,
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import plain_action as plain_action
+from jaxlangnav.world.motion import move_or_stop as move_or_stop
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.simulator import drive_known_map
 from jaxlangnav.world.state import WorldState
@@ -184,7 +184,7 @@ def _advance(
     goal = jnp.where(run.has_target, run.target, run.waypoint)
     offset = goal - observation.pose[:2]
     is_near = jnp.hypot(offset[0], offset[1]) <= default_planner_params().reach
-    action = plain_action(goal, offset, run.has_target & is_near)
+    action = move_or_stop(goal, offset, run.has_target & is_near)
     world = task.body.move(move_key, run.world, action, task.motion)
     return replace(run, world=world, steps=run.steps + 1, is_stopped=action.is_stop), None
 

@@ -151,7 +151,7 @@ _RESULT_COLUMNS: TableColumns = (
 
 CONVERSATION = Report(
     title="What a conversation is worth",
-    lead="A simulated person who knows the goal corrects, answers and states.",
+    intro="A simulated person who knows the goal corrects, answers and states.",
     tables=lambda document: [Table.of(document["rows"], _RESULT_COLUMNS)],
     notes=lambda _: [_NOTE],
 )

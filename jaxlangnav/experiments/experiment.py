@@ -136,17 +136,17 @@ def _run_arm(
 ) -> tuple[EpisodeResult, Tally | None]:
     """Run an arm in all settings, batching episodes that share overrides and calibration."""
     groups: dict[tuple[Any, ...], list[np.ndarray]] = {}
-    ids, limit = np.arange(grid.episodes), arm.tallied if arm.config is not None else 0
+    ids, limit = np.arange(grid.episodes), 0 if arm.config is None else arm.calibration_episodes
     for i, setting in enumerate(grid.settings):
         overrides = () if arm.config is None else tuple(sorted(setting.overrides.items()))
-        for tallied, ids_part in ((True, ids[:limit]), (False, ids[limit:])):
+        for with_tally, ids_part in ((True, ids[:limit]), (False, ids[limit:])):
             if len(ids_part):
-                groups.setdefault((tallied, overrides), []).append(i * len(ids) + ids_part)
+                groups.setdefault((with_tally, overrides), []).append(i * len(ids) + ids_part)
     parts: list[tuple[np.ndarray, EpisodeResult, Tally | None]] = []
-    for (tallied, overrides), chunks in groups.items():
+    for (with_tally, overrides), chunks in groups.items():
         indices, variant = np.concatenate(chunks), arm.with_overrides(dict(overrides))
-        inputs = take_tasks(tasks, indices), instructions
-        parts.append((indices, *variant.run(*inputs, with_tally=tallied, on_progress=on_progress)))
+        kwargs: dict[str, Any] = {"with_tally": with_tally, "on_progress": on_progress}
+        parts.append((indices, *variant.run(take_tasks(tasks, indices), instructions, **kwargs)))
 
     def merge(chunks: list[tuple[np.ndarray, Any]]) -> Any:
         ordered = np.argsort(np.concatenate([indices for indices, _ in chunks]))
@@ -176,9 +176,8 @@ class Options:
 
 
 def _policy_arms(options: Options) -> list[Arm]:
-    kwargs: dict[str, Any] = {
-        name: getattr(options, name) for name in ("num_particles", "params", "motion")
-    }
+    names = "num_particles", "params", "motion"
+    kwargs: dict[str, Any] = {name: getattr(options, name) for name in names}
     return [policy_arm(policy, **kwargs) for policy in check_policies(options.policies)]
 
 
@@ -192,7 +191,7 @@ class Experiment(Report):
     """Builds the arms to compare, at least one; raises for an unknown policy."""
     measure: Callable[[Row, RowSpec, EpisodeResult], Row] = lambda *_: {}
     """Computes further entries of a row from the row, its spec and its episodes."""
-    extras: Callable[[Sequence[Row], Options], Row] = lambda *_: {}
+    derived: Callable[[Sequence[Row], Options], Row] = lambda *_: {}
     """Computes further entries of the document from all rows."""
     calibration_episodes: int = 0
     """Episodes of a row in which the belief's calibration is measured at every step."""
@@ -210,7 +209,10 @@ class Experiment(Report):
         than memory holds, or numbers with which the robot could never stop.
         """
         limit, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
-        arms = [dataclasses.replace(a, tallied=a.tallied or limit) for a in self.arms(options)]
+        arms = [
+            dataclasses.replace(arm, calibration_episodes=arm.calibration_episodes or limit)
+            for arm in self.arms(options)
+        ]
         check_minimum(1, episodes=options.episodes)
         check_minimum(0, environments=options.environments)
         # Tasks and columns are laid out in parts and then put together: for a moment twice.
@@ -240,7 +242,7 @@ class Experiment(Report):
         Returns:
             The document: ``rows``, ``paper``, ``sentences``, ``noise``, ``wall_s`` with
             compilation, ``compile_s`` of it, ``models_sha256`` of the trained weights, ``files``,
-            and what ``extras`` adds. Rates in percent, distances in metres.
+            and what ``derived`` adds. Rates in percent, distances in metres.
         """
         options = Options() if options is None else options
         arms, begin = self.check(options), time.perf_counter()
@@ -267,7 +269,7 @@ class Experiment(Report):
             "noise": describe_noise(options.sensor, options.motion),
             "rows": rows,
             "paper": printed_rows([row for row in TABLE_2 if RowSpec.of(row) in self.specs]),
-            **self.extras(rows, options),
+            **self.derived(rows, options),
             "wall_s": time.perf_counter() - begin,
             "compile_s": clock.seconds,
             "models_sha256": pytree_hash(sentences.models),

@@ -1,8 +1,8 @@
 """Table 2 and Figure 5 of the paper: success and distance in simulated worlds (section 4.2).
 
-Our rows are listed with the printed ones. The paper reports no geometry, noise or field of view:
+Our rows are listed with the published ones. The paper reports no geometry, noise or field of view:
 worlds and noise are those of ``jaxlangnav.world``. Further worlds and ranges can be run too.
-Figure 5 prints no numbers: where Table 2 has a row of the same world, relation and range, it is in
+Figure 5 states no numbers: where Table 2 has a row of the same world, relation and range, it is in
 ``paper``.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 from jaxlangnav.experiments.experiment import Experiment
 from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.policies import POLICY_KNOWLEDGE
-from jaxlangnav.experiments.rows import AGREEMENT, PRINTED, RowSpec, bound_rows, deviations, row_key
+from jaxlangnav.experiments.rows import MAX_Z, TABLE2_ROWS, RowSpec, bound_rows, deviations, row_key
 from jaxlangnav.experiments.table import SUCCESS_FORMAT, Document, Row, Table, TableColumns
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -36,18 +36,18 @@ EXTRA_ROWS = (
 """Rows not in the paper: its fourth template, and three objects of one type."""
 
 
-def _format_record(name: str, form: str) -> Callable[[Row], str]:
+def _format_record(name: str, template: str) -> Callable[[Row], str]:
     """Return a formatter for a nested record of a row; empty where it is missing."""
-    return lambda row: form.format_map(row[name]) if row[name] else ""
+    return lambda row: template.format_map(row[name]) if row[name] else ""
 
 
-def _format_score(name: str, form: str) -> Callable[[Row], str]:
+def _format_score(name: str, spec: str) -> Callable[[Row], str]:
     """Return a formatter for a calibration score; empty for a policy without a belief."""
-    return lambda row: "" if row.get(name) is None else format(row[name], form)
+    return lambda row: "" if row.get(name) is None else format(row[name], spec)
 
 
 _DISTANCE = "{distance_mean:.2f} ({distance_sd:.2f})"
-_KNOWN = "{known_distance_mean:.2f} ({known_distance_sd:.2f})"
+_KNOWN_MAP_DISTANCE = "{known_distance_mean:.2f} ({known_distance_sd:.2f})"
 ROW_COLUMNS: TableColumns = (
     ("World", "{world}"),
     ("Range m", "{range:g}"),
@@ -57,11 +57,11 @@ _COLUMNS: TableColumns = (
     *ROW_COLUMNS,
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS_FORMAT),
-    ("paper", _format_record("printed", "{success_rate:.1f}")),
+    ("paper", _format_record("counterpart", "{success_rate:.1f}")),
     ("Distance m (σ)", _DISTANCE),
-    ("paper (σ)", _format_record("printed", _DISTANCE)),
-    ("Known m (σ)", _KNOWN),
-    ("paper (σ)", _format_record("paper", _KNOWN)),
+    ("paper (σ)", _format_record("counterpart", _DISTANCE)),
+    ("Known m (σ)", _KNOWN_MAP_DISTANCE),
+    ("paper (σ)", _format_record("published", _KNOWN_MAP_DISTANCE)),
     ("SPL", "{spl:.2f}"),
     ("Time-outs", timeouts_text),
     ("ECE", _format_score("ece", ".3f")),
@@ -75,44 +75,44 @@ _NARROW: TableColumns = (
     ("\nPolicy", "{policy}"),
     ("Success\n%", "{success_rate:.1f}"),
     ("\n95 %", "{success_ci[0]:.0f}-{success_ci[1]:.0f}"),
-    ("paper\n%", _format_record("printed", "{success_rate:.1f}")),
+    ("paper\n%", _format_record("counterpart", "{success_rate:.1f}")),
     ("Distance\nm (σ)", _DISTANCE),
-    ("paper\nm", _format_record("printed", "{distance_mean:.2f}")),
-    ("Known\nm (σ)", _KNOWN),
+    ("paper\nm", _format_record("counterpart", "{distance_mean:.2f}")),
+    ("Known\nm (σ)", _KNOWN_MAP_DISTANCE),
     ("\nSPL", "{spl:.2f}"),
     ("Time-\nouts", timeouts_text),
 )
 """Columns that fit a terminal of 100 characters."""
 
 
-def _with_paper(document: Document) -> list[Row]:
-    """Join each of our rows with ``paper``, the printed one; sorted by row, then by policy."""
-    # ``printed``: the figures of the same policy. The paper's method is compared with both of
+def _join_published(document: Document) -> list[Row]:
+    """Join each of our rows with the published one; sorted as specified, then by policy."""
+    # ``counterpart``: its numbers for the same policy. The paper's method is compared with both of
     # our policies, its known map with ours; it has no other.
-    printed = {row_key(row): row for row in document.get("paper", [])}
+    published = {row_key(row): row for row in document.get("paper", [])}
     order = list(dict.fromkeys(row_key(row) for row in document["rows"]))
     rows = []
     for row in sorted(document["rows"], key=lambda row: order.index(row_key(row))):
-        paper, counterpart = printed.get(row_key(row)), None
-        if paper is not None and row["policy"] in POLICIES:
-            counterpart = paper
-        elif paper is not None and row["policy"] == "known":
+        paper_row, counterpart = published.get(row_key(row)), None
+        if paper_row is not None and row["policy"] in POLICIES:
+            counterpart = paper_row
+        elif paper_row is not None and row["policy"] == "known":
             names = ("success_rate", "distance_mean", "distance_sd")
-            counterpart = {name: paper[f"known_{name}"] for name in names}
-        rows.append(row | {"paper": paper, "printed": counterpart})
+            counterpart = {name: paper_row[f"known_{name}"] for name in names}
+        rows.append(row | {"published": paper_row, "counterpart": counterpart})
     return rows
 
 
 def min_distance(bound: Mapping[str, Any]) -> float:
-    """Compute the lower bound of a success's mean distance, metres: straight, 1.5 m short."""
+    """Compute a lower bound on the mean distance of a success: straight to its radius, metres."""
     return max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
-def results_table(document: Document, *, fold: str = "") -> Table:
-    """Build a results table: for each row a line per policy, then a line of limits."""
+def results_table(document: Document, *, collapsed_title: str = "") -> Table:
+    """Build a results table: for each setting a line per policy, then a line of limits."""
     limits = {row_key(limit_row): limit_row for limit_row in document.get("bounds", [])}
     lines: list[list[Sequence[str]]] = [[], []]
-    for key, group in itertools.groupby(_with_paper(document), key=row_key):
+    for key, group in itertools.groupby(_join_published(document), key=row_key):
         rows = list(group)
         for target, columns, distance in zip(lines, (_COLUMNS, _NARROW), (6, 7), strict=True):
             target += Table.of(rows, columns).rows
@@ -125,15 +125,15 @@ def results_table(document: Document, *, fold: str = "") -> Table:
                 target.append(line)
     is_dim = [line[3] == "limit" for line in lines[0]]
     narrow = dataclasses.replace(Table.of([], _NARROW), rows=lines[1])
-    table = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), dim=is_dim, fold=fold, narrow=narrow)
-    return dataclasses.replace(table, rows=lines[0])
+    table = Table.of([], _COLUMNS, group=len(ROW_COLUMNS), dim=is_dim, narrow=narrow)
+    return dataclasses.replace(table, rows=lines[0], collapsed_title=collapsed_title)
 
 
 def caption(document: Document) -> list[str]:
     """Describe the experimental conditions of a table, and its limits."""
     noise = document["noise"]
-    worlds = document.get("environments", 0)
-    source = f"{worlds} worlds a template in turn" if worlds else "a fresh world each"
+    num_worlds = document.get("environments", 0)  # per template
+    source = f"{num_worlds} worlds a template in turn" if num_worlds else "a fresh world each"
     lines = [
         f"{document['episodes']} episodes a row, {source}, seed {document['seed']}, "
         f"{document['num_particles']} particles; every policy has the same worlds and noise.",
@@ -142,14 +142,14 @@ def caption(document: Document) -> list[str]:
         f"{100 * noise['odometry_noise']:g} % of the way; {noise['step_length']:g} m a step.",
         "The paper prints neither geometry nor noise; its σ is over about 100 runs.",
     ]
-    invalid, overflows, num_degenerate, contradicted, faults = (
+    invalid, overflows, num_degenerate, contradicted, num_discarded = (
         sum(row[name] for row in document["rows"])
         for name in ("invalid_worlds", "overflows", "degenerate", "contradictions", "faults")
     )
     lines.append(
-        f"Worlds that missed their law and are left out: {invalid}; detections without a slot: "
-        f"{overflows}; steps with all weights dead: {num_degenerate}, with a look that contradicts "
-        f"the map: {contradicted}, at which it stood still for what cannot be: {faults}."
+        f"Invalid worlds, left out: {invalid}; detections without a slot: {overflows}; steps with "
+        f"all weights zero: {num_degenerate}, with an observation that contradicts the map: "
+        f"{contradicted}, with an invalid observation, at which it stood still: {num_discarded}."
     )
     if document.get("calibration_episodes"):
         lines.append(
@@ -173,7 +173,7 @@ _DEVIATIONS: TableColumns = (
     ("distance m", "{distance:+.2f}"),
     ("in s. e.", "{z[distance]:+.1f}"),
     ("within 2 s. e. of both",
-     lambda row: "yes" if max(abs(z) for z in row["z"].values()) <= AGREEMENT else "no"),
+     lambda row: "yes" if max(abs(z) for z in row["z"].values()) <= MAX_Z else "no"),
 )  # fmt: skip
 
 
@@ -187,30 +187,31 @@ def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
     return Experiment(
         name="figure5",
         title="Figure 5: distance and success against the sensing range",
-        lead="The farther the robot sees, the less it has to search, and the less the sentence "
+        intro="The farther the robot sees, the less it has to search, and the less the sentence "
         "matters: all curves that use it end at the known map's (section 4.2). The printed figure "
         "states no numbers; where Table 2 prints a row of the same world, command and range, it is "
         "drawn.",
         specs=tuple(specs),
-        extras=lambda rows, _: {"bounds": bound_rows(specs), "falls": _success_drops(rows)},
-        tables=lambda document: _tables(document, fold="All numbers"),
+        derived=lambda rows, _: {"bounds": bound_rows(specs), "falls": _success_drops(rows)},
+        tables=lambda document: _tables(document, collapsed_title="All numbers"),
         notes=lambda document: [describe_success_drops(document), *caption(document)],
     )
 
 
-def _tables(document: Document, *, fold: str = "") -> list[Table]:
-    """Build the results table, and the deviations of ``faithful`` from the printed rows."""
+def _tables(document: Document, *, collapsed_title: str = "") -> list[Table]:
+    """Build the results table, and the deviations of ``faithful`` from the published rows."""
     rows = [
         row
         | {
-            "z": deviations(row, row["paper"]),
-            "success": row["success_rate"] - row["paper"]["success_rate"],
-            "distance": row["distance_mean"] - row["paper"]["distance_mean"],
+            "z": deviations(row, row["published"]),
+            "success": row["success_rate"] - row["published"]["success_rate"],
+            "distance": row["distance_mean"] - row["published"]["distance_mean"],
         }
-        for row in _with_paper(document)
-        if row["policy"] == "faithful" and row["paper"]
+        for row in _join_published(document)
+        if row["policy"] == "faithful" and row["published"]
     ]
-    return [results_table(document, fold=fold), *([Table.of(rows, _DEVIATIONS)] if rows else [])]
+    results = results_table(document, collapsed_title=collapsed_title)
+    return [results, *([Table.of(rows, _DEVIATIONS)] if rows else [])]
 
 
 def _success_drops(rows: Sequence[Row]) -> list[Row]:
@@ -241,24 +242,23 @@ def describe_success_drops(document: Document) -> str:
 
 def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
     """Build Table 2 in the paper's order: with ``extra`` rows, or at other ``ranges``, metres."""
-    printed = [(row.world, row.range, row.relation) for row in PRINTED]
-    radii = sorted(set(ranges))
+    conditions = [(spec.world, spec.range, spec.relation) for spec in TABLE2_ROWS]
     specs = tuple(
-        RowSpec(world=world, range=radius, relation=relation)
-        for world, printed_range, relation in [*printed, *(EXTRA_ROWS if extra else ())]
-        for radius in radii or [printed_range]
+        RowSpec(world=world, range=sensing_range, relation=relation)
+        for world, paper_range, relation in [*conditions, *(EXTRA_ROWS if extra else ())]
+        for sensing_range in sorted(set(ranges)) or [paper_range]
     )
     return Experiment(
         name="table2",
         title="Table 2: ours beside the paper's",
-        lead="Success and distance in simulated worlds, by world and command (section 4.2). A run "
+        intro="Success and distance in simulated worlds, by world and command (section 4.2). A run "
         "succeeds if the robot itself says stop within 1.5 m of the intended goal.",
         specs=specs,
         calibration_episodes=CALIBRATION_EPISODES,
-        extras=lambda *_: {"bounds": bound_rows(specs)},
+        derived=lambda *_: {"bounds": bound_rows(specs)},
         tables=_tables,
         notes=lambda document: [
-            *([describe_success_drops(document)] if len(radii) > 1 else []),
+            *([describe_success_drops(document)] if len(set(ranges)) > 1 else []),
             *caption(document),
         ],
     )

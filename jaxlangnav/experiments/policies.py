@@ -87,7 +87,7 @@ class Arm:
     sensor: Overrides = dataclasses.field(default_factory=dict)
     """Fields of the sensor model that replace the setting's."""
     max_steps: int = MAX_STEPS
-    tallied: int = 0
+    calibration_episodes: int = 0
     """Number of episodes of a setting, the first ones, in which calibration is measured at every
     step; none of a baseline's."""
     transform: Callable[[Task], Task] | None = None  # of the worlds

@@ -27,7 +27,7 @@ _MAX_STEPS = 400
 """Decision cycles until a time-out; areas of 60 × 60 m need more than the paper's worlds."""
 ECE_TARGET = 0.05
 """Upper limit of the ECE of "this is the goal", if sensor model and instruction are correct."""
-_EXCLUDED_POLICY = "arc"  # the baseline that knows the distribution of Table 2's worlds
+_EXCLUDED_POLICY = "arc"  # baseline: sweeps by the distribution of Table 2's worlds
 
 
 def default_params() -> NavigatorParams:
@@ -49,10 +49,11 @@ def _arms(options: Options) -> list[Arm]:
         arm = Arm(policy=policy, labels={"policy": policy}, max_steps=_MAX_STEPS)
         if policy in POLICIES:
             base = Navigator.pretrained(policy)
-            sizes = dataclasses.replace(base.config.map, num_particles=options.num_particles)
-            config = dataclasses.replace(base.config, map=sizes)
+            map_config = dataclasses.replace(base.config.map, num_particles=options.num_particles)
+            config = dataclasses.replace(base.config, map=map_config)
             params = base.params if options.params is None else options.params
-            arm = dataclasses.replace(arm, config=config, params=params, tallied=options.episodes)
+            arm = dataclasses.replace(arm, config=config, params=params)
+            arm = dataclasses.replace(arm, calibration_episodes=options.episodes)
         arms.append(arm)
     return arms
 
@@ -62,11 +63,11 @@ def _row_metrics(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
     valid = np.asarray(results.is_valid)
     termination, success = np.asarray(results.ending)[valid], np.asarray(results.is_success)[valid]
     stopped = np.asarray(results.is_stopped)[valid]
-    counted = [int(status) for status in (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE)]
+    listed = [int(status) for status in (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE)]
     entries: Row = {
         "elsewhere": int((stopped & (termination == Status.ARRIVED) & ~success).sum()),
         "asks": int((stopped & (termination == Status.WHICH_ONE)).sum()),
-        "other_ends": int((stopped & ~np.isin(termination, counted)).sum()),
+        "other_ends": int((stopped & ~np.isin(termination, listed)).sum()),
         "overflow_episodes": int((np.asarray(results.overflow)[valid] > 0).sum()),
     }
     assert isinstance(spec, ScenarioSpec)
@@ -107,12 +108,12 @@ def _describe_missed(document: Document) -> list[str]:
     if "informed" not in document["policies"]:
         return []
     lines = []
-    for metric, spec in (("success", ".1f"), ("ece", ".3f")):
+    for metric, precision in (("success", ".1f"), ("ece", ".3f")):
         items = []
         for entry in (entry for entry in document["missed"] if entry["what"] == metric):
             suffix = "; {distance:.1f} m, at most {longest:g}" if entry.get("longest") else ""
-            target = f"{entry['is']:{spec}}, target {entry['target']:g}{suffix.format_map(entry)}"
-            items.append(f"{entry['scenario']} ({target})")
+            value = f"{entry['is']:{precision}}, target {entry['target']:g}"
+            items.append(f"{entry['scenario']} ({value}{suffix.format_map(entry)})")
         lines.append(f"Targets of informed missed, {metric}: {'; '.join(items) or 'none'}.")
     return lines
 
@@ -170,21 +171,21 @@ def _tables(document: Document) -> list[Table]:
     rows = sorted(document["rows"], key=lambda row: order.index(row["scenario"]))
     return [
         Table.of(rows, _RESULT_COLUMNS, group=1, narrow=Table.of(rows, _NARROW_COLUMNS)),
-        Table.of(document["scenarios"], _SCENARIO_COLUMNS, fold="What each scenario is"),
+        Table.of(document["scenarios"], _SCENARIO_COLUMNS, collapsed_title="What each scenario is"),
     ]
 
 
 ROBUSTNESS = Experiment(
     name="robustness",
     title="Robustness: places unlike the paper's",
-    lead="Crowds, bystanders, false detections, wrong labels, misses, false sentences, areas of 8 "
+    intro="Crowds, bystanders, false detections, wrong labels, misses, false sentences, areas of 8 "
     "to 60 m: none of it is of the law of Table 2's worlds. A run succeeds if the robot itself "
     "says stop within 1.5 m of the goal; where there is none, if it says that it is not found.",
     specs=SCENARIOS,
     sentences=COMMANDS,
     arms=_arms,
     measure=_row_metrics,
-    extras=lambda rows, _: {
+    derived=lambda rows, _: {
         "scenarios": [spec.described() for spec in SCENARIOS],
         "missed": _missed_targets(rows),
     },

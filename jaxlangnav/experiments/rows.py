@@ -11,7 +11,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TABLE_2, TableRow, known_range, parse_template
 
 PAPER_RUNS = 100  # simulations per printed figure: "approximately 100" (section 4.2)
-AGREEMENT = 2.0  # standard errors within which two figures agree
+MAX_Z = 2.0  # standard errors within which two figures agree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ class RowSpec:
         )
 
 
-PRINTED = tuple(RowSpec.of(row) for row in TABLE_2)  # the rows of Table 2, in the paper's order
+TABLE2_ROWS = tuple(RowSpec.of(row) for row in TABLE_2)  # the rows of Table 2, in the paper's order
 
 
 def printed_rows(printed: Sequence[TableRow]) -> list[Row]:

@@ -69,7 +69,7 @@ class ScenarioSpec(RowSpec):
         """Whether the sentence is true in the scenario's worlds."""
         if not (self.place.get("has_goal", True) and self.place.get("has_cone", True)):
             return False
-        sides = self.place.get("side", 1.0), self.place.get("said", 1.0)
+        sides = self.place.get("side", 1.0), self.place.get("stated_side", 1.0)
         return self.relation == "null" or sides[0] == sides[1]
 
     def heading(self) -> Row:
@@ -145,7 +145,7 @@ def _counts(expected: float) -> _Values:
 _FP_2, _FP_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
 """Of each of two types, hydrants and cones: one false detection per 50 and per 10 scans."""
 _LABELS, _MISSES = {"mislabelled": 0.1}, {"detection_probability": 0.6}
-_FRONT, _PAIRS_2, _PAIRS_4 = {"side": -1.0, "said": -1.0}, {"num_pairs": 2}, {"num_pairs": 4}
+_FRONT, _PAIRS_2, _PAIRS_4 = {"side": -1.0, "stated_side": -1.0}, {"num_pairs": 2}, {"num_pairs": 4}
 _FALSE: dict[str, Any] = {
     "description": "the hydrant is in front of the cone", "place": {"side": -1.0}, "target": 99.0,
     "max_distance": 45.0,

@@ -38,22 +38,22 @@ class Table:
     except in Markdown."""
     dim: Sequence[bool] = ()
     """Rows that the terminal draws dim, as it does the paper's columns; none by default."""
-    fold: str = ""  # HTML: summary of the folded table; not folded if empty
+    collapsed_title: str = ""  # HTML: summary of the collapsed table; not collapsed if empty
     narrow: "Table | None" = None
     """Narrower table that a terminal draws in its place."""
 
     @classmethod
-    def of(cls, rows: Iterable[Mapping[str, Any]], columns: "TableColumns", **rest: Any) -> "Table":
+    def of(cls, rows: Iterable[Mapping[str, Any]], columns: TableColumns, **kwargs: Any) -> "Table":
         """Build a table from records, a line each.
 
         ``columns``: headings, each with a format such as "{distance_mean:.2f}" or a function from
-        the record to the cell. ``rest``: the table's other fields.
+        the record to the cell. ``kwargs``: the table's other fields.
         """
         cells = [
             [spec.format_map(row) if isinstance(spec, str) else spec(row) for _, spec in columns]
             for row in rows
         ]
-        return cls(headings=[heading for heading, _ in columns], rows=cells, **rest)
+        return cls(headings=[heading for heading, _ in columns], rows=cells, **kwargs)
 
     def markdown(self) -> str:
         """Format the table in Markdown, without title and caption; newline-terminated."""
@@ -64,8 +64,8 @@ class Table:
         from rich.table import Table as RichTable
 
         if narrow := self.narrow:
-            cells = {"headings": narrow.headings, "rows": narrow.rows}
-            return dataclasses.replace(self, narrow=None, **cells).text()
+            content = {"headings": narrow.headings, "rows": narrow.rows}
+            return dataclasses.replace(self, narrow=None, **content).text()
         texts: dict[str, Any] = {"title": self.title or None, "caption": self.caption or None}
         table = RichTable(**texts, caption_justify="left")
         for i, heading in enumerate(self.headings):
@@ -91,8 +91,8 @@ class Table:
         body = "\n".join(lines)
         table = f"<table><thead><tr>{header}</tr></thead>\n<tbody>{body}</tbody></table>"
         table = f'<div class="wide">{table}</div>'
-        details = f"<details><summary>{_html_text(self.fold)}</summary>{table}</details>"
-        return details if self.fold else table
+        details = f"<details><summary>{_html_text(self.collapsed_title)}</summary>{table}</details>"
+        return details if self.collapsed_title else table
 
     def _is_numeric(self, column: int) -> bool:
         return all(_NUMBER.match(row[column]) for row in self.rows if row[column])
@@ -101,9 +101,9 @@ class Table:
         """Yield whether each row begins a block, and the row with repeated labels blank."""
         previous: list[str] = []
         for row in self.rows:
-            head, is_first = list(row[: self.group]), previous != list(row[: self.group])
-            yield is_first, [*(head if is_first else [""] * self.group), *row[self.group :]]
-            previous = head
+            labels, is_first = list(row[: self.group]), previous != list(row[: self.group])
+            yield is_first, [*(labels if is_first else [""] * self.group), *row[self.group :]]
+            previous = labels
 
 
 def _html_text(value: object) -> str:
@@ -116,7 +116,7 @@ class Report:
     """Report of an experiment, built from its document: title, tables and notes."""
 
     title: str
-    lead: str = ""  # introduction for readers
+    intro: str = ""  # introduction for readers
     tables: Callable[[Document], list[Table]] = lambda _: []
     notes: Callable[[Document], list[str]] = lambda _: []
 
@@ -137,7 +137,7 @@ class Section:
     """A section of the HTML report: an experiment or a figure."""
 
     title: str
-    lead: str = ""  # introduction for readers
+    intro: str = ""  # introduction for readers
     pictures: Sequence[tuple[Path, str]] = ()
     """SVG or PNG files, each with its alternative text."""
     tables: Sequence[Table] = ()
@@ -170,7 +170,7 @@ def write_report(
 
 def _section(index: int, part: Section) -> str:
     parts = [f'<section id="part{index}">', f"<h2>{_html_text(part.title)}</h2>"]
-    parts += [f"<p>{_html_text(part.lead)}</p>"] if part.lead else []
+    parts += [f"<p>{_html_text(part.intro)}</p>"] if part.intro else []
     for path, alt in part.pictures:
         if path.suffix not in _MEDIA:
             raise ValueError(f"{path} is no picture: a report takes {' and '.join(_MEDIA)} files")

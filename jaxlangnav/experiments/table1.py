@@ -35,13 +35,13 @@ from jaxlangnav.training.scoring import (
 )
 from jaxlangnav.training.shipped import MODELS, TrainingData, training_data
 
-HOLD_OUT = 1 / 3
-TABLE_1: dict[str, dict[str, float]] = {
+HELD_OUT_FRACTION = 1 / 3
+PUBLISHED_TABLE: dict[str, dict[str, float]] = {
     "annotation": {"accuracy_mean": 62.5, "accuracy_ci95": 10.83, "train_s": 145.11,
                    "infer_s": 0.44},
     "behavior": {"accuracy_mean": 55.77, "accuracy_ci95": 6.83, "train_s": 18.3, "infer_s": 0.05},
 }  # fmt: skip
-"""Table 1 as printed."""
+"""Table 1 of the paper."""
 CORPUS = "corpus39"
 _MAX_WIDTH = 256  # limit of the beam width: candidates of two children are combined pairwise
 _SPLIT_BYTES = 1 + 4
@@ -53,35 +53,35 @@ def draw_splits(count: int, splits: int, seed: int) -> np.ndarray:
     generator = np.random.default_rng(seed)
     held_out = np.zeros((splits, count), bool)
     for row in held_out:
-        row[generator.permutation(count)[: round(count * HOLD_OUT)]] = True
+        row[generator.permutation(count)[: round(count * HELD_OUT_FRACTION)]] = True
     return held_out
 
 
 @dataclasses.dataclass(frozen=True)
-class Splits:
+class FittedSplits:
     """Models and training times of one language model over all splits."""
 
     models: list[CorrespondenceModel]  # K
-    alone: Fit  # one split alone
-    together: Fit  # all splits in one vmap
-    examples: int  # (phrase, symbol) factors, mean over the training parts
+    single_fit: Fit  # of one split
+    joint_fit: Fit  # of all splits in one vmap
+    num_factors: int  # (phrase, symbol) factors, mean over the training parts
 
 
-def _fit_splits(data: TrainingData, held_out: np.ndarray) -> Splits:
+def _fit_splits(data: TrainingData, held_out: np.ndarray) -> FittedSplits:
     """Train one model on all splits at once, and on the first one alone to time it."""
     design, train_masks = data.design, (~held_out).astype(np.float32)
     _, first = fit(design, train_masks[:1])
     _, second = fit(design, train_masks[:1])  # the first call also initialises JAX
-    single = dataclasses.replace(second, compile_seconds=first.compile_seconds)
-    all_weights, joint = fit(design, train_masks)
-    examples = round(float((train_masks @ data.sizes).mean()))
+    single_fit = dataclasses.replace(second, compile_seconds=first.compile_seconds)
+    all_weights, joint_fit = fit(design, train_masks)
+    num_factors = round(float((train_masks @ data.sizes).mean()))
     models = [CorrespondenceModel(data.vocabulary, weights) for weights in all_weights]
-    return Splits(models, single, joint, examples)
+    return FittedSplits(models, single_fit, joint_fit, num_factors)
 
 
 def _score_models(
     instructions: Sequence[LabelledInstruction],
-    fitted: dict[str, Splits],
+    fitted: dict[str, FittedSplits],
     held_out: np.ndarray,
     on_progress: OnProgress | None,
     **options: Any,
@@ -106,7 +106,7 @@ def _score_models(
 
 
 def _inference_seconds(
-    name: str, fitted: dict[str, Splits], sentences: Sequence[LabelledInstruction], width: int
+    name: str, fitted: dict[str, FittedSplits], sentences: Sequence[LabelledInstruction], width: int
 ) -> float:
     """Measure the mean inference time of the first split's model per sentence (and world)."""
     annotation, behavior = (fitted[name].models[0] for name in MODELS)
@@ -121,7 +121,7 @@ def _inference_seconds(
         for trees in sentence.behaviors:
             count += 1
             for tree in trees:
-                graph.weigh(tree.root, tree.world, tree.clause).search(width)
+                graph.score(tree.root, tree.world, tree.clause).search(width)
     return (time.perf_counter() - start) / count
 
 
@@ -145,7 +145,7 @@ def evaluate(
     Returns:
         For each model the keys of the table; ``beams`` maps each width, and "exact", to its
         accuracy; ``new_words`` is on the held-out sentences with a word not in the training set;
-        ``paper`` has the printed rows. ``ValueError`` for invalid sizes or too little memory.
+        ``paper`` has the published rows. ``ValueError`` for invalid sizes or too little memory.
     """
     if splits < 2:
         raise ValueError(f"splits is {splits}, but at least 2 are needed for an interval")
@@ -174,7 +174,7 @@ def evaluate(
         first_scores = results[name].by_width[beams[0]]
         new_words = _oov_accuracy(name, instructions, first_scores, held_out)
         document[name] = _row(fitted[name], results[name], seconds) | {"new_words": new_words}
-    return document | {"paper": TABLE_1, "corpus": CORPUS, "seed": seed}
+    return document | {"paper": PUBLISHED_TABLE, "corpus": CORPUS, "seed": seed}
 
 
 def _oov_accuracy(
@@ -189,13 +189,13 @@ def _oov_accuracy(
         for instruction in instructions
     ]
     counts = np.array([1 if name == "annotation" else len(item.behaviors) for item in instructions])
-    rows = []
+    results = []
     for split, is_held_out in zip(scores, held_out, strict=True):
         train_words = set[str]().union(*(words[i] for i in np.flatnonzero(~is_held_out)))
         is_new = np.array([bool(lemmas - train_words) for lemmas in words])
-        rows.append((split.is_right, np.repeat(is_new, counts * is_held_out)))
-    is_right_all = np.concatenate([is_right[is_new] for is_right, is_new in rows])
-    fraction = float(np.concatenate([is_new for _, is_new in rows]).mean())
+        results.append((split.is_right, np.repeat(is_new, counts * is_held_out)))
+    is_right_all = np.concatenate([is_right[is_new] for is_right, is_new in results])
+    fraction = float(np.concatenate([is_new for _, is_new in results]).mean())
     accuracy = round(100.0 * float(is_right_all.mean()), 2) if len(is_right_all) else None
     return {"accuracy_mean": accuracy, "share": round(fraction, 4)}
 
@@ -207,7 +207,7 @@ def _accuracy(scores: Sequence[Scores | ExactScores]) -> dict[str, float]:
     return {"accuracy_mean": round(float(accuracy.mean()), 2), "accuracy_ci95": round(interval, 2)}
 
 
-def _row(fitted: Splits, results: Results, seconds: float) -> dict[str, Any]:
+def _row(fitted: FittedSplits, results: Results, seconds: float) -> dict[str, Any]:
     beams = {str(beam): _accuracy(scores) for beam, scores in results.by_width.items()}
     first = next(iter(beams.values()))
     if results.exact:
@@ -216,11 +216,11 @@ def _row(fitted: Splits, results: Results, seconds: float) -> dict[str, Any]:
     return {
         "splits": len(fitted.models),
         **first,
-        "train_s": round(fitted.alone.seconds, 4),
-        "train_compile_s": round(fitted.alone.compile_seconds, 3),
-        "train_all_s": round(fitted.together.seconds, 4),
+        "train_s": round(fitted.single_fit.seconds, 4),
+        "train_compile_s": round(fitted.single_fit.compile_seconds, 3),
+        "train_all_s": round(fitted.joint_fit.seconds, 4),
         "infer_s": round(seconds, 5),
-        "examples": fitted.examples,
+        "examples": fitted.num_factors,
         "features": fitted.models[0].num_features,
         "beams": beams,
     }
@@ -233,23 +233,23 @@ def _cell(row: dict[str, float]) -> str:
 
 
 def table_1(document: Document) -> Table:
-    """Build Table 1 from a document of ``evaluate``: a line per metric, ours and the printed."""
+    """Build Table 1 from a document of ``evaluate``: a line per metric, ours and the paper's."""
     rows: list[list[str]] = []
 
-    def add(title: str, text: Callable[[dict[str, Any]], str], is_printed: bool = False) -> None:
+    def add(title: str, text: Callable[[dict[str, Any]], str], in_paper: bool = False) -> None:
         cells = [title]
         for name in MODELS:
-            cells += [text(document[name]), text(document["paper"][name]) if is_printed else ""]
+            cells += [text(document[name]), text(document["paper"][name]) if in_paper else ""]
         rows.append(cells)
 
-    add("Accuracy % (95 %)", _cell, is_printed=True)
+    add("Accuracy % (95 %)", _cell, in_paper=True)
     for beam in document[MODELS[0]]["beams"]:
         title = "exact (proven)" if beam == "exact" else f"beam of {beam}"
         add(f"  {title}", lambda row, beam=beam: _cell(row["beams"][beam]))
-    add("Training s", "{train_s:.3f}".format_map, is_printed=True)
+    add("Training s", "{train_s:.3f}".format_map, in_paper=True)
     add("  compile s", "{train_compile_s:.2f}".format_map)
     add("  all splits at once s", "{train_all_s:.3f}".format_map)
-    add("Inference s", "{infer_s:.4f}".format_map, is_printed=True)
+    add("Inference s", "{infer_s:.4f}".format_map, in_paper=True)
     for name in ("splits", "examples", "features"):
         add(name.capitalize(), f"{{{name}}}".format_map)
     headings = ["", *(heading for name in MODELS for heading in (name, "paper"))]

@@ -14,14 +14,14 @@ from jaxlangnav.episode import EpisodeState, Task, advance, begin, observe
 from jaxlangnav.experiments.experiment import Grid
 from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, usable_cores
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.rows import PRINTED
+from jaxlangnav.experiments.rows import TABLE2_ROWS
 from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 
-POLICY = "informed"  # the policy that is measured
+POLICY = "informed"  # the policy measured: the full method of this package
 _STEPS = 5  # warm-up cycles, so that beliefs have objects and refuted groundings
 _CALLS = 20  # calls of a part in one measurement
 _SEED = 4242  # of the worlds; not the default of any table
@@ -56,9 +56,8 @@ def describe_machine() -> dict[str, Any]:
 def measure(run: Callable[[], Any], repetitions: int, *, max_seconds: float = float("inf")) -> Cost:
     """Time a warmed-up function: medians of the repetitions within ``max_seconds`` seconds."""
     is_local = jax.default_backend() == "cpu"
-    costs = []
-    begin = time.perf_counter()
-    while not costs or (len(costs) < repetitions and time.perf_counter() - begin < max_seconds):
+    costs, start = [], time.perf_counter()
+    while not costs or (len(costs) < repetitions and time.perf_counter() - start < max_seconds):
         cpu, wall = time.process_time(), time.perf_counter()
         jax.block_until_ready(run())
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
@@ -81,32 +80,31 @@ def measure_parts(
     whole cycle first; planner and motion are the remainder.
     """
 
-    def sense_and_filter(progress: EpisodeState) -> Any:
-        state = progress.navigator
-        key = jax.random.fold_in(progress.task.key, progress.steps)
-        readings, observation = state.instruction.readings, observe(progress)
+    def sense_and_filter(episode: EpisodeState) -> Any:
+        belief, readings = episode.navigator.belief, episode.navigator.instruction.readings
+        key, observation = jax.random.fold_in(episode.task.key, episode.steps), observe(episode)
         return semantic_filter.step(
-            key, state.belief, readings, observation, params=params.map, is_sparse=True
+            key, belief, readings, observation, params=params.map, is_sparse=True
         )
 
-    def infer_behavior(progress: EpisodeState) -> Any:
-        state = progress.navigator
+    def infer_behavior(episode: EpisodeState) -> Any:
+        state = episode.navigator
         return infer_clause_behaviors(
             state.belief.particles, state.instruction, state.clause, state.previous_goal
         )
 
     batch = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
-    progress = jax.vmap(lambda task: begin(task, instructions, config=config))(batch)
+    episodes = jax.vmap(lambda task: begin(task, instructions, config=config))(batch)
 
     def compile_part(part: Callable[[EpisodeState], Any]) -> Any:
-        return jax.jit(jax.vmap(part)).lower(progress).compile()
+        return jax.jit(jax.vmap(part)).lower(episodes).compile()
 
     run_cycle = compile_part(lambda state: advance(state, params=params, config=config)[0])
     for _ in range(_STEPS):
-        progress = run_cycle(progress)
-    cycle_seconds = _lane_seconds(run_cycle, progress, repetitions)
+        episodes = run_cycle(episodes)
+    cycle_seconds = _lane_seconds(run_cycle, episodes, repetitions)
     sensor_seconds, filter_seconds, behavior_seconds = (
-        _lane_seconds(compile_part(part), progress, repetitions)
+        _lane_seconds(compile_part(part), episodes, repetitions)
         for part in (observe, sense_and_filter, infer_behavior)
     )
     return {
@@ -119,12 +117,12 @@ def measure_parts(
     }
 
 
-def _lane_seconds(part: Any, progress: EpisodeState, repetitions: int) -> float:
+def _lane_seconds(part: Any, episodes: EpisodeState, repetitions: int) -> float:
     """Time one call of a part on all lanes; seconds per lane."""
-    jax.block_until_ready(part(progress))
+    jax.block_until_ready(part(episodes))
 
     def calls() -> Any:
-        return [part(progress) for _ in range(_CALLS)][-1]
+        return [part(episodes) for _ in range(_CALLS)][-1]
 
     return measure(calls, repetitions).cpu / _CALLS / LANES
 
@@ -136,7 +134,8 @@ def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
     ``wall_s``. A remainder that is negative by measurement noise is set to zero.
     """
     start, machine = time.perf_counter(), describe_machine()
-    settings, count = [spec.setting(seed=_SEED) for spec in PRINTED], -(-LANES // len(PRINTED))
+    settings = [spec.setting(seed=_SEED) for spec in TABLE2_ROWS]
+    count = -(-LANES // len(settings))  # episodes per setting
     grid = Grid(settings=settings, arms=(), episodes=count, names=())
     tasks = grid.draw(np.random.default_rng(0).permutation(count * len(settings)))
     instructions = ground_sentences(list(SENTENCES.values())).instructions

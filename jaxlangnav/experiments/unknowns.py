@@ -2,7 +2,7 @@
 
 ``faithful`` runs the rows of Table 2 once with the defaults and once with each unreported parameter
 varied, in the same worlds with the same noise. A variation *explains* a row where both its success
-and its distance are within two standard errors of the printed ones. With two dozen variations some
+and its distance are within two standard errors of the paper's ones. With two dozen variations some
 agree by chance, so the rows that each explains are counted too.
 """
 
@@ -20,9 +20,9 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import Arm, policy_arm
 from jaxlangnav.experiments.rows import (
-    AGREEMENT,
+    MAX_Z,
     PAPER_RUNS,
-    PRINTED,
+    TABLE2_ROWS,
     RowSpec,
     deviations,
     distance_error,
@@ -45,7 +45,7 @@ BASELINE_LABEL = "as in all our tables"
 class Variation:
     """One parameter that the paper does not report, set to one value."""
 
-    unknown: str
+    unknown: str  # name of the parameter
     value: str  # for people
     sensor: Mapping[str, float] = dataclasses.field(default_factory=dict)
     params: Mapping[str, float] = dataclasses.field(default_factory=dict)
@@ -68,7 +68,7 @@ class Variation:
         assert arm.config is not None
         planner = dataclasses.replace(arm.config.planner, num_blocks=self.num_blocks)
         config = dataclasses.replace(arm.config, planner=planner)
-        transform = functools.partial(_rotated, seed=options.seed) if self.is_rotated else None
+        transform = functools.partial(_rotate, seed=options.seed) if self.is_rotated else None
         return dataclasses.replace(
             arm, config=config, sensor=self.sensor, max_steps=self.max_steps, transform=transform
         )
@@ -100,7 +100,7 @@ VARIATIONS = (
 ``jaxlangnav sweep``."""
 
 
-def _rotated(tasks: Task, seed: int) -> Task:
+def _rotate(tasks: Task, seed: int) -> Task:
     """Rotate each world about the start by a random angle, uniform over the circle."""
     # Relations between objects as seen from the start are preserved: what was behind a cone still
     # is. The operating area becomes the square [-D, D]² around the start. A world with an object
@@ -124,10 +124,10 @@ def _rotated(tasks: Task, seed: int) -> Task:
 
 
 def _measure(row: Row, spec: RowSpec, _: EpisodeResult) -> Row:
-    """Compare a row with the printed one, in standard errors."""
-    paper = printed_rows([TABLE_2[PRINTED.index(spec)]])[0]
+    """Compare a row with the published one, in standard errors."""
+    paper = printed_rows([TABLE_2[TABLE2_ROWS.index(spec)]])[0]
     z = deviations(row, paper)
-    is_near = {f"is_{name}_near": abs(deviation) <= AGREEMENT for name, deviation in z.items()}
+    is_near = {f"is_{name}_near": abs(deviation) <= MAX_Z for name, deviation in z.items()}
     return {
         "success_se": rate_error(row["success_rate"], row["episodes"]),
         "distance_se": distance_error(row),
@@ -139,31 +139,31 @@ def _measure(row: Row, spec: RowSpec, _: EpisodeResult) -> Row:
     }
 
 
-def _extras(rows: Sequence[Row], options: Options) -> Row:
+def _derive(rows: Sequence[Row], options: Options) -> Row:
     """Compute the agreement of each variation with the paper, and the explanations of each row."""
     params = default_params() if options.params is None else options.params
     names = ("discount", "stop_probability", "reach")
-    params_shown = {name: getattr(params.planner, name) for name in names}
-    params_shown["concentration"] = params.map.concentration
-    ours: Row = {name: round(float(value), 6) for name, value in params_shown.items()}
-    ours |= {"num_blocks": PlannerConfig().num_blocks, "max_steps": MAX_STEPS}
+    values = {name: getattr(params.planner, name) for name in names}
+    values["concentration"] = params.map.concentration
+    defaults: Row = {name: round(float(value), 6) for name, value in values.items()}
+    defaults |= {"num_blocks": PlannerConfig().num_blocks, "max_steps": MAX_STEPS}
     variations = []
-    for start in range(0, len(rows), len(PRINTED)):
-        group = rows[start : start + len(PRINTED)]
+    for start in range(0, len(rows), len(TABLE2_ROWS)):
+        group = rows[start : start + len(TABLE2_ROWS)]
         z = np.array([[row["z_success"], row["z_distance"]] for row in group])
         count = sum(row["is_near"] for row in group)
         labels = {name: group[0][name] for name in ("unknown", "value")}
         variations.append(labels | {"rows_near": count, "rms_z": float(np.sqrt((z**2).mean()))})
     # By row of Table 2: the variations within two standard errors of the paper.
     explained = []
-    for start in range(len(PRINTED)):
-        first, *rest = rows[start :: len(PRINTED)]
+    for start in range(len(TABLE2_ROWS)):
+        first, *rest = rows[start :: len(TABLE2_ROWS)]
         names = [f"{row['unknown']} {row['value']}".strip() for row in rest if row["is_near"]]
         entry = {name: first[name] for name in ("world", "range", "relation", "is_near")}
         explained.append(entry | {"by": names})
     return {
         "policy": _POLICY,
-        "ours": ours | {"bearing_max": OBJECT_BEARING_MAX},
+        "ours": defaults | {"bearing_max": OBJECT_BEARING_MAX},
         "variations": variations,
         "explained": explained,
     }
@@ -177,10 +177,10 @@ def row_name(row: Mapping[str, Any]) -> str:
 def _variation_table(document: Document) -> Table:
     """Build a table of variations (lines) by rows of Table 2 (columns), the paper's line first."""
     paper, rows, trials = document["paper"], document["rows"], document["variations"]
-    printed = [f"{row['success_rate']:.1f} · {row['distance_mean']:.1f}" for row in paper]
-    lines = [["the paper", "", *printed, "", ""]]
+    published = [f"{row['success_rate']:.1f} · {row['distance_mean']:.1f}" for row in paper]
+    lines = [["the paper", "", *published, "", ""]]
 
-    def figures(row: Row) -> str:
+    def format_row(row: Row) -> str:
         """Format success and distance of a row, with a star where close to the paper's."""
         parts = ((row["success_rate"], "success"), (row["distance_mean"], "distance"))
         return " · ".join(f"{value:.1f}{'*' * row[f'is_{name}_near']}" for value, name in parts)
@@ -188,7 +188,7 @@ def _variation_table(document: Document) -> Table:
     for i, variation in enumerate(trials):
         group = rows[i * len(paper) : (i + 1) * len(paper)]
         counts = f"{variation['rows_near']} of {len(paper)}", f"{variation['rms_z']:.1f}"
-        lines.append([variation["unknown"], variation["value"], *map(figures, group), *counts])
+        lines.append([variation["unknown"], variation["value"], *map(format_row, group), *counts])
     headings = ["unknown", "set to", *map(row_name, paper), "rows explained", "rms z"]
     # On a terminal, distance is below success.
     narrow = Table(
@@ -212,7 +212,7 @@ def _conditions(document: Document) -> list[str]:
     noise, ours = document["noise"], document["ours"]
     num_invalid = sum(row["invalid_worlds"] for row in document["rows"])
     return [
-        f"Success (%) and distance (m); with a star: within {AGREEMENT:g} standard "
+        f"Success (%) and distance (m); with a star: within {MAX_Z:g} standard "
         f"errors of the printed figure, by z in standard errors of both (the paper's rest on "
         f"about {PAPER_RUNS} runs). A row is explained where both figures are near.",
         f"{document['episodes']} episodes a row and variation, a fresh world each, seed "
@@ -224,19 +224,19 @@ def _conditions(document: Document) -> list[str]:
         f"{ours['reach']:g} m; detection {100 * noise['detection_probability']:g} %; time-out "
         f"after {ours['max_steps']} steps of {noise['step_length']:g} m; objects within "
         f"±{math.degrees(ours['bearing_max']):.0f}° ahead.",
-        f"Worlds that missed their law and are left out: {num_invalid}.",
+        f"Invalid worlds, left out: {num_invalid}.",
     ]
 
 
 UNKNOWNS = Experiment(
     name="unknowns",
     title="What the paper leaves open, one thing at a time",
-    lead="The rows of Table 2 for faithful, the paper's method, with one thing set otherwise at a "
+    intro="The rows of Table 2 for faithful, the paper's method, with one thing set otherwise at a "
     "time that the paper does not print. Which of them brings our figures to the paper's?",
-    specs=PRINTED,
+    specs=TABLE2_ROWS,
     arms=lambda options: [variation.arm(options) for variation in VARIATIONS],
     measure=_measure,
-    extras=_extras,
+    derived=_derive,
     tables=lambda document: [_variation_table(document)],
     notes=lambda document: [
         *(f"{row_name(row)}: {_explain(row)}" for row in document["explained"]),

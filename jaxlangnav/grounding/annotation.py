@@ -173,7 +173,7 @@ def infer_annotations(
     joint: list[tuple[tuple[RankedAnnotations, ...], float]] = [((), 0.0)]
     rank = dict[Path, int]()
     for clause, root in enumerate(parse.clauses):
-        tree = graph.weigh(root, None, clause)
+        tree = graph.score(root, None, clause)
         beam = tree.search(width)
         log_ranks = tree.log_ranks()
         rank |= {path: int(np.argmax(values)) for path, values in log_ranks.items()}

@@ -173,13 +173,13 @@ class CorrespondenceGraph(Generic[AnyWorld]):
     space: SymbolSpace[AnyWorld]
     model: CorrespondenceModel
 
-    def weigh(self, root: Phrase, world: AnyWorld, clause: int = 0) -> ScoredTree:
+    def score(self, root: Phrase, world: AnyWorld, clause: int = 0) -> ScoredTree:
         """Contract the words of a clause with the weights; see ``ScoredTree``."""
         return ScoredTree(TreeFeatures(self.space, root, world, clause), self.model)
 
     def ground(self, root: Phrase, world: AnyWorld, width: int = BEAM_WIDTH) -> list[SymbolSet]:
         """Infer what a tree means in a world: up to ``width`` sets of symbols, likeliest first."""
-        tree = self.weigh(root, world)
+        tree = self.score(root, world)
         return [
             SymbolSet(
                 symbols=tree.symbols.members(hypothesis.expressed),

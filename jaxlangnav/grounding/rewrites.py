@@ -4,8 +4,8 @@ A source, such as a language model, rewrites a sentence in several ways, with lo
 Rewritings that cannot be parsed are dropped and counted; the trained graph grounds the rest. Their
 readings form a mixture, weighted by probability, as evidence for the map.
 
-Commands are not mixed: a behavior program is log-linear in the phrases of one sentence, and no
-program yields the weighted sum of the behaviors of two. Rewritings of equal meaning are grouped and
+Commands are not mixed: a compiled clause is log-linear in the phrases of one sentence, and no
+clause yields the weighted sum of the behaviors of two. Rewritings of equal meaning are grouped and
 their weights summed; the likeliest rewriting of the group with the largest weight is executed.
 """
 

@@ -1,4 +1,4 @@
-"""Relevance of mentions to the goal: connected components of the relation graph (ours).
+"""Relevance of mentions to the goal: connected components of the relation graph (not in paper).
 
 A sentence may mention more than its current command needs: constraints, the next command's goal,
 earlier statements. The relations of an interpretation connect its mentions into groups; the group

@@ -22,7 +22,7 @@ from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.follow import batched, open_episode, score
-from jaxlangnav.task.opening import detector_of, step_limit
+from jaxlangnav.task.loading import detector_of, step_limit
 from jaxlangnav.task.talk import YOU, Speech, add_talk, allow_questions, enlarge, name_candidates
 from jaxlangnav.viz.html import page_data
 from jaxlangnav.viz.sentences import percent

@@ -27,13 +27,13 @@ from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.opening import (
+from jaxlangnav.task.loading import (
     PreparedTask,
     check_template,
     count_types,
     detector_of,
+    load_task,
     mismatch_message,
-    open_task,
     step_limit,
 )
 from jaxlangnav.world.files import open_world
@@ -111,7 +111,7 @@ def open_episode(
     check_template(world, understood)
     defaults, config = params_and_config(world, policy, particles)
     params = defaults if params is None else replace(params, policy=defaults.policy)
-    prepared = open_task(world, understood, sensing_range=sensing_range, seed=seed)
+    prepared = load_task(world, understood, sensing_range=sensing_range, seed=seed)
     motion = prepared.task.motion
     if prepared.is_drawn and not prepared.is_meant:
         counts = count_types(prepared.task.scenario, understood.type_names)
@@ -207,7 +207,7 @@ def score(recording: Recording, prepared: PreparedTask, *, has_person: bool = Fa
     False. A simulated person who speaks (``has_person``) means one of several places.
     """
     result, scene = recording.result, recording.scene
-    radius = max(float(scene.sensor.range_max) if prepared.is_find else 0.0, SUCCESS_RADIUS)
+    radius = max(float(scene.sensor.range_max) if prepared.is_find_task else 0.0, SUCCESS_RADIUS)
     is_scored = prepared.is_meant and (has_person or not prepared.unscored)
     is_arrived = (result.ending == Status.ARRIVED) & is_scored
     world = scene.scenario

@@ -67,8 +67,8 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[lis
         _best_goals(understood.instruction, clause, behavior, placed, scenario)
         for clause, behavior in enumerate(behaviors)
     ]
-    is_find = bool(behaviors) and bool(goals[-1]) and bool(behaviors[-1].action.argmax() == 1)
-    return goals or [[]], is_find
+    is_find_task = bool(behaviors) and bool(goals[-1]) and bool(behaviors[-1].action.argmax() == 1)
+    return goals or [[]], is_find_task
 
 
 def _best_goals(

@@ -43,7 +43,7 @@ def graph_figure(parse: Parse, model: GroundingModel) -> "Figure":
     space = AnnotationSpace(len(model.type_names))
     names = [_symbol_name(symbol, model.type_names) for symbol in space.symbols]
     graph = CorrespondenceGraph(Annotations(model.type_names), model.annotation)
-    trees = (graph.weigh(root, None, clause) for clause, root in enumerate(parse.clauses))
+    trees = (graph.score(root, None, clause) for clause, root in enumerate(parse.clauses))
     beliefs = [belief for tree in trees for belief in tree.beliefs()]
     return beliefs_figure(beliefs, names, title=parse.instruction)
 

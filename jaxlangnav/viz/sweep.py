@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.robustness import ECE_TARGET, ROBUSTNESS
-from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, distance_error, rate_error
+from jaxlangnav.experiments.rows import MAX_Z, PAPER_RUNS, distance_error, rate_error
 from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.unknowns import UNKNOWNS, row_name
 from jaxlangnav.viz import style
@@ -249,8 +249,8 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
         style.title(
             figure,
             UNKNOWNS.title,
-            f"{document['policy']}, {document['episodes']} episodes a point, bars ± {AGREEMENT:g} "
-            f"standard errors. Band: the paper's figure ± {AGREEMENT:g} standard errors of "
+            f"{document['policy']}, {document['episodes']} episodes a point, bars ± {MAX_Z:g} "
+            f"standard errors. Band: the paper's figure ± {MAX_Z:g} standard errors of "
             f"{PAPER_RUNS} runs. Filled green: they agree.",
         )
     return figure
@@ -262,11 +262,11 @@ def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str) -> No
     value, error = printed[key], printed["distance_sd"] / math.sqrt(PAPER_RUNS)
     if name == "success":
         error = rate_error(value, PAPER_RUNS)
-    axes.axvspan(value - AGREEMENT * error, value + AGREEMENT * error, color="#e6ecf1", zorder=0)
+    axes.axvspan(value - MAX_Z * error, value + MAX_Z * error, color="#e6ecf1", zorder=0)
     axes.axvline(value, color=style.INK, linewidth=0.9, linestyle=":", zorder=1)
     for y, row in enumerate(rows):
         agrees = row[f"is_{name}_near"]
-        bar = AGREEMENT * row[f"{name}_se"]
+        bar = MAX_Z * row[f"{name}_se"]
         # No rate is above 100 %.
         upper = min(bar, 100.0 - row[key]) if name == "success" else bar
         axes.errorbar(

@@ -18,7 +18,7 @@ from jaxlangnav.terrain.view import Segment, rotate, wrapped
 from jaxlangnav.world.state import WorldState
 
 
-def plain_action(waypoint: Array, step: Array, is_stop: Array) -> Action:
+def move_or_stop(waypoint: Array, step: Array, is_stop: Array) -> Action:
     """Build the action of an agent at full speed: it has arrived, or searches."""
     return Action(
         waypoint=waypoint,

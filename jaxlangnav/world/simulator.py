@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import MotionParams
-from jaxlangnav.world.motion import move_body, plain_action, stop_at_wall
+from jaxlangnav.world.motion import move_body, move_or_stop, stop_at_wall
 from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
@@ -65,7 +65,7 @@ def drive_known_map(
         # The known-map robot steers by its true position.
         (state, num_steps), terrain = drive, scenario.terrain
         waypoint = jnp.stack(terrain.travel.next_place(*state.position, *scenario.goal))
-        action = plain_action(scenario.goal, waypoint - state.position, jnp.array(False))
+        action = move_or_stop(scenario.goal, waypoint - state.position, jnp.array(False))
         moved = move_body(jax.random.fold_in(key, num_steps), state, action, motion)
         return stop_at_wall(state, moved, terrain), num_steps + 1
 

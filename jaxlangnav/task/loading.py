@@ -1,4 +1,4 @@
-"""Task of an episode: a world opened for a sentence, and the goal that the sentence means there.
+"""Loading of an episode's task: a world for a sentence, and the goal that the sentence means there.
 
 The world is a file, or sampled from a template so that the sentence is true in it. A missing world
 or a bad file raises a ``ValueError`` wherever it is named.
@@ -37,7 +37,7 @@ class PreparedTask:
 
     world: str  # its name
     task: Task
-    is_find: bool  # success is to have the goal in view
+    is_find_task: bool  # success is to have the goal in view
     is_meant: bool  # some place there fits the sentence
     is_drawn: bool  # the world is sampled from a template
     via: tuple[tuple[float, float], ...] = ()
@@ -58,7 +58,7 @@ class PreparedTask:
         return f"{self.num_tied} places fit the sentence alike, and nothing says which is meant"
 
 
-def open_task(
+def load_task(
     world: str, understood: Understanding, *, sensing_range: float | None, seed: int
 ) -> PreparedTask:
     """Build the task of one episode in a world file or a world sampled from a template.
@@ -181,7 +181,7 @@ def _set_goal(
     has_goal: bool = True,
 ) -> PreparedTask:
     """Set the goal to the sentence's; the world's own goal is kept if it fits as well."""
-    (*earlier, goals), is_find = meant_goals(understood, task.scenario)
+    (*earlier, goals), is_find_task = meant_goals(understood, task.scenario)
     is_given = is_own or (has_goal and is_among(task.scenario, goals))
     is_meant = is_own or bool(goals)
     missing: Sequence[str] = ()
@@ -194,7 +194,7 @@ def _set_goal(
     return PreparedTask(
         world=name,
         task=task,
-        is_find=is_find,
+        is_find_task=is_find_task,
         is_meant=is_meant,
         is_drawn=is_drawn,
         via=tuple(ends[0].position for ends in earlier if ends),
