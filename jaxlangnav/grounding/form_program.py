@@ -38,7 +38,7 @@ from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.messages import NEAR, NONE, REGIONS
 from jaxlangnav.relations.table import SYMBOL_OF
 
-LandmarkRelation = tuple[int, int, "Description"]
+LandmarkRelation = tuple[int, int, "Descriptor"]
 """Relation, rank, and description of the landmark."""
 ANY, AGAIN, OTHER = (), ("like_previous",), ("named_previous",)
 """Reference of a goal to the previous one, as conditions that it must not meet: none; the same
@@ -46,7 +46,7 @@ object; another one of its type ("the other cone")."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Description:
+class Descriptor:
     """Description of an object by type and relations; equal descriptions are not told apart."""
 
     type: int  # of object; ROBOT
@@ -57,14 +57,14 @@ class Description:
 class Destination:
     """A region of a described object: the goal of a command, or a constraint."""
 
-    target: Description
+    target: Descriptor
     region: int
     previous: tuple[str, ...] = ANY
 
 
 def _description_of(
     reading: FormReading, thing: int, ancestors: tuple[int, ...] = ()
-) -> Description:
+) -> Descriptor:
     """Describe an object by its type and relations, and recursively its landmarks."""
     # Cyclic relations are cut: ``ancestors`` are the objects whose description contains this one.
     path = (*ancestors, thing)
@@ -74,7 +74,7 @@ def _description_of(
         for r in reading.relations
         if r.figure == thing and r.landmark not in path
     }
-    return Description(reading.type_of(thing), frozenset(relations))
+    return Descriptor(reading.type_of(thing), frozenset(relations))
 
 
 def _destination(reading: FormReading, index: int) -> Destination:
@@ -86,11 +86,11 @@ def _destination(reading: FormReading, index: int) -> Destination:
     return Destination(_description_of(reading, command.thing), command.region, previous)
 
 
-def _satisfies(target: Description, reading: FormReading, index: int) -> bool:
+def _satisfies(target: Descriptor, reading: FormReading, index: int) -> bool:
     """Check whether an object of a reading satisfies a description."""
     relations = [r for r in reading.relations if r.figure == index]
 
-    def is_stated(relation: int, rank: int, landmark: Description) -> bool:
+    def is_stated(relation: int, rank: int, landmark: Descriptor) -> bool:
         # The nearest is near, too; particles do not distinguish ranks beyond the first.
         return any(
             SYMBOL_OF[r.relation] == relation
@@ -203,7 +203,7 @@ def _log_odds(probability: float) -> float:
     return min(CERTAIN, math.log(probability / (1.0 - probability)))
 
 
-def _object_phrase(target: Description, peak: float, previous: tuple[str, ...] = ANY) -> _Phrase:
+def _object_phrase(target: Descriptor, peak: float, previous: tuple[str, ...] = ANY) -> _Phrase:
     """Build the phrase of a description ("the hydrant behind the cone") at log-odds ``peak``."""
     restrictors = []
     for relation, rank, landmark in sorted(target.relations, key=lambda r: (*r[:2], repr(r[2]))):
