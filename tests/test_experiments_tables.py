@@ -113,7 +113,7 @@ def test_the_caption_counts_each_way_to_go_wrong() -> None:
     one = row(overflows=3, degenerate=2, contradictions=5, faults=4, invalid_worlds=1)
     text = " ".join(paper.caption(document(one, row(policy="informed", contradictions=2))))
     assert "left out: 1; detections without a slot: 3; steps with all weights zero: 2" in text
-    assert "contradicts the map: 7, with an invalid observation, at which it stood still: 4." in text
+    assert "the map: 7, with an invalid observation, at which it stood still: 4." in text
 
 
 def test_falls_are_found() -> None:
