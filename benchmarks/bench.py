@@ -22,7 +22,7 @@ from record import Measurement, against, entry, render
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run
 from jaxlangnav.episode.lanes import run_batch
-from jaxlangnav.experiments.monte_carlo import LANES, run_tasks, usable_cores
+from jaxlangnav.experiments.monte_carlo import NUM_LANES, run_tasks, usable_cores
 from jaxlangnav.experiments.paper import SENSING_RANGES
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.tasks import (
@@ -282,7 +282,7 @@ def _compilation(bench: Workbench) -> list[Measurement]:
         begin, cpu = time.perf_counter(), time.process_time()
         # A program that is not in the in-memory cache.
         program = functools.partial(
-            run_batch, config=config, num_lanes=LANES, max_steps=MAX_STEPS - 1
+            run_batch, config=config, num_lanes=NUM_LANES, max_steps=MAX_STEPS - 1
         )
         lowered = jax.jit(program).lower(bench.tasks, bench.instructions, params=bench.params)
         traced = time.perf_counter() - begin

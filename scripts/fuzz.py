@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.cli.output import is_refusal
-from jaxlangnav.inputs.sanitize import is_plain
+from jaxlangnav.cli.output import is_user_error
+from jaxlangnav.inputs.sanitize import is_printable
 
 SECONDS_PER_TURN = 2.0
 """Duration of a target's turn."""
@@ -108,7 +108,7 @@ def _string(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
     other = rng.choice(TEXTS)
     raw = other.encode("utf-8", "surrogatepass")
     escaped = "".join(
-        c if is_plain(c) and c not in '"\\' and ord(c) < 65536 else f"\\u{ord(c):04x}"
+        c if is_printable(c) and c not in '"\\' and ord(c) < 65536 else f"\\u{ord(c):04x}"
         for c in other
         if ord(c) < 65536
     ).encode("utf-8", "surrogatepass")
@@ -194,7 +194,7 @@ def _fault(target: Target, error: BaseException) -> str | None:
     """Describe why an exception is not a proper refusal; None if it is one."""
     if not isinstance(error, target.refusals):
         return "".join(traceback.format_exception(error))
-    if isinstance(error, ValueError) and not is_refusal(error):
+    if isinstance(error, ValueError) and not is_user_error(error):
         return "raised in the depth of a library:\n" + "".join(traceback.format_exception(error))
     line = str(error)
     if "\n" in line or not line or len(line) > MAX_MESSAGE_LENGTH:

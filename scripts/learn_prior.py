@@ -9,7 +9,7 @@ seeds. The histogram is over all objects, not only goals, by range and bearing f
 import numpy as np
 
 from jaxlangnav.experiments.tasks import cell, make_tasks
-from jaxlangnav.inputs.whole_files import replacing
+from jaxlangnav.inputs.atomic_files import replacing
 from jaxlangnav.planner.prior import BEARING_BINS, BEARING_MAX, RANGE_BINS, RANGE_MAX, TABLE_FILE
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import TABLE_2

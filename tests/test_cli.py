@@ -16,7 +16,7 @@ from test_cli_hostile import document, refused
 
 from jaxlangnav import __version__
 from jaxlangnav.cli import SUMMARIES, main as cli
-from jaxlangnav.cli.output import Output, UsageError, is_refusal, one_line, to_json
+from jaxlangnav.cli.output import Output, UsageError, is_user_error, one_line, to_jsonable
 from jaxlangnav.world import files
 
 FAULTS = {
@@ -126,7 +126,7 @@ def test_a_fault_of_ours_is_one_line_and_code_1(capsys, monkeypatch):
     # The world files' own ValueError is a refusal.
     with pytest.raises(ValueError, match="unknown world") as caught:
         files.open_world("yrad")
-    assert is_refusal(caught.value)
+    assert is_user_error(caught.value)
     # An interrupt is quiet.
     assert cli.main(["echo", "stop"]) == 130
     assert capsys.readouterr().err == "jaxlangnav: interrupted\n"
@@ -146,25 +146,25 @@ def test_json_is_one_document_and_nothing_else(capsys: pytest.CaptureFixture[str
 
 def test_a_story_hangs_under_its_heads_on_a_terminal(capsys, monkeypatch):
     lines = ["You said: “go”.", f"[    0 ·  0.0 m] {'2.5 m word ' * 20}".rstrip()]
-    Output(is_json=False).narrate(lines)
+    Output(is_json=False).print_wrapped(lines)
     assert capsys.readouterr().out.splitlines() == lines
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "72")
-    Output(is_json=False).narrate(lines)
+    Output(is_json=False).print_wrapped(lines)
     told = capsys.readouterr().out.splitlines()
     assert max(map(len, told)) <= 72
     assert len(told) > 4
     assert all(line.startswith(" " * 17) for line in told[2:])
     assert not any(line.endswith("2.5") for line in told)
     assert " ".join(" ".join(told[1:]).split()) == " ".join(lines[1].split())
-    Output(is_json=True).narrate(lines)
+    Output(is_json=True).print_wrapped(lines)
     assert capsys.readouterr().out == ""
 
 
 def test_to_json_turns_arrays_and_paths() -> None:
     value = {"a": jnp.arange(3), "b": (np.float32(0.5), True), 3: Path("x"), "c": float("inf")}
-    assert to_json(value) == {"a": [0, 1, 2], "b": [0.5, True], "3": "x", "c": None}
-    json.dumps(to_json(value), allow_nan=False)
+    assert to_jsonable(value) == {"a": [0, 1, 2], "b": [0.5, True], "3": "x", "c": None}
+    json.dumps(to_jsonable(value), allow_nan=False)
 
 
 def test_an_error_is_said_in_one_line() -> None:

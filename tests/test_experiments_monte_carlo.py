@@ -105,7 +105,7 @@ def test_bad_cells_are_refused() -> None:
 
 
 def test_pieces_come_back_in_order_and_without_padding() -> None:
-    number = 2 * monte_carlo.CHUNK + 3
+    number = 2 * monte_carlo.CHUNK_SIZE + 3
     tasks = make_tasks(cell("1H1C", "null", 0, 3.0, number, 0))
     seen: list[int] = []
     found = run_policy("known", tasks, INSTRUCTIONS, on_progress=seen.append, num_threads=2)

@@ -34,7 +34,7 @@ def row(scenario: str, policy: str = "informed", **other: Any) -> dict[str, Any]
         "scenario": scenario, "policy": policy, "success_rate": 99.0, "success_ci": [95.0, 100.0],
         "distance_mean": 20.0, "distance_sd": 5.0, "known_distance_mean": 8.0, "episodes": 100,
         "elsewhere": 1, "not_found": 0, "asks": 0, "other_ends": 0, "timeouts": 0, "ece": 0.02,
-        "ece_floor": 0.03, "overflow_episodes": 0, "is_told": spec.is_exact, "target": spec.target,
+        "ece_floor": 0.03, "overflow_episodes": 0, "is_told": spec.is_matched, "target": spec.target,
         "longest": spec.max_distance, "is_met": None, "is_calibrated": None, "invalid_worlds": 0,
     } | other  # fmt: skip
 
@@ -53,11 +53,11 @@ def test_truth_and_what_is_told_differ_only_where_it_says_so(name: str) -> None:
     cell = spec.setting(seed=0)
     assert cell.assumed_sensor is not None
     pairs = zip(*map(dataclasses.astuple, (cell.sensor, cell.assumed_sensor)), strict=True)
-    if spec.is_exact:
+    if spec.is_matched:
         assert all(float(true) == float(told) for true, told in pairs)
         assert float(cell.motion.odometry_noise) == np.float32(0.02)
         assert not spec.place.get("num_clutter", 0)
-    assert bool(spec.described()["told"]) != spec.is_exact
+    assert bool(spec.described()["told"]) != spec.is_matched
 
 
 @pytest.mark.parametrize("name", [one.name for one in SCENARIOS if one.params])

@@ -11,21 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxlangnav.inputs import whole_files
+from jaxlangnav.inputs import atomic_files
 from jaxlangnav.inputs.arrays import as_value_error, parse_floats
+from jaxlangnav.inputs.atomic_files import read_file, read_user_file, user_folder, write_user_file
 from jaxlangnav.inputs.documents import MAX_NEST, DocumentError, parse_json, parse_toml, read_text
-from jaxlangnav.inputs.whole_files import read_file, read_user_file, user_folder, write_user_file
 from jaxlangnav.planner import prior
 
 
 def fail(path: Path) -> None:
-    with whole_files.replacing(path) as temporary:
+    with atomic_files.replacing(path) as temporary:
         temporary.write_text("half")
         raise RuntimeError("the disk is full")
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
-    path = whole_files.write_text("old", tmp_path / "new" / "folder" / "table.md")
+    path = atomic_files.write_text("old", tmp_path / "new" / "folder" / "table.md")
     with pytest.raises(RuntimeError, match="full"):
         fail(path)
     assert path.read_text() == "old"
@@ -44,9 +44,9 @@ def test_file_and_folder_are_forced_to_the_disk_before_the_rename_counts(tmp_pat
         events.append(("move", self.name))
         return move(self, target)
 
-    monkeypatch.setattr(whole_files.os, "fsync", forced)
+    monkeypatch.setattr(atomic_files.os, "fsync", forced)
     monkeypatch.setattr(Path, "replace", moved)
-    whole_files.write_text("new", tmp_path / "out" / "table.md")
+    atomic_files.write_text("new", tmp_path / "out" / "table.md")
     made, (first, temporary), (second, same), (third, folder) = events
     assert made == ("force", tmp_path.name)
     assert (first, second, third) == ("force", "move", "force")
@@ -57,8 +57,8 @@ def test_file_and_folder_are_forced_to_the_disk_before_the_rename_counts(tmp_pat
 
 def test_of_two_writers_one_wins(tmp_path: Path) -> None:
     path = tmp_path / "manifest.json"
-    assert whole_files.write_once(b"mine", path)
-    assert not whole_files.write_once(b"theirs", path)
+    assert atomic_files.write_once(b"mine", path)
+    assert not atomic_files.write_once(b"theirs", path)
     assert path.read_bytes() == b"mine"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -75,12 +75,12 @@ def masked(bits: int) -> Iterator[None]:
 def test_names_and_rights(tmp_path: Path) -> None:
     path = tmp_path / f"{'n' * 240}.md"
     with masked(0o027):
-        whole_files.write_text("long", path)
+        atomic_files.write_text("long", path)
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
     assert list(tmp_path.iterdir()) == [path]
     names = []
     for _ in range(2):
-        with whole_files.replacing(path) as temporary:
+        with atomic_files.replacing(path) as temporary:
             names.append(temporary.name)
     assert names[0] != names[1]
 
@@ -185,12 +185,12 @@ def test_what_is_another_users_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
     write_user_file(folder / "file", b"content")
     # Whom its owner lets write is no matter there: nobody else can enter.
     (folder / "file").chmod(0o664)
-    whole_files.check_user_files(folder)
+    atomic_files.check_ownership(folder)
     stranger = os.geteuid() + 1
-    monkeypatch.setattr(whole_files.os, "geteuid", lambda: stranger)
+    monkeypatch.setattr(atomic_files.os, "geteuid", lambda: stranger)
     with pytest.raises(PermissionError, match="belongs to another user"):
         user_folder(folder)
-    for read in (whole_files.check_user_files, lambda of: read_user_file(of / "file", max_bytes=9)):
+    for read in (atomic_files.check_ownership, lambda of: read_user_file(of / "file", max_bytes=9)):
         with pytest.raises(PermissionError, match="file: belongs to another user"):
             read(folder)
 
@@ -224,7 +224,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError("full")
 
-    monkeypatch.setattr(whole_files.os, "replace", full)
+    monkeypatch.setattr(atomic_files.os, "replace", full)
     with pytest.raises(OSError, match="full"):
         write_user_file(tmp_path / "file", b"new")
     assert [one.name for one in tmp_path.iterdir()] == ["file"]

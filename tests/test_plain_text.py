@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 
 from jaxlangnav.inputs.sanitize import (
     MAX_NAME,
-    Plain,
+    Escaped,
     as_text,
     markdown,
     markdown_table,
@@ -39,10 +39,10 @@ PLAIN = ["", "go to the hydrant", "Äpfel, 12 m · “cone” → 90 %", "消火
 
 @pytest.mark.parametrize("text", HOSTILE + PLAIN)
 def test_what_is_plain_stays_as_it_is_and_nothing_else(text: str) -> None:
-    is_plain, written = text in PLAIN, sanitize(text)
-    assert (written == text) is is_plain
-    assert ("\\" in written) is not is_plain
-    assert (name_fault(text) is None) is is_plain
+    is_printable, written = text in PLAIN, sanitize(text)
+    assert (written == text) is is_printable
+    assert ("\\" in written) is not is_printable
+    assert (name_fault(text) is None) is is_printable
     written.encode("utf-8")
 
 
@@ -90,7 +90,7 @@ def test_what_rich_draws_is_made_printable_and_keeps_its_colours() -> None:
     table.add_column("\x9b2J")
     table.add_row(Text("cell \x1b[2J \u202e", style="red"))
     file = io.StringIO()
-    Console(file=file, force_terminal=True, color_system="standard", width=60).print(Plain(table))
+    Console(file=file, force_terminal=True, color_system="standard", width=60).print(Escaped(table))
     told = file.getvalue()
     assert "\x1b[31m" in told  # ours
     assert not any(one in told for one in ("\x1b]0", "\x07", "\x1b[2J", "\x9b", "\u202e"))

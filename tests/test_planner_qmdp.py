@@ -11,7 +11,7 @@ from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT, Behavior, R
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import gather, reassign_distractor_mass
 from jaxlangnav.planner.graph import add_visited, empty_visited, frontiers, unexplored_cells
-from jaxlangnav.planner.relevance import believed_groups, groups, links_to_goal, links_to_unseen
+from jaxlangnav.planner.relevance import groups, links_to_goal, links_to_unseen, particle_groups
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare
 from jaxlangnav.semantic_map import particle
@@ -287,16 +287,16 @@ TOLD = reading_of([HYDRANT, CONE, CAR, BENCH], [(0, BEHIND, 1), (2, NONE, NONE),
 def test_what_was_said_of_other_things_keeps_no_goal_from_being_confirmed() -> None:
     """The hydrant and its cone are seen; the car to avoid and the next command's bench are not."""
     belief = map_with({0: 0, 1: 1})
-    group = believed_groups(TOLD, belief)
+    group = particle_groups(TOLD, belief)
     assert np.asarray(links_to_unseen(group, belief))[:4, 0].tolist() == [False, False, True, True]
     half = map_with({0: 0})
-    group = believed_groups(TOLD, half)
+    group = particle_groups(TOLD, half)
     assert np.asarray(links_to_unseen(group, half))[:2, 0].tolist() == [True, True]
 
 
 def test_only_what_the_goal_is_placed_against_is_looked_for() -> None:
     belief = map_with({0: 0})
-    group = believed_groups(TOLD, belief)
+    group = particle_groups(TOLD, belief)
     seen = np.asarray(links_to_goal(group, belief, goal_at(0)))[:4, 0]
     assert seen.tolist() == [True, True, False, False]
     hypothesised = np.asarray(links_to_goal(group, belief, goal_at(3 + 3)))[:4, 0]
@@ -306,5 +306,5 @@ def test_only_what_the_goal_is_placed_against_is_looked_for() -> None:
 def test_where_no_mention_is_the_goal_all_of_them_count() -> None:
     """ "The other cone" is none that has been named."""
     belief = map_with({0: 0})
-    group = believed_groups(TOLD, belief)
+    group = particle_groups(TOLD, belief)
     assert np.asarray(links_to_goal(group, belief, goal_at(2)))[:4, 0].all()

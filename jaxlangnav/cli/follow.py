@@ -213,17 +213,17 @@ class Follow:
             recording = watch(scene, steps, said=said, console=Console(stderr=self.json))
         else:
             if is_typed:
-                output.narrate(opening(scene))
-                steps = narrate_live(scene, steps, said, output.narrate)
+                output.print_wrapped(opening(scene))
+                steps = narrate_live(scene, steps, said, output.print_wrapped)
             frames, results = zip(*steps, strict=True)
             recording = stack_frames(scene, list(frames), results[-1])
         recording = score(recording, prepared, has_person=self.person is not None)
         recording = recording if source is None else add_talk(recording, source)
         if self.live or is_typed:
             output.say("")
-            output.narrate(closing(recording.last_scene, recording.at(-1), recording.result))
+            output.print_wrapped(closing(recording.last_scene, recording.at(-1), recording.result))
         else:
-            output.narrate(narrate(recording))
+            output.print_wrapped(narrate(recording))
         return recording
 
     def _document(
@@ -256,7 +256,7 @@ class Follow:
         }
 
     def _draw(self, recording: "Recording", document: dict[str, Any], output: Output) -> None:
-        from jaxlangnav.inputs.whole_files import write_text
+        from jaxlangnav.inputs.atomic_files import write_text
         from jaxlangnav.viz.film import write_film
         from jaxlangnav.viz.html import write_report_files
 

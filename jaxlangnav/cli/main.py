@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get(DEBUG) and not isinstance(error, UsageError):
             raise
-        if output.is_refusal(error):
+        if output.is_user_error(error):
             return _print_error(output.one_line(error), code=2)
         if fault := output.platform_fault(error):
             return _print_error(fault, code=2)

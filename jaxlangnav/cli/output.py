@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxlangnav.experiments.table import Document as Document
-from jaxlangnav.inputs.sanitize import Plain, is_plain, sanitize, shorten
+from jaxlangnav.inputs.sanitize import Escaped, is_printable, sanitize, shorten
 
 _MAX_TABLE_WIDTH = 240  # columns
 _MAX_LINE_WIDTH = 100
@@ -42,12 +42,12 @@ class Output:
         if not self.is_json:
             from rich.console import Console
 
-            plain: dict[str, Any] = dict.fromkeys(("highlight", "markup", "emoji"), False)
+            kwargs: dict[str, Any] = dict.fromkeys(("highlight", "markup", "emoji"), False)
             # A table wider than the screen is wrapped by the terminal, not cropped.
-            console = Console(file=sys.stdout, width=_MAX_TABLE_WIDTH, soft_wrap=True, **plain)
-            console.print(*(sanitize(it) if isinstance(it, str) else Plain(it) for it in parts))
+            console = Console(file=sys.stdout, width=_MAX_TABLE_WIDTH, soft_wrap=True, **kwargs)
+            console.print(*(sanitize(it) if isinstance(it, str) else Escaped(it) for it in parts))
 
-    def narrate(self, lines: Sequence[str]) -> None:
+    def print_wrapped(self, lines: Sequence[str]) -> None:
         """Print narrative lines; a terminal wraps them with a hanging indent."""
         if self.is_json:
             return
@@ -69,25 +69,25 @@ class Output:
 def write_document(document: Document) -> None:
     """Print a document as JSON on standard output; NaN and infinity become null."""
     is_unicode = (sys.stdout.encoding or "").lower().startswith("utf")
-    text = json.dumps(to_json(document), ensure_ascii=not is_unicode, indent=2)
+    text = json.dumps(to_jsonable(document), ensure_ascii=not is_unicode, indent=2)
     # JSON strings may contain terminal control characters: escape them.
-    escaped = (char if is_plain(char) or char == "\n" else json.dumps(char)[1:-1] for char in text)
+    escaped = (c if is_printable(c) or c == "\n" else json.dumps(c)[1:-1] for c in text)
     sys.stdout.write("".join(escaped) + "\n")
 
 
 def document_text(document: Document) -> str:
     """Serialize a document as indented JSON."""
-    return json.dumps(to_json(document), indent=2) + "\n"
+    return json.dumps(to_jsonable(document), indent=2) + "\n"
 
 
-def to_json(value: Any) -> Any:
+def to_jsonable(value: Any) -> Any:
     """Convert nested mappings, sequences, paths, scalars and arrays to JSON types."""
     if isinstance(value, Mapping):
-        return {str(key): to_json(item) for key, item in value.items()}
+        return {str(key): to_jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [to_json(item) for item in value]
+        return [to_jsonable(item) for item in value]
     if hasattr(value, "tolist"):
-        return to_json(value.tolist())
+        return to_jsonable(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
@@ -112,7 +112,7 @@ def one_line(error: BaseException) -> str:
     return f"{message[: _MAX_CHARS - _TAIL - 1]}…{message[-_TAIL:]}"
 
 
-def is_refusal(error: BaseException) -> bool:
+def is_user_error(error: BaseException) -> bool:
     """Test whether an error is due to bad input rather than an internal error.
 
     The package rejects bad input by raising ``ValueError`` itself; one raised inside a library

@@ -31,7 +31,7 @@ from jaxlangnav.experiments.table import Report, Section, write_report
 from jaxlangnav.experiments.table1 import evaluate, table_1
 from jaxlangnav.experiments.timing import cycle_parts
 from jaxlangnav.grounding.weights import load_shipped
-from jaxlangnav.inputs.whole_files import write_text
+from jaxlangnav.inputs.atomic_files import write_text
 
 _NUM_SPLITS = 8  # random splits of Table 1, as in the paper
 _TITLE3 = "Table 3 in simulation: ours beside the paper's"

@@ -39,8 +39,8 @@ def keep_compiled_programs() -> None:
     """
     import jax
 
+    from jaxlangnav.inputs.atomic_files import check_ownership, user_folder
     from jaxlangnav.inputs.program_cache import set_cache_dir
-    from jaxlangnav.inputs.whole_files import check_user_files, user_folder
 
     compile_fast()
     if not getattr(jax.config, "jax_enable_compilation_cache", True):
@@ -51,7 +51,7 @@ def keep_compiled_programs() -> None:
         if jax_folder is None:
             # JAX executes what it loads, so other users must not write there.
             folder = user_folder(_cache_path("xla"))
-            check_user_files(folder)
+            check_ownership(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         program_dir = None
@@ -95,7 +95,7 @@ def expected_duration(task: str, num_items: int = 1, *, default: tuple[int, floa
 
 def save_duration(task: str, seconds: float, num_items: int = 1) -> None:
     """Store the duration of a task for ``expected_duration``, if there is a cache folder."""
-    from jaxlangnav.inputs.whole_files import write_text
+    from jaxlangnav.inputs.atomic_files import write_text
 
     with contextlib.suppress(OSError):
         path, durations = _cache_path(_DURATIONS), {}

@@ -41,7 +41,7 @@ class Option:
     path: SettingPath
     default: Any  # a number, or a tuple of them
     help: str
-    is_whole: bool
+    is_integer: bool
 
     @property
     def flag(self) -> str:
@@ -61,21 +61,21 @@ class Option:
     def _parse(self, text: str) -> float | int:
         value: str | float = text
         try:
-            value = int(text) if self.is_whole else float(text)
+            value = int(text) if self.is_integer else float(text)
         except ValueError:
-            if self.is_whole:
+            if self.is_integer:
                 message = f'{self.flag} is "{text}", but must be a whole number'
                 raise UsageError(message) from None
-        return int(value) if self.is_whole else _quantity(self.path).read(value, self.flag)
+        return int(value) if self.is_integer else _quantity(self.path).read(value, self.flag)
 
     def metavar(self) -> str:
         """Return the placeholder in the help, such as LENGTH or 3xLENGTH."""
-        name = "INT" if self.is_whole else _quantity(self.path).kind.upper()
+        name = "INT" if self.is_integer else _quantity(self.path).kind.upper()
         return f"{len(self.default)}x{name}" if isinstance(self.default, tuple) else name
 
 
 def is_setting(word: str) -> bool:
-    """Test whether an argument is one of these options (a dot in its name) or their help."""
+    """Test whether an argument is such an option (a dot in its name) or the help on them."""
     return word == HELP_ALL or re.match(r"--[\w-]+\.", word) is not None
 
 
@@ -133,13 +133,13 @@ def apply_to_task(
     return prepared, dataclasses.replace(params, map=map_params)
 
 
-def suggestion(flag: str, groups: Sequence[str], plain: Iterable[str]) -> str:
+def suggestion(flag: str, groups: Sequence[str], undotted: Iterable[str]) -> str:
     """Suggest the closest option for an unknown flag with a dot, or point to the list."""
     path = tuple(flag[2:].replace("-", "_").split("."))
     # Some commands have the plural, "--ranges".
     dedicated = {key[-1]: (flag, f"{flag}s") for key, flag in _DEDICATED_FLAGS.items()}
     if path[-1] in dedicated:
-        matches = [option for option in plain if option in dedicated[path[-1]]]
+        matches = [option for option in undotted if option in dedicated[path[-1]]]
     else:
         known = options(groups)
         names = difflib.get_close_matches(path[-1], [option.path[-1] for option in known], n=1)
@@ -161,9 +161,9 @@ def _list_options(record: Any, path: SettingPath) -> list[Option]:
         if dataclasses.is_dataclass(value):
             result += _list_options(value, field_path)
         elif (default := _as_numbers(value)) is not None:
-            text = field.metadata.get("help", "")
-            is_whole = isinstance(value, int)
-            result.append(Option(path=field_path, default=default, help=text, is_whole=is_whole))
+            doc = field.metadata.get("help", "")
+            is_integer = isinstance(value, int)
+            result.append(Option(path=field_path, default=default, help=doc, is_integer=is_integer))
     return result
 
 

@@ -16,7 +16,7 @@ from jaxlangnav.experiments.table import Report, Section, Table
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.grounding.instruction import understand_parse
 from jaxlangnav.grounding.weights import load
-from jaxlangnav.inputs.whole_files import write_text
+from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
@@ -110,7 +110,7 @@ def _figure(
             prepared, params = apply_to_task(prepared, settings.values, params=settings.params)
             args = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
             episode = record_episode(OpenedEpisode(**args, config=config))
-        output.narrate(narrate(episode))
+        output.print_wrapped(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result
         document = {
             "experiment": name,

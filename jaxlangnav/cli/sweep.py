@@ -130,7 +130,7 @@ class Summarize:
     def _write(self, document: Document, out: Path, output: Output) -> list[Path]:
         """Write the tables, and the figure if matplotlib is installed."""
         from jaxlangnav.experiments.summary import summary_markdown
-        from jaxlangnav.inputs.whole_files import write_text
+        from jaxlangnav.inputs.atomic_files import write_text
 
         paths = [write_text(summary_markdown(document), out / "summary.md")]
         if importlib.util.find_spec("matplotlib") is None:

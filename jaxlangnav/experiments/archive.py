@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxlangnav import __version__
-from jaxlangnav.inputs.whole_files import replacing, write_text
+from jaxlangnav.inputs.atomic_files import replacing, write_text
 
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
 _OUTPUTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")

@@ -26,8 +26,8 @@ from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import strong_types
 
-CHUNK = 1024  # maximum of episodes a device takes in one call; padding is not run
-LANES = 32  # concurrent episodes on a device
+CHUNK_SIZE = 1024  # maximum of episodes a device takes in one call; padding is not run
+NUM_LANES = 32  # concurrent episodes on a device
 _AXIS = "episodes"  # the mesh's only axis
 
 _programs: dict[Any, Any] = {}
@@ -96,7 +96,7 @@ def join_devices(
 
 def pad_chunk(tasks: Task, first: int, size: int) -> Task:
     """Slice ``size`` tasks from ``first`` on and pad to the shape of a call: leaves [CHUNK, …]."""
-    index = np.arange(CHUNK)
+    index = np.arange(CHUNK_SIZE)
     return take_tasks(tasks, first + np.where(index < size, index, 0))
 
 
@@ -121,7 +121,7 @@ def run_round(
     replicated = NamedSharding(mesh(), PartitionSpec())
     args = (tasks, jax.device_put(strong_types(instructions), replicated), params, count)
     avals = tuple(jax.typeof(leaf) for leaf in jax.tree.leaves(args))
-    key = (config, max_steps, program, LANES, mesh(), avals)
+    key = (config, max_steps, program, NUM_LANES, mesh(), avals)
     # Compiled once for these shapes, whichever thread asks first.
     with _programs_lock:
         if key not in _programs:
@@ -138,7 +138,7 @@ def _sharded(config: NavigatorConfig, max_steps: int, program: EpisodeProgram) -
 
     def on_one_device(tasks: Task, instructions: Any, params: Any, count: jax.Array) -> Any:
         batch, values, size = jax.tree.map(lambda leaf: leaf[0], (tasks, params, count))
-        sizes: dict[str, Any] = {"config": config, "num_lanes": LANES, "max_steps": max_steps}
+        sizes: dict[str, Any] = {"config": config, "num_lanes": NUM_LANES, "max_steps": max_steps}
         result = run_batch(batch, instructions, params=values, count=size, program=program, **sizes)
         return jax.tree.map(lambda leaf: leaf[None], result)
 
@@ -157,7 +157,7 @@ def _sharded(config: NavigatorConfig, max_steps: int, program: EpisodeProgram) -
 def _split_episodes(num_episodes: int, capacity: int, threads: int) -> list[tuple[int, int]]:
     """Split episodes into pieces of similar size, so that all threads finish together."""
     num_pieces = max(1, -(-num_episodes // capacity))
-    if num_episodes >= 2 * LANES * threads:
+    if num_episodes >= 2 * NUM_LANES * threads:
         num_pieces = -(-num_pieces // threads) * threads
     bounds = [num_episodes * i // num_pieces for i in range(num_pieces + 1)]
     return [(low, high - low) for low, high in itertools.pairwise(bounds)]
@@ -198,7 +198,7 @@ def run_tasks(
     """
     num_tasks, devices = tasks.instruction_index.shape[0], mesh().size
     threads = num_threads or concurrent_calls()
-    pieces = _split_episodes(num_tasks, CHUNK, threads * devices)
+    pieces = _split_episodes(num_tasks, CHUNK_SIZE, threads * devices)
     rounds = [pieces[start : start + devices] for start in range(0, len(pieces), devices)]
 
     def run(slices: list[tuple[int, int]]) -> list[Any]:

@@ -71,7 +71,7 @@ def _row_metrics(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
         "overflow_episodes": int((np.asarray(results.overflow)[valid] > 0).sum()),
     }
     assert isinstance(spec, ScenarioSpec)
-    entries |= {"is_told": spec.is_exact, "target": None, "is_met": None, "is_calibrated": None}
+    entries |= {"is_told": spec.is_matched, "target": None, "is_met": None, "is_calibrated": None}
     if spec.ending == "not_found":
         num_correct, count = row["not_found"], row["episodes"]
         lower, upper = wilson_interval(num_correct, count)
@@ -85,7 +85,7 @@ def _row_metrics(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
         is_within = spec.max_distance is None or row["distance_mean"] <= spec.max_distance
         is_met = row["success_rate"] >= spec.target and is_within
         entries |= {"target": spec.target, "longest": spec.max_distance, "is_met": is_met}
-    if spec.is_exact and row["ece"] is not None:
+    if spec.is_matched and row["ece"] is not None:
         entries["is_calibrated"] = row["ece"] <= ECE_TARGET
     return entries
 

@@ -51,13 +51,13 @@ class ScenarioSpec(RowSpec):
     ending: str = "arrived"  # correct one: "arrived", or "not_found" if there is no goal
 
     @property
-    def is_exact(self) -> bool:
-        """Whether the filter assumes true sensors, sentence and, if relevant, number of objects.
+    def is_matched(self) -> bool:
+        """Whether the model matches: true sensors, sentence and, if relevant, number of objects.
 
         The number of objects is relevant where several may fit the sentence.
         """
-        is_true = not (self.assumed or self.motion or self.place.get("num_clutter"))
-        return self._has_true_sentence and is_true and self._has_counts
+        is_exact = not (self.assumed or self.motion or self.place.get("num_clutter"))
+        return self._has_true_sentence and is_exact and self._has_counts
 
     @property
     def _has_counts(self) -> bool:
@@ -91,7 +91,7 @@ class ScenarioSpec(RowSpec):
             "truth": ", ".join([f"range {self.range:g} m", *actual]),
             "told": ", ".join(assumed),
             "numbers": ", ".join(f"{name} {value:g}" for name, value in self.params.items()),
-            "is_told": self.is_exact,
+            "is_told": self.is_matched,
         }
 
     def setting(

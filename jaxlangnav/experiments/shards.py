@@ -24,7 +24,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxlangnav.inputs.whole_files import make_folder, write_bytes
+from jaxlangnav.inputs.atomic_files import make_folder, write_bytes
 
 _METADATA_KEY = "jaxlangnav.shard"
 _ZERO_HASH = "0" * 64

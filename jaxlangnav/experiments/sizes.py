@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import Task, begin, finish
-from jaxlangnav.experiments.monte_carlo import LANES, concurrent_calls, mesh
+from jaxlangnav.experiments.monte_carlo import NUM_LANES, concurrent_calls, mesh
 from jaxlangnav.grounding.instruction import pack_instruction
 from jaxlangnav.grounding.readings import pad_readings
 from jaxlangnav.messages import default_motion, default_sensor
@@ -99,7 +99,7 @@ def check_engine(config: NavigatorConfig) -> None:
     """Raise ``ValueError`` if a batch of episodes does not fit into memory (``check_count``)."""
     # On a CPU all calls share one memory, on accelerators each device has its own.
     devices = mesh().size if jax.default_backend() == "cpu" else 1
-    _check_lanes(config, LANES * concurrent_calls() * devices)
+    _check_lanes(config, NUM_LANES * concurrent_calls() * devices)
 
 
 def check_recording(config: NavigatorConfig, max_steps: int) -> None:

@@ -20,8 +20,8 @@ from typing import Any
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import CompileClock, json_text, manifest
 from jaxlangnav.experiments.monte_carlo import (
-    CHUNK,
-    LANES,
+    CHUNK_SIZE,
+    NUM_LANES,
     DeviceBatch,
     OnProgress,
     concurrent_calls,
@@ -34,9 +34,9 @@ from jaxlangnav.experiments.shards import OnNote, Shard, ShardError, check_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
+from jaxlangnav.inputs.atomic_files import write_once
 from jaxlangnav.inputs.documents import parse_json, read_text
 from jaxlangnav.inputs.sanitize import name_fault
-from jaxlangnav.inputs.whole_files import write_once
 from jaxlangnav.navigator import NavigatorConfig
 
 MANIFEST = "manifest.json"
@@ -88,7 +88,7 @@ def _open_folder(
 ) -> str:
     """Write the manifest, or check that the existing one is of this sweep; return its identity."""
     sizes = {"files": plan.num_files, "rows": plan.episodes_of("1/1")}
-    settings = plan.config.document() | {"chunk": CHUNK, "lanes": LANES} | sizes
+    settings = plan.config.document() | {"chunk": CHUNK_SIZE, "lanes": NUM_LANES} | sizes
     expected_manifest = json.loads(json.dumps(manifest(settings, models=models)))
     path = folder / MANIFEST
     # In this order because other processes may be writing the manifest at the same time.

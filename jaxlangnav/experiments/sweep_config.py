@@ -41,11 +41,11 @@ from msgspec import Meta, field
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
+from jaxlangnav.inputs.atomic_files import read_file
 from jaxlangnav.inputs.documents import error_prefix, read_document
 from jaxlangnav.inputs.limits import LENGTH
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, unknown_key
-from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator.deployment import FIELDS
 from jaxlangnav.world.files import MAX_FILE_BYTES, WorldFile, open_world

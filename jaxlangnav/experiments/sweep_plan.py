@@ -20,7 +20,7 @@ import jax
 import numpy as np
 
 from jaxlangnav.experiments.experiment import Grid
-from jaxlangnav.experiments.monte_carlo import CHUNK
+from jaxlangnav.experiments.monte_carlo import CHUNK_SIZE
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, Arm, navigator_config, policy_arm
 from jaxlangnav.experiments.sizes import check_engine, readable_count
 from jaxlangnav.experiments.sweep_config import SweepConfig
@@ -97,7 +97,7 @@ class SweepPlan:
     @property
     def files_of_arm(self) -> int:
         """Count the files of an arm."""
-        return -(-self.episodes_of_arm // CHUNK)
+        return -(-self.episodes_of_arm // CHUNK_SIZE)
 
     @property
     def num_files(self) -> int:
@@ -113,11 +113,11 @@ class SweepPlan:
         """Count the rows of a shard's files; only the last file of an arm may be partial."""
         files, per_arm = self.files(shard), self.files_of_arm
         partial = sum(last in files for last in range(per_arm - 1, self.num_files, per_arm))
-        return len(files) * CHUNK - partial * (CHUNK - self.size(per_arm - 1))
+        return len(files) * CHUNK_SIZE - partial * (CHUNK_SIZE - self.size(per_arm - 1))
 
     def size(self, index: int) -> int:
         """Count the episodes of a file."""
-        return min(CHUNK, self.episodes_of_arm - index % self.files_of_arm * CHUNK)
+        return min(CHUNK_SIZE, self.episodes_of_arm - index % self.files_of_arm * CHUNK_SIZE)
 
     def arm(self, index: int) -> Arm:
         """Find the arm of a file."""
@@ -125,7 +125,7 @@ class SweepPlan:
 
     def episode_indices(self, index: int) -> np.ndarray:
         """List the indices of a file's episodes within its arm."""
-        return index % self.files_of_arm * CHUNK + np.arange(self.size(index))
+        return index % self.files_of_arm * CHUNK_SIZE + np.arange(self.size(index))
 
     def program_key(self, index: int) -> tuple[str, int | None]:
         """Identify the compiled program of a file: policy, and particles if it has any."""
@@ -142,7 +142,7 @@ def make_plan(config: SweepConfig) -> SweepPlan:
     plan = SweepPlan(config=config)
     arms, settings = len(plan.grid.arms), len(plan.grid.settings)
     if plan.num_files > MAX_FILES:
-        max_n = MAX_FILES // arms * CHUNK // settings
+        max_n = MAX_FILES // arms * CHUNK_SIZE // settings
         remedy = f"at most {max_n:,} episodes a cell fit" if max_n else "not even one a cell fits"
         raise ValueError(
             f"the sweep has {readable_count(arms * settings)} cells times "

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.inputs import sanitize
-from jaxlangnav.inputs.whole_files import write_text
+from jaxlangnav.inputs.atomic_files import write_text
 
 if TYPE_CHECKING:
     import rich.table

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeState, Task, advance, begin, observe
 from jaxlangnav.experiments.experiment import Grid
-from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, usable_cores
+from jaxlangnav.experiments.monte_carlo import CHUNK_SIZE, NUM_LANES, usable_cores
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import TABLE2_ROWS
 from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
@@ -47,8 +47,8 @@ def describe_machine() -> dict[str, Any]:
         "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
         "jax": jax.__version__,
         "numpy": np.__version__,
-        "chunk": CHUNK,
-        "lanes": LANES,
+        "chunk": CHUNK_SIZE,
+        "lanes": NUM_LANES,
         "policy": POLICY,
     }
 
@@ -93,7 +93,7 @@ def measure_parts(
             state.belief.particles, state.instruction, state.clause, state.previous_goal
         )
 
-    batch = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
+    batch = jax.tree.map(lambda leaf: leaf[:NUM_LANES], tasks)
     episodes = jax.vmap(lambda task: begin(task, instructions, config=config))(batch)
 
     def compile_part(part: Callable[[EpisodeState], Any]) -> Any:
@@ -124,7 +124,7 @@ def _lane_seconds(part: Any, episodes: EpisodeState, repetitions: int) -> float:
     def calls() -> Any:
         return [part(episodes) for _ in range(_CALLS)][-1]
 
-    return measure(calls, repetitions).cpu / _CALLS / LANES
+    return measure(calls, repetitions).cpu / _CALLS / NUM_LANES
 
 
 def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
@@ -135,7 +135,7 @@ def cycle_parts(*, params: NavigatorParams) -> dict[str, Any]:
     """
     start, machine = time.perf_counter(), describe_machine()
     settings = [spec.setting(seed=_SEED) for spec in TABLE2_ROWS]
-    count = -(-LANES // len(settings))  # episodes per setting
+    count = -(-NUM_LANES // len(settings))  # episodes per setting
     grid = Grid(settings=settings, arms=(), episodes=count, names=())
     tasks = grid.draw(np.random.default_rng(0).permutation(count * len(settings)))
     instructions = ground_sentences(list(SENTENCES.values())).instructions

@@ -24,9 +24,9 @@ from jaxlangnav.grounding.model import (
 )
 from jaxlangnav.grounding.properties import property_names
 from jaxlangnav.inputs.arrays import as_value_error, open_arrays, read_floats, read_text_entry
+from jaxlangnav.inputs.atomic_files import read_file, replacing
 from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
-from jaxlangnav.inputs.whole_files import read_file, replacing
 from jaxlangnav.language.lexicon import load_lexicon
 
 SHIPPED_WEIGHTS = "weights.npz"

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
+from jaxlangnav.inputs.atomic_files import read_file
 from jaxlangnav.inputs.sanitize import shorten
-from jaxlangnav.inputs.whole_files import read_file
 
 MAX_NEST = 32
 """Limit of the nesting depth of tables and lists."""

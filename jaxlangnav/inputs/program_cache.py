@@ -3,7 +3,7 @@
 JAX's own cache is keyed by a program's lowered text, so that it has to be traced and lowered first:
 seconds for a decision cycle. Here the key is what determines that text: the source of this package,
 versions of its dependencies, the machine, and the shapes and static values of a call. Loaded code
-runs as the user: folder and files must be the user's own (``whole_files``) and each file's digest
+runs as the user: folder and files must be the user's own (``atomic_files``) and each file's digest
 must match (``program_serialization``). On any failure the cache warns once, and the program is
 compiled as usual.
 
@@ -26,8 +26,8 @@ import jax
 import jax.core
 import jaxlib.version
 
+from jaxlangnav.inputs.atomic_files import read_user_file, user_folder, write_user_file
 from jaxlangnav.inputs.program_serialization import Call, compile_program, load_program
-from jaxlangnav.inputs.whole_files import read_user_file, user_folder, write_user_file
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -6,7 +6,7 @@
 
 Nothing is parsed or passed to XLA before the digest is verified: XLA aborts the process on some
 bytes and runs others. The digest detects damage and is no signature: only the user may have written
-the file (``whole_files``). JAX's own ``serialize_executable`` uses pickle.
+the file (``atomic_files``). JAX's own ``serialize_executable`` uses pickle.
 """
 
 import contextlib

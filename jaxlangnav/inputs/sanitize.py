@@ -20,7 +20,7 @@ _MAX_SHOWN = 60
 """Length to which a value is shortened in a message."""
 
 
-def is_plain(character: str) -> bool:
+def is_printable(character: str) -> bool:
     """Tell whether a character is printable without side effects.
 
     Control characters, line ends, invisible formats (bidirectional marks, joiners), lone surrogates
@@ -39,7 +39,7 @@ def sanitize(text: str, *, keep: str = "") -> str:
     # Python's escapes, for lone surrogates too.
     return "".join(
         char
-        if is_plain(char) or char in keep
+        if is_printable(char) or char in keep
         else char.encode("unicode_escape", "surrogatepass").decode("ascii")
         for char in text
     )
@@ -83,7 +83,7 @@ def name_fault(text: str, *, max_length: int = MAX_NAME) -> str | None:
     """Describe why a text is invalid as a name or sentence, and the remedy; or None."""
     if len(text) > max_length:
         return f"has {len(text)} characters but must have at most {max_length}: shorten it"
-    index = next((i for i, char in enumerate(text) if not is_plain(char)), None)
+    index = next((i for i, char in enumerate(text) if not is_printable(char)), None)
     if index is None:
         return None
     return f"has the control character U+{ord(text[index]):04X} at place {index + 1}: remove it"
@@ -107,7 +107,7 @@ def check_names(names: Iterable[str], what: str, *, max_count: int) -> tuple[str
     return tuple(checked)
 
 
-class Plain:
+class Escaped:
     """Wrapper of a rich renderable that escapes its text and keeps its style."""
 
     def __init__(self, renderable: "RenderableType") -> None:

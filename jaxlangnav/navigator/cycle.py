@@ -38,7 +38,7 @@ from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import init_progress, sidestep, update_progress
 from jaxlangnav.planner.goals import Goals, gather
-from jaxlangnav.planner.relevance import believed_groups, links_to_goal, links_to_unseen
+from jaxlangnav.planner.relevance import links_to_goal, links_to_unseen, particle_groups
 from jaxlangnav.pytree import pytree, replace, strong_types
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause_behaviors
@@ -227,7 +227,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Infe
     behavior = dialogue.add_avoidance(behavior, particles, readings.mention_type, talk.words)
     particles = dialogue.task_mentions(particles, talk.words)
     belief = align_on_robot(replace(state.belief, particles=particles))
-    group = believed_groups(readings, belief.particles)
+    group = particle_groups(readings, belief.particles)
     weight, robot = jnp.exp(belief.log_weight), robot_position(belief)
     has_unseen = links_to_unseen(group, belief.particles)
     return InferredTask(

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.inputs.arrays import parse_floats
-from jaxlangnav.inputs.whole_files import read_file
+from jaxlangnav.inputs.atomic_files import read_file
 from jaxlangnav.semantic_map.coverage import Coverage
 
 RANGE_MAX = 1.25

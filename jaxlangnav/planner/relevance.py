@@ -15,7 +15,7 @@ from jaxlangnav.messages import NONE, ROBOT, Behavior, Readings
 from jaxlangnav.numerics.batching import lookup
 from jaxlangnav.semantic_map.particle import SemanticMap
 
-MIN_MENTION_PROB = 1e-3
+_MIN_GOAL_PROB = 1e-3
 """Goal probability below which a mention is not a goal in a particle."""
 
 
@@ -43,7 +43,7 @@ def _bitset(is_member: Array) -> Array:
     return jnp.sum(jnp.where(is_member, bits, 0), axis=0, dtype=jnp.int32)
 
 
-def believed_groups(readings: Readings, particles: SemanticMap) -> Array:
+def particle_groups(readings: Readings, particles: SemanticMap) -> Array:
     """Look up the groups under each particle's interpretation, i32[M, P]."""
     table = groups(readings).T  # [K, M]
     index = jnp.broadcast_to(particles.reading, (table.shape[1], particles.reading.shape[-1]))
@@ -58,7 +58,7 @@ def links_to_unseen(group: Array, particles: SemanticMap) -> Array:
 def links_to_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> Array:
     """Mark the mentions in the group of the current command's goal.
 
-    bool[M, P], for the groups from ``believed_groups``. Limits: in a particle whose goal is none
+    bool[M, P], for the groups from ``particle_groups``. Limits: in a particle whose goal is none
     of the mentions, such as "the other cone", all are marked.
     """
     num_objects, num_mentions = particles.object_type.shape[0], particles.referent.shape[0]
@@ -66,5 +66,5 @@ def links_to_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> A
     is_referent = np.arange(num_objects)[:, None, None] == particles.referent[None]  # [O, M, P]
     observed_mass = jnp.sum(jnp.where(is_referent, goal[:num_objects, None], 0.0), axis=0)
     mention_mass = observed_mass + goal[num_objects : num_objects + num_mentions]
-    goals = _bitset((mention_mass > MIN_MENTION_PROB) & particles.is_mentioned)
+    goals = _bitset((mention_mass > _MIN_GOAL_PROB) & particles.is_mentioned)
     return ((group & goals[None]) != 0) | (goals == 0)[None]

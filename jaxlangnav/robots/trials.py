@@ -21,8 +21,8 @@ import numpy as np
 from jaxlangnav import __version__
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.table import Table, TableColumns
+from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.limits import check_minimum
-from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.physics.robot import ODOMETRY_NOISE
 from jaxlangnav.robots.table3 import TABLE3, TrialRow, navigator_of, run_known, run_trial

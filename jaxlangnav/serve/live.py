@@ -14,11 +14,11 @@ from jaxlangnav.episode import EpisodeResult, EpisodeState, recorder
 from jaxlangnav.episode.recording import Recording, Snapshot, stack_frames
 from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.grounding import GraphGrounder, GroundingModel
+from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.documents import parse_json, parse_toml
 from jaxlangnav.inputs.limits import RANGES
 from jaxlangnav.inputs.sanitize import sanitize, shorten
 from jaxlangnav.inputs.schema import PlainText, bad_choice
-from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.follow import batched, open_episode, score

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxlangnav.episode.recording import Recording
-from jaxlangnav.inputs.whole_files import replacing
+from jaxlangnav.inputs.atomic_files import replacing
 from jaxlangnav.viz import style
 from jaxlangnav.viz.panels import draw_belief
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from jaxlangnav.episode.recording import Recording
 from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.sanitize import sanitize
-from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.viz import narrative, panels, sentences, style, summary

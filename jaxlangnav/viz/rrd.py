@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.episode.recording import Recording, StaticScene
+from jaxlangnav.inputs.atomic_files import replacing
 from jaxlangnav.inputs.object_types import ANYTHING
-from jaxlangnav.inputs.whole_files import replacing
 from jaxlangnav.viz import narrative, style, summary
 
 _APPLICATION = "jaxlangnav"

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxlangnav.inputs.atomic_files import replacing
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.inputs.sanitize import sanitize
-from jaxlangnav.inputs.whole_files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

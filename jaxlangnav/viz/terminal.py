@@ -20,7 +20,7 @@ from jaxlangnav.episode.recording import (
     replay,
     stack_frames,
 )
-from jaxlangnav.inputs.sanitize import Plain
+from jaxlangnav.inputs.sanitize import Escaped
 from jaxlangnav.viz import narrative, style, summary
 from jaxlangnav.viz.sentences import percent
 
@@ -108,7 +108,7 @@ def _draw_moment(moment: StepView, *, width: int = 48) -> "RenderableType":
     grid.add_column(ratio=1, min_width=30)
     grid.add_row(_draw_map(scene, frame, width=width), side)
     title = Text(f"“{scene.text}”" if scene.text else "Episode")
-    return Plain(Panel(grid, title=title, title_align="left", border_style="grey50"))
+    return Escaped(Panel(grid, title=title, title_align="left", border_style="grey50"))
 
 
 def watch(

@@ -52,10 +52,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.documents import parse_toml, read_document, read_shipped
 from jaxlangnav.inputs.sanitize import as_text, shorten
 from jaxlangnav.inputs.schema import closest_choice
-from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.world.reading import (
     WorldFile as WorldFile,
     WorldFileError as WorldFileError,

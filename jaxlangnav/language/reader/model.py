@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxlangnav.inputs.arrays import as_value_error, open_arrays, read_floats, read_text_entry
+from jaxlangnav.inputs.atomic_files import read_file, replacing
 from jaxlangnav.inputs.documents import shipped_file
-from jaxlangnav.inputs.whole_files import read_file, replacing
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.reader.features import featurize
 

@@ -13,8 +13,8 @@ from typing import Any
 import jax
 from jax import Array
 
+from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.documents import parse_json, read_text
-from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.driver import drive

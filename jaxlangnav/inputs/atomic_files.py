@@ -199,7 +199,7 @@ def user_folder(path: Path) -> Path:
     return real
 
 
-def check_user_files(folder: Path) -> None:
+def check_ownership(folder: Path) -> None:
     """Raise ``OSError`` if a file in a folder from ``user_folder`` belongs to another user.
 
     The owner of a file may have made it writable for others, such as for a group.
