@@ -29,13 +29,13 @@ BY_NAME = {one.name: one for one in SCENARIOS}
 
 
 def row(scenario: str, policy: str = "informed", **other: Any) -> dict[str, Any]:
-    spec = BY_NAME[scenario]
+    one = BY_NAME[scenario]
     return {
         "scenario": scenario, "policy": policy, "success_rate": 99.0, "success_ci": [95.0, 100.0],
         "distance_mean": 20.0, "distance_sd": 5.0, "known_distance_mean": 8.0, "episodes": 100,
         "elsewhere": 1, "not_found": 0, "asks": 0, "other_ends": 0, "timeouts": 0, "ece": 0.02,
-        "ece_floor": 0.03, "overflow_episodes": 0, "is_told": spec.is_matched, "target": spec.target,
-        "longest": spec.max_distance, "is_met": None, "is_calibrated": None, "invalid_worlds": 0,
+        "ece_floor": 0.03, "overflow_episodes": 0, "is_told": one.is_matched, "target": one.target,
+        "longest": one.max_distance, "is_met": None, "is_calibrated": None, "invalid_worlds": 0,
     } | other  # fmt: skip
 
 

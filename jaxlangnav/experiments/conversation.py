@@ -71,48 +71,48 @@ ROWS = (
 """All rows; those with the same world and relation share their worlds."""
 
 
-def _run_row(row: DialogueSpec, options: Options, on_progress: OnProgress | None = None) -> Row:
-    cell_args = row.world, row.relation, 0, row.sensing_range, options.episodes, options.seed
+def _run_row(spec: DialogueSpec, options: Options, on_progress: OnProgress | None = None) -> Row:
+    cell_args = spec.world, spec.relation, 0, spec.sensing_range, options.episodes, options.seed
     params = default_params() if options.params is None else options.params
-    planner = replace(params.planner, question_cost=jnp.float32(row.cost))
-    result = run_dialogues(
+    planner = replace(params.planner, question_cost=jnp.float32(spec.cost))
+    dialogues = run_dialogues(
         make_tasks(cell(*cell_args)),
-        ground_dialogue(row.text, _TRUE_TEXT, _FALSE_TEXT),
-        params_of(**row.person),
+        ground_dialogue(spec.text, _TRUE_TEXT, _FALSE_TEXT),
+        params_of(**spec.person),
         params=replace(params, planner=planner),
         config=navigator_config("informed", options.num_particles),
         on_progress=on_progress,
     )
-    result = jax.tree.map(lambda leaf: leaf[result.result.is_valid], result)
-    is_success = np.asarray(result.result.is_success)
-    distance = np.asarray(result.result.distance)
-    count, questions = len(is_success), float(np.mean(result.num_questions))
+    dialogues = jax.tree.map(lambda leaf: leaf[dialogues.result.is_valid], dialogues)
+    is_success, distance = map(np.asarray, (dialogues.result.is_success, dialogues.result.distance))
+    count, questions = len(is_success), float(np.mean(dialogues.num_questions))
     lower, upper = (100.0 * end for end in wilson_interval(int(is_success.sum()), count))
-    cost = row.cost if math.isfinite(row.cost) else None
-    is_corrected = (np.asarray(result.num_corrections) > 0) & is_success
+    cost = spec.cost if math.isfinite(spec.cost) else None
+    is_corrected = (np.asarray(dialogues.num_corrections) > 0) & is_success
     ratios: Row = {}
-    for name, group in (("seen", result.has_seen_goal), ("unseen", ~result.has_seen_goal)):
+    has_seen_goal = dialogues.has_seen_goal
+    for name, group in (("seen", has_seen_goal), ("unseen", ~has_seen_goal)):
         selected = is_corrected & group
-        shortest = float(np.sum(result.shortest[selected]))
-        ratio = float(np.sum(result.walked[selected])) / shortest if shortest else None
+        shortest = float(np.sum(dialogues.shortest[selected]))
+        ratio = float(np.sum(dialogues.walked[selected])) / shortest if shortest else None
         ratios |= {f"corrected_way_{name}": ratio, f"corrected_{name}": int(np.sum(selected))}
-    rate = 100.0 * float(np.mean(is_success))
+    success_rate = 100.0 * float(np.mean(is_success))
     return {
-        "world": row.world,
-        "relation": row.relation,
-        "said": row.name,
+        "world": spec.world,
+        "relation": spec.relation,
+        "said": spec.name,
         "question_cost": cost,
         "episodes": count,
-        "success": rate,
+        "success": success_rate,
         "success_low": lower,
         "success_high": upper,
         "distance": float(np.mean(distance)),
         "distance_of_successes": float(np.mean(distance[is_success])) if is_success.any() else None,
         "questions": questions,
-        "corrections": float(np.mean(result.num_corrections)),
+        "corrections": float(np.mean(dialogues.num_corrections)),
         **ratios,
-        "weighted": rate if cost is None else rate - 100.0 * cost * questions,
-        "time_outs": int(np.sum(~np.asarray(result.result.is_stopped))),
+        "weighted": success_rate if cost is None else success_rate - 100.0 * cost * questions,
+        "time_outs": int(np.sum(~np.asarray(dialogues.result.is_stopped))),
     }
 
 
@@ -123,7 +123,7 @@ def run_rows(options: Options, *, on_progress: OnProgress | None = None) -> dict
         "episodes": options.episodes,
         "seed": options.seed,
         "num_particles": options.num_particles,
-        "rows": [_run_row(row, options, on_progress) for row in ROWS],
+        "rows": [_run_row(spec, options, on_progress) for spec in ROWS],
     }
 
 

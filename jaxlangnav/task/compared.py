@@ -47,15 +47,15 @@ def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...
         return "speaks of other types"
     reading = dataclasses.replace(meaning.reading, types=types)
     label = form_instruction(Form((reading,), ()))
-    found = _content(instruction, names)
-    for actual, expected in zip(found, _content(label, names), strict=True):
+    content = _content(instruction, names)
+    for actual, expected in zip(content, _content(label, names), strict=True):
         if actual != expected:
-            return f"says {_listed(actual)}, not {_listed(expected)}"
+            return f"says {_join(actual)}, not {_join(expected)}"
     world = _world(reading)
-    commands, labelled = _behaviors(instruction, world), _behaviors(label, world)
-    if len(commands) != len(labelled):
-        return f"gives {len(commands)} commands, not {len(labelled)}"
-    for index, pair in enumerate(zip(commands, labelled, strict=True), start=1):
+    inferred, labelled = _behaviors(instruction, world), _behaviors(label, world)
+    if len(inferred) != len(labelled):
+        return f"gives {len(inferred)} commands, not {len(labelled)}"
+    for index, pair in enumerate(zip(inferred, labelled, strict=True), start=1):
         if text := _compare(*pair, world, names):
             return f"command {index} {text}"
     return ""
@@ -77,11 +77,11 @@ def _compare(actual: _Behavior, expected: _Behavior, world: World, names: tuple[
             return f"asks for {value}, not {label}"
     if not actual.goals or not classes(actual.goals) <= classes(expected.goals):
         nouns = [noun_of(index, names) if index >= 0 else "robot" for index in world.object_type]
-        ends, end = (
+        actual_ends, expected_ends = (
             ", ".join(f"{REGIONS[region]} {nouns[slot]} ({slot})" for region, slot in sorted(goals))
             for goals in (actual.goals, expected.goals)
         )
-        return f"ends {ends or 'nowhere'}, not {end}"
+        return f"ends {actual_ends or 'nowhere'}, not {expected_ends}"
     if expected.metres and abs(actual.metres - expected.metres) > _TOLERANCE:
         return f"goes {actual.metres:.3g} m, not {expected.metres:.3g} m"
     if actual.avoided != expected.avoided:
@@ -111,7 +111,7 @@ def _content(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str]
     return {noun_of(index, names) for index in types if index >= 0}, relations
 
 
-def _listed(parts: Iterable[str]) -> str:
+def _join(parts: Iterable[str]) -> str:
     return "; ".join(sorted(parts)) or "nothing"
 
 

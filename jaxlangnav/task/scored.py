@@ -101,8 +101,8 @@ def render_scores(document: dict[str, Any]) -> tuple[Any, list[str]]:
         *((name, f"{{{name}}}") for name in ("sentences", *OUTCOMES)),
         ("right %", "{right_share:.1f}"),
     ]
-    labelled = [{**row, "name": name or "-"} for name, row in rows]
-    table = Table.of(labelled, columns, title="Sentences as labelled, right or rightly refused")
+    named_rows = [{**row, "name": name or "-"} for name, row in rows]
+    table = Table.of(named_rows, columns, title="Sentences as labelled, right or rightly refused")
     worst = document["worst"]
     lines = [
         f"{row['outcome']}, line {row['line']}: {row['text']}\n    {row['why']}"
@@ -191,18 +191,18 @@ def score_variants(
     def rewritten(graph: GraphGrounder) -> RewriteGrounder:
         return RewriteGrounder(graph, recorded, params=params)
 
-    builds: dict[str, GrounderWrapper] = {
+    wrappers: dict[str, GrounderWrapper] = {
         GRAPH: lambda graph: graph,
         REWRITES: rewritten,
         BOTH: lambda graph: FirstGrounder(graph, rewritten(graph)),
     }
     summaries = {}
     for name in VARIANTS:
-        scores = score_sentences(sentences, model, on_progress, builds[name])
+        scores = score_sentences(sentences, model, on_progress, wrappers[name])
         summaries[name] = {
             **summarize_scores(scores),
-            "meant": _count_scores([each for each in scores if each.sentence.meaning is not None]),
-            "to_refuse": _count_scores([each for each in scores if each.sentence.meaning is None]),
+            "meant": _count_scores([score for score in scores if score.sentence.meaning]),
+            "to_refuse": _count_scores([score for score in scores if not score.sentence.meaning]),
         }
     return {"temperature": temperature, "arms": summaries}
 
@@ -216,15 +216,15 @@ def fit_recorded(
         ValueError: they hold no evidence about it; one line.
     """
     labels, examples = _list_labels(sentences, model), []
-    for item in sentences:
-        if item.meaning is None:
+    for sentence in sentences:
+        if (meaning := sentence.meaning) is None:
             continue
         graph = GraphGrounder(model, labels)
-        reads, _ = verify_rewrites(graph, recorded(item.text), _context_of(item))
-        is_right = [
-            not difference(item.meaning, read.grounded.instruction, graph.names) for read in reads
-        ]
-        examples.append(Judged(tuple(read.log_probability for read in reads), tuple(is_right)))
+        verified, _ = verify_rewrites(graph, recorded(sentence.text), _context_of(sentence))
+        instructions = [rewrite.grounded.instruction for rewrite in verified]
+        is_right = (not difference(meaning, each, graph.names) for each in instructions)
+        log_probs = tuple(rewrite.log_probability for rewrite in verified)
+        examples.append(Judged(log_probs, tuple(is_right)))
     return fit_source_temperature(examples)
 
 
