@@ -7,7 +7,7 @@ import pytest
 
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.annotation import describe_annotation, infer_annotations
-from jaxlangnav.grounding.asked import summarize_commands
+from jaxlangnav.grounding.command_summary import summarize_commands
 from jaxlangnav.grounding.readings import CapacityError, build_reading, to_readings, unpad_readings
 from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse

@@ -8,8 +8,8 @@ import pytest
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.grounding.weights import load_shipped
+from jaxlangnav.task.evaluation import render_scores, score_sentences, summarize_scores
 from jaxlangnav.task.labelled import read_sentences
-from jaxlangnav.task.scored import render_scores, score_sentences, summarize_scores
 
 SENTENCES = read_sentences(Path(__file__).with_name("sentences.jsonl"))
 """Of people who had not seen the grammar, set by set (docs/language.md)."""

@@ -9,7 +9,7 @@ import readings as by_hand
 from recording_fixture import make_recording, make_scene
 
 from jaxlangnav.episode.recording import Recording, Snapshot, StepView, stack_frames
-from jaxlangnav.grounding.asked import CommandSummary
+from jaxlangnav.grounding.command_summary import CommandSummary
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import html, narrative, sentences, summary

@@ -92,7 +92,7 @@ class Follow:
         understood.check_task()
         values = read_settings(self.settings, self.SETTINGS)
         sizes = self._sizes(values)
-        from jaxlangnav.experiments.policies import without_compass
+        from jaxlangnav.experiments.policies import add_heading_bias
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import batched, precompile_cycle
         from jaxlangnav.task.loading import check_template, empty_world
@@ -108,7 +108,7 @@ class Follow:
         precompile_cycle(batched(understood), empty_world(self.world), **sizes)
         prepared = self._open(understood, output)
         prepared, sizes["params"] = apply_to_task(prepared, values, params=sizes["params"])
-        sizes["config"] = without_compass(sizes["config"], prepared.task.motion)
+        sizes["config"] = add_heading_bias(sizes["config"], prepared.task.motion)
         recording = self._record(understood, dialogue, prepared, sizes, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:

@@ -159,7 +159,7 @@ class Ground:
         )
         from rich.text import Text
 
-        from jaxlangnav.grounding.asked import list_commands
+        from jaxlangnav.grounding.command_summary import list_commands
 
         document: dict[str, Any] = {
             "instruction": self.text,

@@ -171,28 +171,28 @@ class Evaluate:
         keep_compiled_programs()
         from jaxlangnav.grounding.rewrites import RecordedRewrites, default_rewrite_params
         from jaxlangnav.grounding.weights import load_shipped
-        from jaxlangnav.task import scored
+        from jaxlangnav.task import evaluation
 
         document: dict[str, Any] = {"file": str(path)}
         model = load_shipped()
         if self.rewrites is None:
-            limit = self.least_probability
+            kwargs: dict[str, Any] = {"least_probability": self.least_probability}
             with progress_bar("sentences", len(sentences)) as advance:
-                scores = scored.score_sentences(sentences, model, advance, least_probability=limit)
-            document |= scored.summarize_scores(scores)
-            table, lines = scored.render_scores(document)
+                scores = evaluation.score_sentences(sentences, model, advance, **kwargs)
+            document |= evaluation.summarize_scores(scores)
+            table, lines = evaluation.render_scores(document)
         else:
             default_rewrite_params(self.temperature)
             recorded = RecordedRewrites(self.rewrites)
-            available = scored.select_recorded(sentences, recorded)
-            if num_missing := len(sentences) - len(available):
+            usable = evaluation.select_recorded(sentences, recorded)
+            if num_missing := len(sentences) - len(usable):
                 output.note(f"note: {num_missing} sentences were not recorded; left out")
-            fit = scored.fit_recorded(available, recorded, model) if self.fit_temperature else None
+            fit = evaluation.fit_recorded(usable, recorded, model) if self.fit_temperature else None
             temperature = self.temperature if fit is None else fit.temperature
             document |= {"rewrites": str(self.rewrites), "fit": fit and dataclasses.asdict(fit)}
-            with progress_bar("sentences", len(available) * len(scored.VARIANTS)) as advance:
-                document |= scored.score_variants(available, recorded, model, temperature, advance)
-            table, lines = scored.render_variants(document, fit)
+            with progress_bar("sentences", len(usable) * len(evaluation.VARIANTS)) as advance:
+                document |= evaluation.score_variants(usable, recorded, model, temperature, advance)
+            table, lines = evaluation.render_variants(document, fit)
         output.say(table)
         for line in lines:
             output.say(line)

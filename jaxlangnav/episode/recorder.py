@@ -16,7 +16,7 @@ import numpy as np
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
 from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene, stack_frames
-from jaxlangnav.grounding.asked import summarize_commands
+from jaxlangnav.grounding.command_summary import summarize_commands
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.object_types import label_of

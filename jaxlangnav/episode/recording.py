@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.grounding.asked import CommandSummary
+from jaxlangnav.grounding.command_summary import CommandSummary
 from jaxlangnav.inputs.object_types import name_of
 from jaxlangnav.messages import NONE, Readings, SensorParams
 from jaxlangnav.navigator.candidates import Candidate

@@ -124,10 +124,10 @@ class CompileClock:
     def __exit__(self, *_: object) -> None:
         """Stop the clock."""
         jax.monitoring.unregister_event_duration_listener(self._listen)
-        covered = float("-inf")
+        last_end = float("-inf")
         for begin, end in sorted(self._intervals):
-            self.seconds += max(0.0, end - max(begin, covered))
-            covered = max(covered, end)
+            self.seconds += max(0.0, end - max(begin, last_end))
+            last_end = max(last_end, end)
 
     def _listen(self, event: str, duration_secs: float, **_: str | int) -> None:
         """Record the interval of a trace, a lowering or a compilation."""

@@ -78,8 +78,8 @@ def _hpd_level(density: GoalDensity, truth: Array) -> tuple[Array, Array]:
     background = jnp.where(is_self, 0.0, objects(density.objects)) @ mass_o
     background = hypotheses(density.objects) @ mass_h + background
     peak = mass_o / (2.0 * jnp.pi * variance)
-    outside = 1.0 - jnp.clip((at_truth - background) / jnp.maximum(peak, 1e-20), 0.0, 1.0)
-    level = jnp.sum(jnp.where(at_hypotheses > at_truth, mass_h, 0.0)) + jnp.sum(mass_o * outside)
+    denser = 1.0 - jnp.clip((at_truth - background) / jnp.maximum(peak, 1e-20), 0.0, 1.0)
+    level = jnp.sum(jnp.where(at_hypotheses > at_truth, mass_h, 0.0)) + jnp.sum(mass_o * denser)
     return level, jnp.log(jnp.maximum(at_truth, _LOG_FLOOR))
 
 
@@ -109,9 +109,9 @@ def empty_tally() -> Tally:
     """Build a tally of zeros."""
     stages = len(STAGES)
     zero, bins = jnp.zeros(stages, jnp.float32), jnp.zeros((stages, NUM_BINS), jnp.float32)
-    none = Reliability(events=bins, probability=bins, outcome=bins, squared_error=zero)
+    zeros = Reliability(events=bins, probability=bins, outcome=bins, squared_error=zero)
     return Tally(
-        steps=zero, covered=zero, rank=bins, negative_log_likelihood=zero, planner=none, map=none
+        steps=zero, covered=zero, rank=bins, negative_log_likelihood=zero, planner=zeros, map=zeros
     )
 
 
@@ -150,14 +150,14 @@ def _resample_free(key: Array, goals: Goals, belief: ParticleBelief, readings: R
     contain the truth in 94 % of cases. An unseen object's position is distributed as in the
     coverage map.
     """
-    drawn_x, drawn_y = _sample_unseen(key, belief.coverage, goals.hypothesis_x.shape[0])
+    sampled_x, sampled_y = _sample_unseen(key, belief.coverage, goals.hypothesis_x.shape[0])
     reading = belief.particles.reading
-    is_free = (readings.relation[:, 0] == NONE) & (readings.figure[:, 0] != NONE)
-    is_free = is_free[reading] & (jnp.sum(readings.figure != NONE, axis=1) == 1)[reading]
+    is_unrelated = (readings.relation[:, 0] == NONE) & (readings.figure[:, 0] != NONE)
+    is_free = is_unrelated[reading] & (jnp.sum(readings.figure != NONE, axis=1) == 1)[reading]
     return replace(
         goals,
-        hypothesis_x=jnp.where(is_free, drawn_x, goals.hypothesis_x),
-        hypothesis_y=jnp.where(is_free, drawn_y, goals.hypothesis_y),
+        hypothesis_x=jnp.where(is_free, sampled_x, goals.hypothesis_x),
+        hypothesis_y=jnp.where(is_free, sampled_y, goals.hypothesis_y),
     )
 
 
@@ -176,11 +176,11 @@ def _reliability(probability: Array, outcome: Array, is_event: Array) -> Reliabi
     )
 
 
-def _referent_mass(progress: EpisodeState) -> Array:
+def _referent_mass(state: EpisodeState) -> Array:
     """Compute the weight of particles in which each object is the sentence's figure, f32[O]."""
     # The figure of a reading is that of its first relation.
-    belief = progress.navigator.belief
-    particles, readings = belief.particles, progress.navigator.instruction.readings
+    belief = state.navigator.belief
+    particles, readings = belief.particles, state.navigator.instruction.readings
     mention = readings.figure[particles.reading, 0]
     is_figure = jnp.arange(particles.referent.shape[0])[:, None] == mention[None, :]
     referent = jnp.max(jnp.where(is_figure, particles.referent, NONE), axis=0)
@@ -207,18 +207,18 @@ def matched_object(distance: Array, is_event: Array) -> Array:
     return (jnp.arange(distances.shape[0]) == jnp.argmin(distances)) & (distances < MATCH_RADIUS)
 
 
-def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
+def tally_step(before: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
     """Compare the belief of the decision between two states of an episode with the truth."""
-    scenario, belief = progress.task.scenario, after.navigator.belief
-    truth = scenario.goal - progress.world.position + info.robot
+    scenario, belief = before.task.scenario, after.navigator.belief
+    truth = scenario.goal - before.world.position + info.robot
     goals, covariance = info.goals, belief.particles.covariance
     # Variance of objects relative to the robot: Σ_oo + Σ_rr − 2 Σ_or.
     count = covariance.shape[0] - 1
     variances = jnp.diagonal(covariance).T  # [O + 1, P]
     relative = variances[:count] + variances[count:] - 2.0 * covariance[count, :count]
     variance = jnp.sum(relative * jnp.exp(belief.log_weight)[None, :], axis=1)
-    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, progress.steps), _KEY_INDEX)
-    resampled = _resample_free(key, goals, belief, progress.navigator.instruction.readings)
+    key = jax.random.fold_in(jax.random.fold_in(before.task.key, before.steps), _KEY_INDEX)
+    resampled = _resample_free(key, goals, belief, before.navigator.instruction.readings)
     level, _ = _hpd_level(_goal_density(resampled, variance), truth)
     _, log_density = _hpd_level(_goal_density(goals, variance), truth)
     # Events: observed objects of the goal's type, none without a goal. The last entry is the robot.
@@ -234,7 +234,7 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
         planner=_reliability(goals.object_mass[:-1], outcome, is_event),
         map=_reliability(_referent_mass(after), outcome, is_event),
     )
-    stage = jnp.sum(progress.steps >= jnp.asarray(STAGES)) - 1
+    stage = jnp.sum(before.steps >= jnp.asarray(STAGES)) - 1
     is_stage = (jnp.arange(len(STAGES)) == stage).astype(jnp.float32)
     return jax.tree.map(lambda leaf: is_stage.reshape(-1, *(1,) * leaf.ndim) * leaf[None], sums)
 

@@ -55,7 +55,7 @@ class DialogueResult:
 
 @pytree
 class _State:
-    progress: EpisodeState
+    episode_state: EpisodeState
     person: Person
     is_done: Array  # bool[] the task has ended, and the person says nothing more
     corrected_at: Array  # f32[] metres travelled at the first correction; NaN before it
@@ -93,7 +93,7 @@ def ground_dialogue(text: str, true_text: str, false_text: str) -> Sentence:
     )
 
 
-def _apply(state: NavigatorState, spoken: Array, slot: Array, sentence: Sentence) -> NavigatorState:
+def _apply(state: NavigatorState, act: Array, slot: Array, sentence: Sentence) -> NavigatorState:
     pose, candidates = state.belief.last_pose, state.talk.candidate > 0.0
     bitmask = jnp.left_shift(1, jnp.arange(candidates.shape[0]))
     next_states = {
@@ -103,61 +103,61 @@ def _apply(state: NavigatorState, spoken: Array, slot: Array, sentence: Sentence
         Says.TRUTH: tell(state, sentence.true_statement, pose, effect=Effect.INFORM),
         Says.FALSEHOOD: tell(state, sentence.false_statement, pose, effect=Effect.INFORM),
     }
-    for act, updated in next_states.items():
-        state = jax.tree.map(functools.partial(jnp.where, spoken == act), updated, state)
+    for option, updated in next_states.items():
+        state = jax.tree.map(functools.partial(jnp.where, act == option), updated, state)
     return state
 
 
 def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _State:
-    progress = episode.begin(task, sentence.instruction, config=config)
-    navigator = progress.navigator
+    episode_state = episode.begin(task, sentence.instruction, config=config)
+    navigator = episode_state.navigator
     talk = replace(navigator.talk, words=sentence.words)
     nan, false = jnp.float32(jnp.nan), jnp.asarray(False)
-    lane = _State(
-        progress=replace(progress, navigator=replace(navigator, talk=talk)),
+    state = _State(
+        episode_state=replace(episode_state, navigator=replace(navigator, talk=talk)),
         person=new_person(),
         is_done=false,
         corrected_at=nan,
         shortest=nan,
         has_seen_goal=false,
     )
-    return strong_types(lane)
+    return strong_types(state)
 
 
-def _advance(lane: _State, *, params: _Params, config: NavigatorConfig) -> tuple[_State, None]:
+def _advance(state: _State, *, params: _Params, config: NavigatorConfig) -> tuple[_State, None]:
     """Apply the person's speech act, run one decision cycle, and check whether both are done."""
-    progress, scenario = lane.progress, lane.progress.task.scenario
-    person, spoken, slot = speak(progress, lane.person, params=params.person)
-    is_first_correction = (spoken == Says.OTHER) & jnp.isnan(lane.corrected_at)
-    shortest = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
-    state = progress.navigator
+    before, scenario = state.episode_state, state.episode_state.task.scenario
+    person, act, slot = speak(before, state.person, params=params.person)
+    is_first_correction = (act == Says.OTHER) & jnp.isnan(state.corrected_at)
+    shortest = jnp.maximum(goal_distance(before.world, scenario) - SUCCESS_RADIUS, 0.0)
+    navigator = before.navigator
     # Whether the map has an object at the true goal.
-    view, weight = _robot_view(state, progress.steps), jnp.exp(state.belief.log_weight)[None]
-    is_object = jnp.sum(weight * (state.belief.particles.object_type != NONE), axis=1) > 0.5
+    view, weight = _robot_view(navigator, before.steps), jnp.exp(navigator.belief.log_weight)[None]
+    is_object = jnp.sum(weight * (navigator.belief.particles.object_type != NONE), axis=1) > 0.5
     distance = jnp.hypot(view.x - scenario.goal[0], view.y - scenario.goal[1])
     has_seen_goal = jnp.any(is_object & (distance <= SUCCESS_RADIUS))
-    progress = replace(progress, navigator=_apply(state, spoken, slot, params.sentence))
-    after, _ = episode.advance(progress, params=params.navigator, config=config)
+    updated = replace(before, navigator=_apply(navigator, act, slot, params.sentence))
+    after, _ = episode.advance(updated, params=params.navigator, config=config)
     is_waiting = speak(after, person, params=params.person)[0].intends
-    lane = _State(
-        progress=after,
+    next_state = _State(
+        episode_state=after,
         person=person,
         is_done=after.navigator.is_done & ~is_waiting,
-        corrected_at=jnp.where(is_first_correction, progress.world.distance, lane.corrected_at),
-        shortest=jnp.where(is_first_correction, shortest, lane.shortest),
-        has_seen_goal=jnp.where(is_first_correction, has_seen_goal, lane.has_seen_goal),
+        corrected_at=jnp.where(is_first_correction, before.world.distance, state.corrected_at),
+        shortest=jnp.where(is_first_correction, shortest, state.shortest),
+        has_seen_goal=jnp.where(is_first_correction, has_seen_goal, state.has_seen_goal),
     )
-    return strong_types(lane), None
+    return strong_types(next_state), None
 
 
-def _finish(lane: _State) -> DialogueResult:
+def _finish(state: _State) -> DialogueResult:
     return DialogueResult(
-        result=episode.finish(lane.progress),
-        num_questions=lane.person.num_answers,
-        num_corrections=lane.person.num_corrections,
-        walked=lane.progress.world.distance - lane.corrected_at,
-        shortest=lane.shortest,
-        has_seen_goal=lane.has_seen_goal,
+        result=episode.finish(state.episode_state),
+        num_questions=state.person.num_answers,
+        num_corrections=state.person.num_corrections,
+        walked=state.episode_state.world.distance - state.corrected_at,
+        shortest=state.shortest,
+        has_seen_goal=state.has_seen_goal,
     )
 
 
@@ -165,7 +165,7 @@ _PROGRAM = EpisodeProgram(
     begin=_begin,
     advance=_advance,
     finish=_finish,
-    episode_state=operator.attrgetter("progress"),
+    episode_state=operator.attrgetter("episode_state"),
     is_done=operator.attrgetter("is_done"),
 )
 
@@ -187,12 +187,12 @@ def run_dialogues(
 
 
 def speak(
-    progress: EpisodeState, person: Person, *, params: PersonParams
+    episode_state: EpisodeState, person: Person, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
     """Sample the person's speech act before a decision: person, ``Says`` and slot, i32[] each."""
-    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _KEY_INDEX), _KEY_INDEX)
-    view = _robot_view(progress.navigator, progress.steps)
-    return say(key, person, view, progress.task.scenario, params=params)
+    key = jax.random.fold_in(jax.random.fold_in(episode_state.task.key, _KEY_INDEX), _KEY_INDEX)
+    view = _robot_view(episode_state.navigator, episode_state.steps)
+    return say(key, person, view, episode_state.task.scenario, params=params)
 
 
 def _robot_view(state: NavigatorState, step: Array) -> RobotView:

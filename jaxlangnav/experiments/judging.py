@@ -19,23 +19,23 @@ from jaxlangnav.pytree import pytree
 class _State:
     """State of an episode, with the calibration sums of its steps so far."""
 
-    progress: EpisodeState
+    episode: EpisodeState
     tally: Tally
 
 
 def _advance_and_tally(
     state: _State, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[_State, None]:
-    after, info = advance(state.progress, params=params, config=config)
-    step = tally_step(state.progress, info, after)
-    return _State(progress=after, tally=jax.tree.map(operator.add, state.tally, step)), None
+    after, info = advance(state.episode, params=params, config=config)
+    step = tally_step(state.episode, info, after)
+    return _State(episode=after, tally=jax.tree.map(operator.add, state.tally, step)), None
 
 
 TALLY_PROGRAM = EpisodeProgram(
-    begin=lambda *args, config: _State(progress=begin(*args, config=config), tally=empty_tally()),
+    begin=lambda *args, config: _State(episode=begin(*args, config=config), tally=empty_tally()),
     advance=_advance_and_tally,
-    finish=lambda state: (finish(state.progress), state.tally),
-    episode_state=operator.attrgetter("progress"),
+    finish=lambda state: (finish(state.episode), state.tally),
+    episode_state=operator.attrgetter("episode"),
 )
 """Program for ``run_tasks``: runs episodes as usual; returns the result and ``Tally`` of each."""
 Bins: TypeAlias = Mapping[str, Sequence[float]]

@@ -42,7 +42,7 @@ POLICY_KNOWLEDGE = {
         "first, stops at the first thing of that type"
     ),
     "lawnmower": "as frontier, but sweeps the area in lanes as wide as it sees",
-    "arc": "as frontier, and by what law the worlds are drawn; sweeps along the likeliest arc",
+    "arc": "as frontier, and the distribution of the worlds; sweeps along the likeliest arc",
     "known": "the whole map and its own true position",
 }
 """Information that each policy may use, for the captions of tables."""
@@ -63,11 +63,11 @@ def check_policies(names: Sequence[str]) -> tuple[str, ...]:
 
 def navigator_config(policy: AnyPolicy, num_particles: int = DEFAULT_PARTICLES) -> NavigatorConfig:
     """Build the configuration of "informed", "faithful" or a custom policy."""
-    sizes, planner = MapConfig(num_particles=num_particles), PlannerConfig(policy=policy)
-    return NavigatorConfig(map=sizes, planner=planner)
+    map_config, planner = MapConfig(num_particles=num_particles), PlannerConfig(policy=policy)
+    return NavigatorConfig(map=map_config, planner=planner)
 
 
-def without_compass(config: NavigatorConfig, motion: MotionParams) -> NavigatorConfig:
+def add_heading_bias(config: NavigatorConfig, motion: MotionParams) -> NavigatorConfig:
     """Enable heading-bias estimation if the motion model has drift; needs concrete values."""
     if not is_drifting(motion):
         return config
@@ -162,7 +162,7 @@ def policy_arm(
     params = replace(default_params() if params is None else params, policy=arrays)
     if motion is not None:
         params = replace(params, map=replace(params.map, motion=motion))
-    config = without_compass(navigator_config(policy, num_particles), params.map.motion)
+    config = add_heading_bias(navigator_config(policy, num_particles), params.map.motion)
     return Arm(policy=name, labels=labels, config=config, params=params, motion=motion)
 
 

@@ -98,15 +98,15 @@ def reading_of_form(form: FormReading, path: str) -> Reading:
         CapacityError: the arrays do not hold it; one line that begins with its JSON ``path``.
     """
     edges = topological_order(form.relations)
-    touched = [end for edge in edges for end in (edge.landmark, edge.figure)]
-    alone = [thing for thing in range(len(form.types)) if thing not in touched]
-    things = list(dict.fromkeys((*touched, *range(len(form.types)))))
+    related = [end for edge in edges for end in (edge.landmark, edge.figure)]
+    unrelated = [thing for thing in range(len(form.types)) if thing not in related]
+    things = list(dict.fromkeys((*related, *range(len(form.types)))))
     mention = {thing: index for index, thing in enumerate(things)}
     relations = [
         edge._replace(figure=mention[edge.figure], landmark=mention[edge.landmark])
         for edge in dict.fromkeys(edges)
     ]
-    relations += [Relation(mention[thing], NONE, NONE, 0) for thing in alone]
+    relations += [Relation(mention[thing], NONE, NONE, 0) for thing in unrelated]
     if len(things) > NUM_MENTIONS:
         raise CapacityError(
             f"{path} speaks of {len(things)} things, with the robot; at most {NUM_MENTIONS} are "
@@ -114,7 +114,7 @@ def reading_of_form(form: FormReading, path: str) -> Reading:
         )
     if len(relations) > NUM_EDGES:
         raise CapacityError(
-            f"{path} has {len(edges)} relations and {len(alone)} things in none; at most "
+            f"{path} has {len(edges)} relations and {len(unrelated)} things in none; at most "
             f"{NUM_EDGES} of both are held: say less at once"
         )
     return Reading(tuple(form.type_of(thing) for thing in things), tuple(relations))
@@ -127,10 +127,10 @@ def _annotations(form: Form, type_names: tuple[str, ...]) -> Iterator[Mapping[st
         type_of = reading.type_of
         for r in reading.relations:
             yield relation_symbol(type_of(r.figure), r.relation, type_of(r.landmark)), r.rank
-        touched = {end for r in reading.relations for end in (r.figure, r.landmark)}
-        for thing, kind in enumerate(reading.types):
-            if thing not in touched:
-                yield object_symbol(kind), 0
+        related = {end for r in reading.relations for end in (r.figure, r.landmark)}
+        for thing, object_type in enumerate(reading.types):
+            if thing not in related:
+                yield object_symbol(object_type), 0
 
     total = sum_by_key(
         (entry, r.probability) for r in form.readings for entry in dict.fromkeys(symbols(r))

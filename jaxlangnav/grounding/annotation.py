@@ -177,8 +177,8 @@ def infer_annotations(
         beam = tree.search(width)
         log_ranks = tree.log_ranks()
         rank |= {path: int(np.argmax(values)) for path, values in log_ranks.items()}
-        sets = _clause_sets(space.symbols_in(None), beam, root, clause, log_ranks)
-        pairs = itertools.product(joint, sorted(sets, key=lambda pair: -pair[1])[:width])
-        both = [((*done, new), score + more) for (done, score), (new, more) in pairs]
-        joint = sorted(both, key=lambda pair: -pair[1])[:width]
+        clause_sets = _clause_sets(space.symbols_in(None), beam, root, clause, log_ranks)
+        pairs = itertools.product(joint, sorted(clause_sets, key=lambda pair: -pair[1])[:width])
+        extended = [((*sets, new), a + b) for (sets, a), (new, b) in pairs]
+        joint = sorted(extended, key=lambda pair: -pair[1])[:width]
     return AnnotationBelief(tuple(joint), rank)

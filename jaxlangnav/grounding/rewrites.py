@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.asked import CommandSummary, summarize_commands
+from jaxlangnav.grounding.command_summary import CommandSummary, summarize_commands
 from jaxlangnav.grounding.form import quote
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, WrappedGrounder
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings

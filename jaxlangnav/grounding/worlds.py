@@ -93,16 +93,16 @@ def reading_world(placed: PlacedWorld, type_names: tuple[str, ...], readings: Re
     if not placed.objects or not ((edges[:, 1] == BETWEEN) | (edges[:, 3] > 0)).any():
         return world
     strength = Geometry(placed).strength
-    is_kind = [is_type(world.object_type, kind) for kind in np.asarray(readings.mention_type[0])]
-    _encode_between(world, placed, is_kind, edges)
+    is_referent = [is_type(world.object_type, c) for c in np.asarray(readings.mention_type[0])]
+    _encode_between(world, placed, is_referent, edges)
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
-        is_figure = allowed = is_kind[figure][:-1]
-        for other, edge, mark, other_rank in edges:
-            if other == figure and other_rank == 0:
-                allowed = allowed & world.is_related[SYMBOL_OF[edge]][:-1, is_kind[mark]].any(1)
+        is_figure = is_allowed = is_referent[figure][:-1]
+        for _, symbol, end, _ in edges[(edges[:, 0] == figure) & (edges[:, 3] == 0)]:
+            related = world.is_related[SYMBOL_OF[symbol]]
+            is_allowed = is_allowed & related[:-1, is_referent[end]].any(1)
         table = world.is_ranked[min(rank, 2) - 1, relation]
-        for index in np.flatnonzero(is_kind[landmark]):
-            rivals = allowed & (np.arange(len(is_figure)) != index)
+        for index in np.flatnonzero(is_referent[landmark]):
+            rivals = is_allowed & (np.arange(len(is_figure)) != index)
             is_ranked = rivals & (count_before(strength[relation, :, index], rivals) == rank - 1)
             table[:-1, index] = np.where(is_figure, is_ranked, table[:-1, index])
     return world
@@ -116,12 +116,12 @@ def explain_mismatch(
     One phrase per cause ("no hydrant is behind the robot"); empty if all annotations hold.
     """
     world, types = reading_world(placed, type_names, readings), np.asarray(readings.mention_type[0])
-    names = ["robot" if kind == ROBOT else name_of(kind, type_names) for kind in types]
-    is_kind = [is_type(world.object_type, kind) for kind in types]
+    names = ["robot" if code == ROBOT else name_of(code, type_names) for code in types]
+    is_referent = [is_type(world.object_type, code) for code in types]
     missing = [
         f"there is no {name}"
-        for kind, name, mask in zip(types, names, is_kind, strict=True)
-        if kind >= 0 and not mask.any()
+        for code, name, mask in zip(types, names, is_referent, strict=True)
+        if code >= 0 and not mask.any()
     ]
     if missing:
         return missing
@@ -129,7 +129,7 @@ def explain_mismatch(
         if relation == NONE:
             continue
         table = world.is_ranked[min(rank, 2) - 1] if rank > 0 else world.is_related
-        if table[SYMBOL_OF[relation]][np.ix_(is_kind[figure], is_kind[landmark])].any():
+        if table[SYMBOL_OF[relation]][np.ix_(is_referent[figure], is_referent[landmark])].any():
             continue
         if relation == BETWEEN:
             return [f"no {names[figure]} is between two things as is said"]
@@ -138,17 +138,17 @@ def explain_mismatch(
 
 
 def _encode_between(
-    world: World, placed: PlacedWorld, is_kind: Sequence[np.ndarray], edges: np.ndarray
+    world: World, placed: PlacedWorld, is_referent: Sequence[np.ndarray], edges: np.ndarray
 ) -> None:
     """Replace "near" by "between" for the figures of "between", given bool[n + 1] of mentions."""
     between = edges[edges[:, 1] == BETWEEN]
     x, y = np.array([[x, y] for _, x, y in placed.objects]).T
-    lies = lies_between(*((x[ends], y[ends]) for ends in np.ix_(*[range(len(x))] * 3)))
+    is_between_ends = lies_between(*((x[ends], y[ends]) for ends in np.ix_(*[range(len(x))] * 3)))
     for figure, relation, landmark, _ in between:
         others = between[(between[:, 0] == figure) & (between[:, 2] != landmark), 2]
-        is_other = np.any([is_kind[other][:-1] for other in others], axis=0)
-        is_between = np.any(lies & is_other, axis=-1)
-        is_figure, is_landmark = is_kind[figure][:-1], is_kind[landmark][:-1]
+        is_other = np.any([is_referent[other][:-1] for other in others], axis=0)
+        is_between = np.any(is_between_ends & is_other, axis=-1)
+        is_figure, is_landmark = is_referent[figure][:-1], is_referent[landmark][:-1]
         ends = np.ix_([SYMBOL_OF[relation]], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
         world.is_related[ends] = is_between[is_figure][:, is_landmark]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxlangnav.episode import recorder
 from jaxlangnav.episode.recording import Recording
-from jaxlangnav.experiments.policies import navigator_config, without_compass
+from jaxlangnav.experiments.policies import add_heading_bias, navigator_config
 from jaxlangnav.experiments.sizes import any_task
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction, Understanding
@@ -121,7 +121,7 @@ def open_episode(
         understood=understood,
         prepared=prepared,
         params=replace(params, map=replace(params.map, motion=motion)),
-        config=without_compass(config, motion),
+        config=add_heading_bias(config, motion),
     )
 
 

@@ -26,7 +26,7 @@ from msgspec import Meta
 
 from jaxlangnav.dialogue import compose_poses
 from jaxlangnav.grounding.annotated import reading_of_form
-from jaxlangnav.grounding.asked import infer_commands
+from jaxlangnav.grounding.command_summary import infer_commands
 from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.worlds import reading_world

@@ -18,7 +18,7 @@ from jaxlangnav.episode import EpisodeState
 from jaxlangnav.episode.recording import Recording, Remark, StaticScene
 from jaxlangnav.experiments.dialogue import speak
 from jaxlangnav.grounding import Context, Grounder
-from jaxlangnav.grounding.asked import summarize_commands
+from jaxlangnav.grounding.command_summary import summarize_commands
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.grounding.readings import Capacity, pad_to_capacity

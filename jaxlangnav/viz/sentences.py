@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from jaxlangnav.episode.recording import Remark, Snapshot, StaticScene, StepView, missing_names
-from jaxlangnav.grounding.asked import CommandSummary
+from jaxlangnav.grounding.command_summary import CommandSummary
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, ROBOT, Fault, Status
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED

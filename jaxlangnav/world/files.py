@@ -56,7 +56,7 @@ from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.documents import parse_toml, read_document, read_shipped
 from jaxlangnav.inputs.sanitize import as_text, shorten
 from jaxlangnav.inputs.schema import closest_choice
-from jaxlangnav.world.reading import (
+from jaxlangnav.world.schema import (
     WorldFile as WorldFile,
     WorldFileError as WorldFileError,
     world_from_dict as world_from_dict,

@@ -1,4 +1,4 @@
-"""World templates and the printed figures of Table 2 (section 4.2).
+"""World templates and the published values of Table 2 (section 4.2).
 
 A template is the number of hydrants and cones of a world: "2H1C". The paper gives no geometry;
 the distances of its known-map robot (column *Known*) determine the distance of the hydrant.
@@ -31,7 +31,7 @@ class Template:
 
 
 class TableRow(NamedTuple):
-    """One printed row of Table 2; rates in percent, distances in metres, ``sd`` 1 sigma."""
+    """One published row of Table 2; rates in percent, distances in metres, ``sd`` 1 sigma."""
 
     world: str
     range: float
@@ -53,7 +53,7 @@ TABLE_2 = (
     TableRow("2H1C", 3.0, "behind", 100.0, 67.4, 10.38, 1.86, 18.72, 10.23),
     TableRow("2H1C", 5.0, "nearest", 100.0, 46.2, 9.19, 1.54, 12.05, 5.76),
 )
-"""Table 2 as printed."""
+"""Table 2 of the paper."""
 
 
 def parse_template(name: str) -> Template:
@@ -74,12 +74,12 @@ def parse_template(name: str) -> Template:
             f"{', '.join(TEMPLATE_NAMES)} or the like.{hint}"
         )
     hydrants, cones = int(match[1]), int(match[2])
-    for what, count, minimum, maximum in (
+    for noun, count, minimum, maximum in (
         ("hydrants", hydrants, 1, MAX_HYDRANTS),
         ("cones", cones, 0, MAX_CONES),
     ):
         if not minimum <= count <= maximum:
-            message = f"world template {as_text(name)} has {count} {what}"
+            message = f"world template {as_text(name)} has {count} {noun}"
             raise ValueError(f"{message}: choose {minimum} to {maximum}")
     return Template(name=f"{hydrants}H{cones}C", num_hydrants=hydrants, num_cones=cones)
 

@@ -18,7 +18,7 @@ from jaxlangnav.grounding.rewrites import (
 )
 from jaxlangnav.language.own_words import is_reserved
 from jaxlangnav.language.phrase import MIN_PROBABILITY
-from jaxlangnav.task.compared import difference
+from jaxlangnav.task.comparison import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.training.shipped import Judged, TemperatureFit, fit_source_temperature
 

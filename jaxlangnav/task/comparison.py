@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.grounding.annotated import form_instruction
-from jaxlangnav.grounding.asked import infer_commands
+from jaxlangnav.grounding.command_summary import infer_commands
 from jaxlangnav.grounding.form import Form, FormReading
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import World
