@@ -7,19 +7,27 @@ import pytest
 from recording_fixture import make_scene
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.world.person import PERSONS, Person, RobotView, Says, new_person, params_of, say
+from jaxlangnav.world.person import (
+    PERSONS,
+    Person,
+    RobotView,
+    Says,
+    new_person,
+    next_act,
+    params_of,
+)
 
 SCENARIO = jax.tree.map(jnp.asarray, make_scene().scenario)  # the goal at (9, 1), a cone at (6, 1)
 GOAL, WRONG = 0, 1
-speak = jax.jit(say)
+speak = jax.jit(next_act)
 
 
 def seen(
-    step: int = 0, aimed: int = NONE, asking: bool = False, candidates=(True, True)
+    step: int = 0, target: int = NONE, asking: bool = False, candidates=(True, True)
 ) -> RobotView:
     return RobotView(
         step=jnp.int32(step),
-        aimed=jnp.int32(aimed),
+        target=jnp.int32(target),
         is_asking=jnp.asarray(asking),
         is_candidate=jnp.array(candidates),
         x=jnp.array([8.8, 6.1], jnp.float32),
@@ -36,16 +44,16 @@ def watch(params, *sights: RobotView, seed: int = 0) -> tuple[list[Says], Person
 
 
 def test_what_is_wrong_is_corrected_after_the_delay_as_often_as_allowed() -> None:
-    wrong = [seen(aimed=WRONG)] * 5
+    wrong = [seen(target=WRONG)] * 5
     told, person = watch(params_of(delay=2, num_corrections=1), *wrong)
     assert told == [Says.NOTHING, Says.NOTHING, Says.OTHER, Says.NOTHING, Says.NOTHING]
-    assert not bool(person.intends)
+    assert not bool(person.will_speak)
     assert watch(params_of(num_corrections=0), *wrong)[0] == [Says.NOTHING] * 5
 
 
 def test_what_is_right_is_not_corrected_and_the_wait_begins_anew() -> None:
-    assert watch(params_of(), *[seen(aimed=GOAL)] * 4)[0] == [Says.NOTHING] * 4
-    sights = [seen(aimed=WRONG), seen(aimed=WRONG), seen(aimed=GOAL), seen(aimed=WRONG)]
+    assert watch(params_of(), *[seen(target=GOAL)] * 4)[0] == [Says.NOTHING] * 4
+    sights = [seen(target=WRONG), seen(target=WRONG), seen(target=GOAL), seen(target=WRONG)]
     assert watch(params_of(delay=2), *sights)[0] == [Says.NOTHING] * 4
 
 
@@ -63,8 +71,8 @@ def test_a_statement_is_made_once() -> None:
     sights = [seen(step=step) for step in range(4)]
     told, person = watch(params_of(states_at=2), *sights)
     assert told == [Says.NOTHING, Says.NOTHING, Says.TRUTH, Says.NOTHING]
-    assert not bool(person.intends)
-    assert watch(params_of(states_at=2), *sights[:2])[1].intends
+    assert not bool(person.will_speak)
+    assert watch(params_of(states_at=2), *sights[:2])[1].will_speak
 
 
 @pytest.mark.parametrize("rate", [0.1, 0.5])
@@ -74,8 +82,8 @@ def test_errors_come_at_their_rate(rate: float) -> None:
     allowed = 5.0 * np.sqrt(rate * (1.0 - rate) / 2000)
     params = params_of(error_rate=rate, delay=0, states_at=0)
     for sight, wrong in (
-        (seen(step=1, aimed=GOAL), Says.OTHER),
-        (seen(step=1, aimed=WRONG), Says.NOTHING),
+        (seen(step=1, target=GOAL), Says.OTHER),
+        (seen(step=1, target=WRONG), Says.NOTHING),
         (seen(step=0), Says.FALSEHOOD),
     ):
         _, said, _ = jax.vmap(
@@ -91,7 +99,7 @@ def test_errors_come_at_their_rate(rate: float) -> None:
 def test_an_error_in_a_thing_is_kept() -> None:
     params = params_of(error_rate=0.5, delay=0, num_corrections=99)
     for seed in range(8):
-        told, _ = watch(params, *[seen(1, aimed=GOAL)] * 4, seed=seed)
+        told, _ = watch(params, *[seen(1, target=GOAL)] * 4, seed=seed)
         assert len(set(told)) == 1
 
 

@@ -200,11 +200,11 @@ class Ground:
 
     def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:
         """Infer the behavior distribution in a fully known world."""
-        from jaxlangnav.task.labelled import list_behaviors, place_scenario
+        from jaxlangnav.task.labelled import list_behaviors, placed_world
         from jaxlangnav.task.loading import load_task
 
         prepared = load_task(world_name, understood, sensing_range=None, seed=self.seed)
-        labelled = place_scenario(prepared.task.scenario, understood.type_names)
+        labelled = placed_world(prepared.task.scenario, understood.type_names)
         return {
             "world": prepared.world,
             "objects": [{"type": kind, "position": [x, y]} for kind, x, y in labelled.objects],

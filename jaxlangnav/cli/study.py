@@ -20,7 +20,7 @@ from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
-from jaxlangnav.task.follow import OpenedEpisode, record_episode
+from jaxlangnav.task.follow import PreparedEpisode, record_episode
 from jaxlangnav.task.loading import load_task
 from jaxlangnav.viz.html import write_factor_graph, write_html
 from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, select_steps
@@ -109,7 +109,7 @@ def _figure(
             prepared = load_task(name, understood, sensing_range=None, seed=settings.options.seed)
             prepared, params = apply_to_task(prepared, settings.values, params=settings.params)
             args = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
-            episode = record_episode(OpenedEpisode(**args, config=config))
+            episode = record_episode(PreparedEpisode(**args, config=config))
         output.print_wrapped(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result
         document = {

@@ -30,7 +30,7 @@ RenderMode = Literal["rgb_array"]
 METADATA: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 4}
 
 
-def _choice(name: str, value: str, literal: Any, suffix: str = "") -> str:
+def _check_choice(name: str, value: str, literal: Any, suffix: str = "") -> str:
     """Raise ValueError unless a value is one of a Literal's choices."""
     if value not in get_args(literal):
         choices = ", ".join(get_args(literal))
@@ -46,7 +46,7 @@ def observation_space() -> spaces.Box:
 
 def action_space(actions: str) -> spaces.Box | spaces.Discrete[np.int64]:
     """Build the action space: continuous step along x and y and stop, or discrete."""
-    if _choice("actions", actions, Actions) == "discrete":
+    if _check_choice("actions", actions, Actions) == "discrete":
         return spaces.Discrete(len(DISCRETE_ACTIONS))
     return spaces.Box(-1.0, 1.0, (functional.ACTION_SIZE,), np.float32)
 
@@ -69,7 +69,7 @@ class _Simulation:
     def __init__(self, render_mode: str | None, options: dict[str, Any]) -> None:
         """Create the parameters, and check the render mode."""
         if render_mode is not None:
-            _choice("render_mode", render_mode, RenderMode, ", or None")
+            _check_choice("render_mode", render_mode, RenderMode, ", or None")
             require("matplotlib")
         self.has_rendering = render_mode is not None
         self.params = functional.default_params(**options)
@@ -107,8 +107,8 @@ class _Simulation:
         images = []
         for index, path in enumerate(self._paths):
             member: EnvironmentState = jax.tree.map(lambda leaf, i=index: leaf[i], states)
-            view = member.scenario, self.params.sensor, member.world
-            images.append(render_world(*view, path=np.stack(path), text=self.text))
+            args = member.scenario, self.params.sensor, member.world
+            images.append(render_world(*args, path=np.stack(path), text=self.text))
         return tuple(images)
 
 
@@ -225,16 +225,16 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
 
         Observations, rewards, terminated, truncated, and info as arrays over environments.
         """
-        simulation, state_before = self._simulation, self._simulation.require_state("step")
+        sim, state_before = self._simulation, self._simulation.require_state("step")
         keys = _keys(_seed(self.np_random), self.num_envs)
         actions = to_functional(actions, self.single_action_space)
         observation, state, reward, info = _step_many(
             keys, state_before, actions, self._params, self._is_over
         )
-        info_arrays = _info_dict(info)
-        ended, late = info_arrays["is_stopped"], info_arrays["is_truncated"]
-        self._is_over = ended | late
-        return simulation.update(observation, state), np.asarray(reward), ended, late, info_arrays
+        arrays = _info_dict(info)
+        terminated, truncated = arrays["is_stopped"], arrays["is_truncated"]
+        self._is_over = terminated | truncated
+        return sim.update(observation, state), np.asarray(reward), terminated, truncated, arrays
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Render every environment, as ``FollowEnv.render``."""
@@ -247,6 +247,6 @@ def _info_dict(info: functional.EnvironmentInfo) -> dict[str, np.ndarray]:
 
 _reset = jax.jit(lambda seed, *rest: functional.reset(jax.random.key(seed), *rest))
 _step = jax.jit(lambda seed, *rest: functional.step(jax.random.key(seed), *rest))
-_keys = jax.jit(lambda seed, of: jax.random.split(jax.random.key(seed), of), static_argnums=1)
+_keys = jax.jit(lambda seed, n: jax.random.split(jax.random.key(seed), n), static_argnums=1)
 _reset_many = jax.jit(jax.vmap(functional.reset, in_axes=(0, None)))
 _step_many = jax.jit(jax.vmap(functional.step_or_reset, in_axes=(0, 0, 0, None, 0)))

@@ -23,7 +23,7 @@ from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState, speech_acts
 from jaxlangnav.navigator.speech_acts import Effect, tell
 from jaxlangnav.pytree import pytree, replace, strong_types
-from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, new_person, say
+from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, new_person, next_act
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
 _KEY_INDEX = 31
@@ -138,7 +138,7 @@ def _advance(state: _State, *, params: _Params, config: NavigatorConfig) -> tupl
     has_seen_goal = jnp.any(is_object & (distance <= SUCCESS_RADIUS))
     updated = replace(before, navigator=_apply(navigator, act, slot, params.sentence))
     after, _ = episode.advance(updated, params=params.navigator, config=config)
-    is_waiting = speak(after, person, params=params.person)[0].intends
+    is_waiting = speak(after, person, params=params.person)[0].will_speak
     next_state = _State(
         episode_state=after,
         person=person,
@@ -192,7 +192,7 @@ def speak(
     """Sample the person's speech act before a decision: person, ``Says`` and slot, i32[] each."""
     key = jax.random.fold_in(jax.random.fold_in(episode_state.task.key, _KEY_INDEX), _KEY_INDEX)
     view = _robot_view(episode_state.navigator, episode_state.steps)
-    return say(key, person, view, episode_state.task.scenario, params=params)
+    return next_act(key, person, view, episode_state.task.scenario, params=params)
 
 
 def _robot_view(state: NavigatorState, step: Array) -> RobotView:
@@ -209,7 +209,7 @@ def _robot_view(state: NavigatorState, step: Array) -> RobotView:
     is_approaching = (state.status == Status.APPROACHING) | (state.status == Status.ARRIVED)
     return RobotView(
         step=step,
-        aimed=jnp.where(is_approaching, state.talk.approached, NONE),
+        target=jnp.where(is_approaching, state.talk.approached, NONE),
         is_asking=state.status == Status.WHICH_ONE,
         is_candidate=state.talk.candidate >= MIN_CANDIDATE_MASS,
         x=mean(particles.mean_x),

@@ -167,7 +167,7 @@ def run_sweep(
         out: folder of the files, created if missing; shared by all shards.
         resume: keep existing valid files, and make the rest.
         shard: "i/n", the i-th of n parts.
-        on_progress: called with the number of episodes just finished; at first, of kept ones.
+        on_progress: called with the number of episodes just finished; first, of existing ones.
         on_note: called with a line for each damaged file, and for a dead process's lock.
         num_threads: concurrent calls; by default as many as keep all cores busy.
 
@@ -191,19 +191,19 @@ def run_sweep(
                 for path in folder.iterdir():
                     if (match := _TEMPORARY.fullmatch(path.name)) and int(match[1]) in indices:
                         path.unlink(missing_ok=True)
-            kept = _valid_files(folder, plan, indices, sweep, note)
-            num_kept = sum(map(plan.size, kept))
-            advance(num_kept)
+            valid = _valid_files(folder, plan, indices, sweep, note)
+            num_valid, missing = sum(map(plan.size, valid)), (i for i in indices if i not in valid)
+            advance(num_valid)
             run_files = functools.partial(_run_files, plan, folder, sweep, sentences)
-            batches = _batches((i for i in indices if i not in kept), plan.program_key, mesh().size)
+            batches = _batches(missing, plan.program_key, mesh().size)
             for done in run_ahead(run_files, batches, num_threads or concurrent_calls()):
                 advance(done)
     return {
         "out": str(folder),
         "name": config.name,
         "shard": shard,
-        "episodes": plan.episodes_of(shard) - num_kept,
-        "kept": num_kept,
+        "episodes": plan.episodes_of(shard) - num_valid,
+        "kept": num_valid,
         "files": len(indices),
         "is_complete": sum(i < plan.num_files for i, _ in episode_files(folder)) == plan.num_files,
         "wall_s": time.perf_counter() - begin,

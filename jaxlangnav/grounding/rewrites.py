@@ -144,7 +144,7 @@ def _mixture(reads: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, .
     """Mix the readings of rewritings, with the commands of the likeliest meaning."""
     groups: dict[Any, list[int]] = {}
     for index, read in enumerate(reads):
-        groups.setdefault(_meaning(read.grounded), []).append(index)
+        groups.setdefault(_meaning_key(read.grounded), []).append(index)
     weight = np.exp(log_weights)
     ranked = sorted(groups.values(), key=lambda group: -weight[group].sum())
     alternatives = []
@@ -195,7 +195,7 @@ def _canonical(reading: Reading) -> tuple[Any, ...]:
     return tuple(sorted(reading.mentions)), tuple(sorted(edges))
 
 
-def _meaning(grounded: Grounded) -> tuple[Any, ...]:
+def _meaning_key(grounded: Grounded) -> tuple[Any, ...]:
     """Build a key of a sentence's annotations and commands, equal for wordings of one meaning."""
     reading, _ = unpad_readings(grounded.instruction.readings)[0]
 

@@ -21,7 +21,7 @@ from jaxlangnav.inputs.sanitize import sanitize, shorten
 from jaxlangnav.inputs.schema import PlainText, bad_choice
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.follow import batched, open_episode, score
+from jaxlangnav.task.follow import batched, prepare_episode, score
 from jaxlangnav.task.loading import detector_of, step_limit
 from jaxlangnav.task.talk import YOU, Speech, add_talk, allow_questions, enlarge, name_candidates
 from jaxlangnav.viz.html import page_data
@@ -97,7 +97,7 @@ class LiveEpisode:
         self.request, self._pace = request, pace
         self._world = self._resolve_world(folder)
         with _compile_lock:
-            opened = open_episode(
+            opened = prepare_episode(
                 request.text,
                 self._world,
                 request.range,

@@ -43,7 +43,7 @@ from jaxlangnav.world.templates import Template
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OpenedEpisode:
+class PreparedEpisode:
     """An episode ready to run: grounded sentence, task, parameters and configuration."""
 
     text: str
@@ -85,13 +85,13 @@ def follow(
         ValueError: the sentence, the world or an option is refused; one line.
     """
     model = load_shipped() if model is None else model
-    opened = open_episode(
+    opened = prepare_episode(
         text, world, sensing_range, policy, seed, particles, model=model, params=params
     )
     return record_episode(opened, max_steps)
 
 
-def open_episode(
+def prepare_episode(
     text: str,
     world: str | Path,
     sensing_range: float | None,
@@ -101,7 +101,7 @@ def open_episode(
     *,
     model: GroundingModel,
     params: NavigatorParams | None = None,
-) -> OpenedEpisode:
+) -> PreparedEpisode:
     """Ground a sentence and open a world for it; arguments and errors as of ``follow``."""
     world = str(world)
     understood = understand(text, model, detector_of(world, model.type_names))
@@ -116,7 +116,7 @@ def open_episode(
     if prepared.is_drawn and not prepared.is_meant:
         counts = count_types(prepared.task.scenario, understood.type_names)
         raise ValueError(mismatch_message(prepared.world, counts, ()))
-    return OpenedEpisode(
+    return PreparedEpisode(
         text=text,
         understood=understood,
         prepared=prepared,
@@ -148,14 +148,14 @@ def params_and_config(
     Raises:
         ValueError: no such world or policy, or a bad file.
     """
-    opened, (static, arrays) = open_world(world), split_arrays(policy)
-    if isinstance(opened, Template):
+    source, (static, arrays) = open_world(world), split_arrays(policy)
+    if isinstance(source, Template):
         return replace(navigator_params(), policy=arrays), navigator_config(static, particles)
     pretrained = Navigator.pretrained(policy)
-    if opened.scenario.is_object.size <= NUM_SLOTS:
+    if source.scenario.is_object.size <= NUM_SLOTS:
         return pretrained.params, navigator_config(static, particles)
-    sizes = dataclasses.replace(pretrained.config.map, num_particles=particles)
-    return pretrained.params, dataclasses.replace(pretrained.config, map=sizes)
+    map_config = dataclasses.replace(pretrained.config.map, num_particles=particles)
+    return pretrained.params, dataclasses.replace(pretrained.config, map=map_config)
 
 
 def batched(understood: Understanding) -> Instruction:
@@ -184,7 +184,7 @@ def precompile_cycle(
     threading.Thread(target=step).start()
 
 
-def record_episode(opened: OpenedEpisode, max_steps: int | None = None) -> Recording:
+def record_episode(opened: PreparedEpisode, max_steps: int | None = None) -> Recording:
     """Record one episode and evaluate its success; steps as of ``follow``."""
     task, understood = opened.prepared.task, opened.understood
     recording = recorder.record(
@@ -211,8 +211,8 @@ def score(recording: Recording, prepared: PreparedTask, *, has_person: bool = Fa
     is_scored = prepared.is_meant and (has_person or not prepared.unscored)
     is_arrived = (result.ending == Status.ARRIVED) & is_scored
     world = scene.scenario
-    stops = [tuple(world.start[:2]), *prepared.via, tuple(world.goal)]
-    legs = (world.terrain.travel.metres(*a, *b) for a, b in itertools.pairwise(stops))
+    waypoints = [tuple(world.start[:2]), *prepared.via, tuple(world.goal)]
+    legs = (world.terrain.travel.metres(*a, *b) for a, b in itertools.pairwise(waypoints))
     fields = {"known_distance": float(sum(legs)), "unscored": prepared.unscored or scene.unscored}
     scene = dataclasses.replace(scene, stop_radius=radius, is_scored=is_scored, **fields)
     result = replace(result, is_success=np.asarray(is_arrived & (result.goal_distance <= radius)))

@@ -61,8 +61,8 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[lis
 
     The second value tells whether the last command is to find, not to navigate.
     """
-    placed = place_scenario(scenario, understood.type_names)
-    behaviors = _infer_in(understood.instruction, placed, understood.type_names)
+    placed = placed_world(scenario, understood.type_names)
+    behaviors = _infer_behaviors(understood.instruction, placed, understood.type_names)
     goals = [
         _best_goals(understood.instruction, clause, behavior, placed, scenario)
         for clause, behavior in enumerate(behaviors)
@@ -200,7 +200,7 @@ _MIN_LISTED_PROB = 1e-3
 """Minimum probability of a listed behavior."""
 
 
-def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
+def placed_world(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     """List the true objects of a scenario by slot, and the robot's start pose."""
     slots = np.flatnonzero(np.asarray(scenario.is_object))
     fields = (scenario.object_type, scenario.object_x, scenario.object_y)
@@ -215,7 +215,7 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     )
 
 
-def _infer_in(
+def _infer_behaviors(
     instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
 ) -> list[Behavior]:
     return infer_commands(instruction, reading_world(placed, names, instruction.readings))
@@ -240,7 +240,7 @@ def list_behaviors(
         ``probability``.
     """
     rows: list[dict[str, Any]] = []
-    for clause, behavior in enumerate(_infer_in(instruction, placed, names)):
+    for clause, behavior in enumerate(_infer_behaviors(instruction, placed, names)):
         joint = np.einsum("a,m,rs->amrs", behavior.action, behavior.mode, behavior.goal)
         for index in map(tuple, np.argwhere(joint >= _MIN_LISTED_PROB).tolist()):
             action, mode, region, slot = index

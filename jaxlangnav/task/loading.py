@@ -20,7 +20,7 @@ from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.grounding.worlds import explain_mismatch
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.labelled import is_among, meant_goals, place_scenario, with_goal
+from jaxlangnav.task.labelled import is_among, meant_goals, placed_world, with_goal
 from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
 from jaxlangnav.world.state import Scenario, empty_scenario
 from jaxlangnav.world.templates import Template
@@ -72,21 +72,21 @@ def load_task(
     Raises:
         ValueError: no such world, a bad file, or a template that has nothing of what is asked.
     """
-    opened = open_world(world)
-    if isinstance(opened, WorldFile):
+    source = open_world(world)
+    if isinstance(source, WorldFile):
         task = Task(
             key=jax.random.key(seed),
-            scenario=opened.scenario,
+            scenario=source.scenario,
             instruction_index=jax.device_put(np.int32(0)),
             sensor=sensor_of(world, sensing_range),
-            motion=opened.motion,
+            motion=source.motion,
         )
-        texts = (opened.instruction or "", understood.parse.instruction)
+        texts = (source.instruction or "", understood.parse.instruction)
         expected, given = (" ".join(phrase.lower().split()).rstrip(".!") for phrase in texts)
         # The world's goal is that of its own instruction.
-        is_own = opened.has_goal and expected == given
-        return _set_goal(opened.name, task, understood, is_own=is_own, has_goal=opened.has_goal)
-    return _draw(opened, understood, sensing_range or 3.0, seed)
+        kwargs = {"is_default": source.has_goal and expected == given, "has_goal": source.has_goal}
+        return _set_goal(source.name, task, understood, **kwargs)
+    return _sample_task(source, understood, sensing_range or 3.0, seed)
 
 
 def check_template(world: str, understood: Understanding) -> None:
@@ -95,36 +95,36 @@ def check_template(world: str, understood: Understanding) -> None:
     Raises:
         ValueError: one line that lists the template's objects.
     """
-    opened = open_world(world)
-    if isinstance(opened, WorldFile):
+    source = open_world(world)
+    if isinstance(source, WorldFile):
         return
-    counts = [("hydrant", opened.num_hydrants), ("cone", opened.num_cones)]
+    counts = [("hydrant", source.num_hydrants), ("cone", source.num_cones)]
     counts = [(name, count) for name, count in counts if count]
-    missing = _lacking(counts, understood.annotations, understood.type_names)
+    missing = _missing_types(counts, understood.annotations, understood.type_names)
     if missing:
-        raise ValueError(mismatch_message(opened.name, counts, missing))
+        raise ValueError(mismatch_message(source.name, counts, missing))
 
 
 def detector_of(world: str, type_names: Sequence[str]) -> Detector:
     """Build the detector of a world: its object types and attribute groups."""
-    opened = open_world(world)
-    if isinstance(opened, WorldFile):
-        return Detector(opened.type_names, opened.attribute_groups)
+    source = open_world(world)
+    if isinstance(source, WorldFile):
+        return Detector(source.type_names, source.attribute_groups)
     return Detector(type_names)
 
 
 def empty_world(world: str) -> Scenario:
     """Build a world without objects, but with the slots and walls of a given world."""
-    opened = open_world(world)
-    if not isinstance(opened, WorldFile):
+    source = open_world(world)
+    if not isinstance(source, WorldFile):
         return empty_scenario()
-    return replace(empty_scenario(opened.scenario.is_object.size), terrain=opened.scenario.terrain)
+    return replace(empty_scenario(source.scenario.is_object.size), terrain=source.scenario.terrain)
 
 
 def sensor_of(world: str, sensing_range: float | None) -> SensorParams:
     """Return the sensor parameters of a world, with another range if one is given, metres."""
-    opened = open_world(world)
-    sensor = opened.sensor if isinstance(opened, WorldFile) else default_sensor()
+    source = open_world(world)
+    sensor = source.sensor if isinstance(source, WorldFile) else default_sensor()
     if sensing_range is None:
         return sensor
     return replace(sensor, range_max=jnp.float32(sensing_range))
@@ -151,17 +151,17 @@ def absent_types(
     scenario: Scenario, annotations: Iterable[AnnotationDocument], names: Sequence[str]
 ) -> list[str]:
     """List the types that annotations mention and a world lacks, in their order."""
-    return _lacking(count_types(scenario, names), annotations, names)
+    return _missing_types(count_types(scenario, names), annotations, names)
 
 
-def _lacking(
+def _missing_types(
     counts: Sequence[tuple[str, int]],
     annotations: Iterable[AnnotationDocument],
     names: Sequence[str],
 ) -> list[str]:
     """List the types of probable annotations that are not among the counted objects."""
     likely = [annotation for annotation in annotations if annotation["probability"] >= 0.5]
-    mentioned = dict.fromkeys(each[role] for each in likely for role in ("figure", "landmark"))
+    mentioned = dict.fromkeys(item[role] for item in likely for role in ("figure", "landmark"))
     return [name for name in mentioned if name in names and name not in dict(counts)]
 
 
@@ -177,17 +177,17 @@ def _set_goal(
     understood: Understanding,
     *,
     is_drawn: bool = False,
-    is_own: bool = False,
+    is_default: bool = False,
     has_goal: bool = True,
 ) -> PreparedTask:
     """Set the goal to the sentence's; the world's own goal is kept if it fits as well."""
     (*earlier, goals), is_find_task = meant_goals(understood, task.scenario)
-    is_given = is_own or (has_goal and is_among(task.scenario, goals))
-    is_meant = is_own or bool(goals)
+    is_given = is_default or (has_goal and is_among(task.scenario, goals))
+    is_meant = is_default or bool(goals)
     missing: Sequence[str] = ()
     if not is_meant:
         types = understood.type_names
-        placed = place_scenario(task.scenario, types)
+        placed = placed_world(task.scenario, types)
         missing = explain_mismatch(placed, types, understood.instruction.readings)
     if goals and not is_given:
         task = replace(task, scenario=with_goal(task.scenario, goals[0]))
@@ -203,7 +203,7 @@ def _set_goal(
     )
 
 
-def _draw(
+def _sample_task(
     template: Template, understood: Understanding, sensing_range: float, seed: int
 ) -> PreparedTask:
     """Sample a world of a template in which the sentence is true (rejection sampling).
@@ -213,25 +213,25 @@ def _draw(
     # Templates of Table 2's commands make these true.
     relations = {"behind": "behind", "near": "nearest"}
     matches = (
-        relations[each["relation"]]
-        for each in understood.annotations
-        if (each["figure"], each["landmark"]) == ("hydrant", "cone")
-        and (each["relation"] == "behind" or (each["relation"] == "near" and each["superlative"]))
+        relations[item["relation"]]
+        for item in understood.annotations
+        if (item["figure"], item["landmark"]) == ("hydrant", "cone")
+        and (item["relation"] == "behind" or (item["relation"] == "near" and item["superlative"]))
     )
-    tasks = _tasks_of(template, next(matches, "null"), sensing_range, seed, 1)
+    tasks = _sample_tasks(template, next(matches, "null"), sensing_range, seed, 1)
     prepared = _set_goal(template.name, tasks[0], understood, is_drawn=True)
     absent = absent_types(tasks[0].scenario, understood.annotations, understood.type_names)
     if prepared.is_meant or absent:
         return prepared
     # "nearest" places each cone anywhere around its hydrant, so other relations may hold too.
-    for task in _tasks_of(template, "nearest", sensing_range, seed, _MAX_TRIES):
+    for task in _sample_tasks(template, "nearest", sensing_range, seed, _MAX_TRIES):
         other = _set_goal(template.name, task, understood, is_drawn=True)
         if other.is_meant:
             return other
     return prepared
 
 
-def _tasks_of(
+def _sample_tasks(
     template: Template, relation: str, sensing_range: float, seed: int, count: int
 ) -> list[Task]:
     """Sample the tasks of the first episodes of a table's row, unstacked on the host."""
@@ -239,8 +239,7 @@ def _tasks_of(
     tasks = make_tasks(cell(template.name, relation, 0, sensing_range, count, seed))
     # On the host: unstacking on the device would compile a small program for each leaf.
     batch = jax.device_get(replace(tasks, key=jax.random.key_data(tasks.key)))
-    rows = (jax.tree.map(lambda leaf, i=index: leaf[i], batch) for index in range(count))
+    host = (jax.tree.map(lambda leaf, i=index: leaf[i], batch) for index in range(count))
     first = jax.device_put(np.int32(0))
-    return [
-        replace(row, key=jax.random.wrap_key_data(row.key), instruction_index=first) for row in rows
-    ]
+    wrap = jax.random.wrap_key_data
+    return [replace(task, key=wrap(task.key), instruction_index=first) for task in host]

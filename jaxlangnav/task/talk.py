@@ -56,7 +56,7 @@ class SimulatedPerson:
 
     def is_there(self, state: EpisodeState) -> bool:
         """Test whether the person would speak in this state."""
-        return bool(_speak(state, self.person, params=self.params)[0].intends)
+        return bool(_speak(state, self.person, params=self.params)[0].will_speak)
 
     def speak(self, step: int, state: EpisodeState, options: Sequence[Candidate]) -> str | None:
         """Sample what the person says, at most once before each decision; None: nothing."""

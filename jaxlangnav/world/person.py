@@ -55,7 +55,7 @@ class RobotView:
     """State of the robot as shown to the person; O slots of objects in its map."""
 
     step: Array  # i32[] decision
-    aimed: Array  # i32[] slot that it approaches or has stopped at; NONE
+    target: Array  # i32[] slot that it approaches or has stopped at; NONE
     is_asking: Array  # bool[] it asks which one
     is_candidate: Array  # bool[O] candidates of the question
     x: Array  # f32[O] metres, map frame, reported positions
@@ -66,11 +66,11 @@ class RobotView:
 class Person:
     """State of the simulated person."""
 
-    aimed: Array = field("slot that the robot approached in the last cycle", default=NONE)
-    since: Array = field("cycles since then", default=0)
+    target: Array = field("slot that the robot approached in the last cycle", default=NONE)
+    cycles: Array = field("cycles since then", default=0)
     num_corrections: Array = field("corrections made", default=0)
     num_answers: Array = field("answers given", default=0)
-    intends: Array = field("will speak if nothing changes", default=False)
+    will_speak: Array = field("will speak if nothing changes", default=False)
 
 
 def params_of(**fields: Any) -> PersonParams:
@@ -100,7 +100,7 @@ def new_person() -> Person:
     return strong_types(Person())
 
 
-def say(
+def next_act(
     key: Array, person: Person, view: RobotView, scenario: Scenario, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
     """Sample the person's speech act before the robot's next decision.
@@ -123,12 +123,12 @@ def say(
     nearest = jnp.argmin(jnp.where(scenario.is_object[None], distances, jnp.inf), axis=1)
     is_right = nearest == scenario.goal_index
     errors = jax.random.bernoulli(key_judgement, params.error_rate, view.x.shape)
-    is_same = view.aimed == person.aimed
-    since = jnp.where(is_same, person.since + 1, 0)
-    index = jnp.clip(view.aimed, 0, view.x.size - 1)
-    is_wrong = (view.aimed != NONE) & (is_right[index] == errors[index])
+    is_same = view.target == person.target
+    cycles = jnp.where(is_same, person.cycles + 1, 0)
+    index = jnp.clip(view.target, 0, view.x.size - 1)
+    is_wrong = (view.target != NONE) & (is_right[index] == errors[index])
     may_correct = is_wrong & ~view.is_asking & (person.num_corrections < params.num_corrections)
-    corrects = may_correct & (since >= params.delay)
+    corrects = may_correct & (cycles >= params.delay)
     is_answer = view.is_asking & params.answers
     # Of the candidates judged to be the goal, the nearest to it; by error any other.
     goal_distance = jnp.hypot(view.x - scenario.goal[0], view.y - scenario.goal[1])
@@ -145,10 +145,10 @@ def say(
     act = jnp.where(is_answer, jnp.where(slot == NONE, Says.NONE_OF_THEM, Says.THIS), act)
     act = jnp.where(states, jnp.where(is_false, Says.FALSEHOOD, Says.TRUTH), act)
     next_person = Person(
-        aimed=view.aimed,
-        since=since,
+        target=view.target,
+        cycles=cycles,
         num_corrections=person.num_corrections + (act == Says.OTHER),
         num_answers=person.num_answers + ((act == Says.THIS) | (act == Says.NONE_OF_THEM)),
-        intends=may_correct | is_answer | (view.step < params.states_at),
+        will_speak=may_correct | is_answer | (view.step < params.states_at),
     )
     return next_person, act.astype(jnp.int32), jnp.where(act == Says.THIS, slot, NONE)

@@ -170,30 +170,30 @@ def _are_valid(hydrant: Array, is_hydrant: Array, depth: Array) -> Array:
 
 
 def _is_inside(point: Array, depth: Array) -> Array:
-    """Tell which points are in the operating area: f32[2, K], f32[] to bool[K]."""
+    """Test which points are in the operating area: f32[2, K], f32[] to bool[K]."""
     half_width = depth / math.sqrt(2.0)
     return (point[0] >= 0.0) & (point[0] <= depth) & (jnp.abs(point[1]) <= half_width)
 
 
 def _is_clear(point: Array, placed: Array, is_placed: Array) -> Array:
-    """Tell which points are 4 m from all objects: f32[2, K], f32[2, L], bool[L] to bool[K]."""
+    """Test which points are 4 m from all objects: f32[2, K], f32[2, L], bool[L] to bool[K]."""
     return jnp.all(_are_apart(point, placed) | ~is_placed[:, None], axis=0)
 
 
 def _are_apart(point: Array, placed: Array) -> Array:
-    """Tell which pairs are 4 m apart: f32[2, K], f32[2, L] to bool[L, K]."""
+    """Test which pairs are 4 m apart: f32[2, K], f32[2, L] to bool[L, K]."""
     offset = point[:, None, :] - placed[:, :, None]
     return jnp.sum(offset**2, axis=0) >= SEPARATION**2
 
 
 def _has_behind(cone: Array, hydrant: Array, is_hydrant: Array) -> Array:
-    """Tell which cones have a hydrant behind: f32[2, K], f32[2, B], bool[B] to bool[K]."""
+    """Test which cones have a hydrant behind: f32[2, K], f32[2, B], bool[B] to bool[K]."""
     is_related = is_behind(hydrant[:, :, None], cone[:, None, :])
     return jnp.any(is_related & is_hydrant[:, None], axis=0)
 
 
 def is_behind(figure: Array, landmark: Array) -> Array:
-    """Tell whether figures f32[2, ...] are behind landmarks, seen from the start: within 45°.
+    """Test whether figures f32[2, ...] are behind landmarks, seen from the start: within 45°.
 
     The distance is unbounded, so that a hydrant "not behind" is so at every distance.
     """

@@ -37,7 +37,7 @@ def goal_distance(state: WorldState, scenario: Scenario) -> Array:
 
 
 def is_success(state: WorldState, scenario: Scenario, is_arrived: Array) -> Array:
-    """Tell whether a run succeeds: the robot declares arrival, bool[], within 1.5 m of the goal."""
+    """Test whether a run succeeds: the robot declares arrival, bool[], within 1.5 m of the goal."""
     return is_arrived & (goal_distance(state, scenario) <= SUCCESS_RADIUS)
 
 
