@@ -34,7 +34,7 @@ class Episode:
 
 
 def ear_of(robot, **fields) -> tuple[talk.Speech, Episode]:
-    first = talk.enlarge(understand(NULL, load_shipped()))
+    first = talk.pad_arrays(understand(NULL, load_shipped()))
     ear = talk.Speech(grounder=robot.grounder, first=first, scene=make_scene(text=NULL), **fields)
     return ear, ear.begin(Episode(robot.start(NULL, area=AREA)))
 
@@ -82,7 +82,7 @@ def test_a_statement_sets_the_scene_anew(robot) -> None:
 
 def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
     typist = speech.TerminalUser(Output(is_json=True), is_talking=False, lines=["the first\n"])
-    ear, episode = ear_of(robot, speakers={"you": typist.say}, is_present=typist.is_there)
+    ear, episode = ear_of(robot, speakers={"you": typist.say}, is_present=typist.is_present)
     episode = at_a_hydrant(episode)
     state = episode.navigator
     share = state.talk.candidate.at[0].set(0.5).at[1].set(0.5)
@@ -108,7 +108,7 @@ def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
 def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
     lines = ["stop\n", "go on\n"]
     typist = speech.TerminalUser(Output(is_json=True), is_talking=True, lines=lines)
-    ear, episode = ear_of(robot, speakers={"you": typist.say}, is_present=typist.is_there)
+    ear, episode = ear_of(robot, speakers={"you": typist.say}, is_present=typist.is_present)
     after = ear.hear(0, episode)
     assert [one.kind for one in ear.utterances][:1] == ["halt"]
     assert not bool(ear.hear(1, after).navigator.is_halted)

@@ -7,19 +7,11 @@ import pytest
 from recording_fixture import make_scene
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.world.person import (
-    PERSONS,
-    Person,
-    RobotView,
-    Says,
-    new_person,
-    next_act,
-    params_of,
-)
+from jaxlangnav.world.person import PERSONS, Person, RobotView, Says, new_person, params_of, utter
 
 SCENARIO = jax.tree.map(jnp.asarray, make_scene().scenario)  # the goal at (9, 1), a cone at (6, 1)
 GOAL, WRONG = 0, 1
-speak = jax.jit(next_act)
+speak = jax.jit(utter)
 
 
 def seen(

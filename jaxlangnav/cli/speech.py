@@ -63,12 +63,12 @@ def check_script(
     script: dict[int, list[str]], grounder: "Grounder", first: "Understanding"
 ) -> None:
     """Raise UsageError for utterances that could not be interpreted in any state."""
-    from jaxlangnav.task.talk import check_words
+    from jaxlangnav.task.talk import check_utterance
 
     for step, texts in script.items():
         for text in texts:
             try:
-                check_words(grounder, first, text)
+                check_utterance(grounder, first, text)
             except ValueError as refusal:
                 raise UsageError(f'--hear "{step}: {shorten(text)}": {refusal}') from refusal
 
@@ -79,12 +79,12 @@ def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw:
 
     if person is not None:
         watcher = SimulatedPerson.from_name(person)
-        return Speech(**kw, speakers={person: watcher.speak}, is_present=watcher.is_there)
+        return Speech(**kw, speakers={person: watcher.speak}, is_present=watcher.is_present)
     if not (ask or talk):
         return Speech(**kw)
     user = TerminalUser(output, is_talking=talk)
     speakers = {YOU: user.say}
-    return Speech(**kw, speakers=speakers, is_present=user.is_there, on_heard=user.reply)
+    return Speech(**kw, speakers=speakers, is_present=user.is_present, on_heard=user.reply)
 
 
 class TerminalUser:
@@ -105,7 +105,7 @@ class TerminalUser:
             self._typed.put(line)
         self._typed.put(None)
 
-    def is_there(self, progress: "EpisodeState") -> bool:
+    def is_present(self, progress: "EpisodeState") -> bool:
         """Test whether the user may still speak to a waiting robot."""
         from jaxlangnav.messages import Status
 

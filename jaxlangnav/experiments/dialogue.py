@@ -23,7 +23,7 @@ from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState, speech_acts
 from jaxlangnav.navigator.speech_acts import Effect, tell
 from jaxlangnav.pytree import pytree, replace, strong_types
-from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, new_person, next_act
+from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, new_person, utter
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
 _KEY_INDEX = 31
@@ -192,7 +192,7 @@ def speak(
     """Sample the person's speech act before a decision: person, ``Says`` and slot, i32[] each."""
     key = jax.random.fold_in(jax.random.fold_in(episode_state.task.key, _KEY_INDEX), _KEY_INDEX)
     view = _robot_view(episode_state.navigator, episode_state.steps)
-    return next_act(key, person, view, episode_state.task.scenario, params=params)
+    return utter(key, person, view, episode_state.task.scenario, params=params)
 
 
 def _robot_view(state: NavigatorState, step: Array) -> RobotView:

@@ -87,13 +87,13 @@ class Grid:
 
     def _labels(self, arm: Arm, indices: np.ndarray) -> dict[str, list[Any]]:
         """Build the label columns of episodes; None for parameters that the arm does not have."""
-        cells, cell_index, numbers = self._locate(indices)
+        cells, cell_index, episodes = self._locate(indices)
         labels = [{**cell.labels, **arm.labels, "seed": cell.seed} for cell in cells]
         columns = {name: [labels[i][name] for i in cell_index] for name in (*self.names, "seed")}
-        return columns | {"episode": [int(number) for number in numbers]}
+        return columns | {"episode": [int(episode) for episode in episodes]}
 
     def _locate(self, indices: np.ndarray) -> tuple[list[Cell], np.ndarray, np.ndarray]:
-        """Split episode indices into cells used, index into them, and number within the cell."""
+        """Split episode indices into cells used, index into them, and index within the cell."""
         cell_ids, cell_index = np.unique(indices // self.episodes, return_inverse=True)
         return [self.settings[int(i)] for i in cell_ids], cell_index, indices % self.episodes
 

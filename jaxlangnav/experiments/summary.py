@@ -77,7 +77,7 @@ def _group(table: pa.Table, names: Sequence[str]) -> list[tuple[dict[str, Any], 
     """Group a table by the values of some columns, in order of appearance."""
     indexed = table.append_column("row", pa.array(range(table.num_rows)))
     groups = indexed.group_by(names, use_threads=False).aggregate([("row", "list")]).to_pylist()
-    return [({name: part[name] for name in names}, table.take(part["row_list"])) for part in groups]
+    return [({name: g[name] for name in names}, table.take(g["row_list"])) for g in groups]
 
 
 def _metrics(table: pa.Table) -> dict[str, Any]:

@@ -148,7 +148,7 @@ class Section:
 
 def _report_html(title: str, sections: Sequence[Section], *, facts: Mapping[str, str]) -> str:
     numbered = list(enumerate(sections, start=1))
-    links = [f'<a href="#part{index}">{_html_text(part.title)}</a>' for index, part in numbered]
+    links = [f'<a href="#part{i}">{_html_text(section.title)}</a>' for i, section in numbered]
     template = resources.files("jaxlangnav.experiments") / "report.html"
     fields = {
         "__TITLE__": _html_text(title),
@@ -168,21 +168,21 @@ def write_report(
     return write_text(_report_html(title, sections, facts=facts), path)
 
 
-def _section(index: int, part: Section) -> str:
-    parts = [f'<section id="part{index}">', f"<h2>{_html_text(part.title)}</h2>"]
-    parts += [f"<p>{_html_text(part.intro)}</p>"] if part.intro else []
-    for path, alt in part.pictures:
+def _section(index: int, section: Section) -> str:
+    parts = [f'<section id="part{index}">', f"<h2>{_html_text(section.title)}</h2>"]
+    parts += [f"<p>{_html_text(section.intro)}</p>"] if section.intro else []
+    for path, alt in section.pictures:
         if path.suffix not in _MEDIA:
             raise ValueError(f"{path} is no picture: a report takes {' and '.join(_MEDIA)} files")
         data = f"{_MEDIA[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
         parts.append(f'<figure><img src="data:{data}" alt="{_html_text(alt)}"></figure>')
-    parts += [table.html() for table in part.tables]
-    if part.notes:
-        notes = "".join(f"<li>{_html_text(note)}</li>" for note in part.notes)
+    parts += [table.html() for table in section.tables]
+    if section.notes:
+        notes = "".join(f"<li>{_html_text(note)}</li>" for note in section.notes)
         parts.append(f'<ul class="notes">{notes}</ul>')
-    if part.facts:
+    if section.facts:
         head = "<summary>How this was made</summary>"
-        parts.append(f"<details open>{head}{_definition_list(part.facts)}</details>")
+        parts.append(f"<details open>{head}{_definition_list(section.facts)}</details>")
     return "\n".join([*parts, "</section>"])
 
 

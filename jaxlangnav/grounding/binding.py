@@ -175,7 +175,7 @@ class BoundSentence:
         """
         self.detector = detector
         self.names = list(type_names)
-        self.kinds: list[tuple[int, ...]] = [() for _ in type_names]
+        self.codes: list[tuple[int, ...]] = [() for _ in type_names]
         self.notes: dict[str, None] = {}
         self._untyped = ANYTHING  # code of an untyped object
         self._last_codes: dict[str, int] = {}  # noun → code of its last mention's attributes
@@ -185,29 +185,29 @@ class BoundSentence:
         ]
         self.tree = dataclasses.replace(tree, clauses=tuple(clauses))
         # Types not mentioned by the sentence: their labels, or the unused last code.
-        self.kinds = [
+        self.codes = [
             bound or detector.find(name)[0][:MAX_NAMED_TYPES] or (MAX_LABELS - 1,)
-            for name, bound in zip(self.names, self.kinds, strict=True)
+            for name, bound in zip(self.names, self.codes, strict=True)
         ]
 
     def type_codes(self, named_types: np.ndarray) -> np.ndarray:
         """Replace type indices by codes of label and attributes in a compiled clause, i32[H, 4]."""
         codes = np.full_like(named_types, NONE)
         for row, types in zip(codes, named_types, strict=True):
-            kinds = [kind for t in types[types != NONE] for kind in self.kinds_of(int(t))]
-            row[: len(kinds)] = kinds[:MAX_NAMED_TYPES]
+            listed = [code for t in types[types != NONE] for code in self.codes_of(int(t))]
+            row[: len(listed)] = listed[:MAX_NAMED_TYPES]
         return codes
 
-    def kinds_of(self, mention: int) -> tuple[int, ...]:
+    def codes_of(self, mention: int) -> tuple[int, ...]:
         """List the codes that a type may have; the robot and untyped objects have one each."""
         special = {ROBOT: ROBOT, ANYTHING: self._untyped}
-        return (special[mention],) if mention in special else self.kinds[mention]
+        return (special[mention],) if mention in special else self.codes[mention]
 
     def labels_of(self, name: str) -> tuple[int, ...]:
         """List the labels that one of the sentence's types may have, ignoring attributes."""
         if name not in self.names:
             return ()
-        return tuple(dict.fromkeys(label_of(k) for k in self.kinds[self.names.index(name)]))
+        return tuple(dict.fromkeys(label_of(k) for k in self.codes[self.names.index(name)]))
 
     def _bind(self, phrase: Phrase, goal: Phrase | None) -> Phrase:
         children = tuple(self._bind(child, goal) for child in phrase.children)
@@ -284,16 +284,16 @@ class BoundSentence:
     def _add_type(self, noun: str, code: int, labels: tuple[int, ...]) -> str:
         """Find the type with these codes, or add it; the lexicon's types keep their indices."""
         codes = tuple(type_code(label, code) for label in labels)
-        if noun in self.names and self.kinds[self.names.index(noun)] in ((), codes):
-            self.kinds[self.names.index(noun)] = codes
+        if noun in self.names and self.codes[self.names.index(noun)] in ((), codes):
+            self.codes[self.names.index(noun)] = codes
             return noun
-        if codes in self.kinds:
-            return self.names[self.kinds.index(codes)]
+        if codes in self.codes:
+            return self.names[self.codes.index(codes)]
         name = " ".join([*attribute_words(code), noun]) if noun in self.names else noun
         while name in self.names:  # of one noun in two wordings, bound to different labels
             name = f"other {name}"
         self.names.append(name)
-        self.kinds.append(codes)
+        self.codes.append(codes)
         return name
 
 

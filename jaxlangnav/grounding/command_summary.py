@@ -1,4 +1,4 @@
-"""Likeliest meaning of each command, in the world that the sentence describes (section 3.3).
+"""Summary of each command: its likeliest behavior in the world that it describes (section 3.3).
 
 The behavior model infers behaviors among objects. Before any has been observed, the world consists
 of the mentioned objects, related as stated. What the model infers in it is shown to people as what
@@ -29,11 +29,11 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.relations.table import NUM_RANKS, SYMBOL_OF
 
-_MIN_GOAL = 0.05
+_MIN_GOAL_PROB = 0.05
 """Probability below which a command has no goal, and the next one no previous goal."""
-_MIN_CONSTRAINT = 0.5
+_MIN_CONSTRAINT_PROB = 0.5
 """Probability below which a constraint is not listed."""
-_SLOTS = 9
+_NUM_SLOTS = 9
 """Slots of a world, eight objects and the robot, so that one compiled program serves all."""
 
 
@@ -66,7 +66,7 @@ def summarize_commands(instruction: Instruction) -> list[CommandSummary]:
         region, slot = np.unravel_index(int(goal.argmax()), goal.shape)
         action, mode = int(behavior.action.argmax()), int(behavior.mode.argmax())
         prob = float(goal[region, slot])
-        mention = slots[slot] if prob >= _MIN_GOAL else NONE
+        mention = slots[slot] if prob >= _MIN_GOAL_PROB else NONE
         summary = CommandSummary(
             action=ACTIONS[action],
             mode=MODES[mode],
@@ -75,7 +75,7 @@ def summarize_commands(instruction: Instruction) -> list[CommandSummary]:
             probability=prob * float(behavior.action[action]) * float(behavior.mode[mode]),
             avoid=tuple(
                 (int(r), slots[s], float(constraint[r, s]))
-                for r, s in np.argwhere(constraint >= _MIN_CONSTRAINT)
+                for r, s in np.argwhere(constraint >= _MIN_CONSTRAINT_PROB)
             ),
             landmarks=_connected_mentions(readings, reading, mention),
         )
@@ -91,7 +91,7 @@ def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
     """
     size, behaviors = len(world.object_type), []
     # Padded like any other world, so that one compiled program serves them all.
-    num_slots = max(_SLOTS, size)
+    num_slots = max(_NUM_SLOTS, size)
     slots = np.append(np.arange(size - 1), num_slots - 1)
     clauses = jax.tree.map(np.asarray, instruction.clauses)
     for index in range(int(instruction.num_clauses)):
@@ -100,7 +100,7 @@ def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
         goal, constraint = behavior.goal[:, slots], behavior.constraint[:, slots]
         behaviors.append(dataclasses.replace(behavior, goal=goal, constraint=constraint))
         best = goal.max(axis=0)
-        is_previous = (np.arange(size) == best.argmax()) & (best.max() >= _MIN_GOAL)
+        is_previous = (np.arange(size) == best.argmax()) & (best.max() >= _MIN_GOAL_PROB)
         world = dataclasses.replace(world, is_previous=is_previous)
     return behaviors
 

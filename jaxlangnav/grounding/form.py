@@ -120,7 +120,7 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
         document = parse_json(text)
     validate(document)
     readings = [
-        _to_reading(it, type_names, f"$.readings[{i}]") for i, it in enumerate(document["readings"])
+        _to_reading(r, type_names, f"$.readings[{i}]") for i, r in enumerate(document["readings"])
     ]
     total = math.fsum(reading.probability for reading in readings)
     if abs(total - 1.0) > _TOLERANCE:
@@ -159,22 +159,22 @@ def _to_reading(document: Mapping[str, Any], type_names: Sequence[str], path: st
             )
         index[thing["id"]] = i
     relations = tuple(
-        _read_relation(it, index, f"{path}.relations[{i}]")
-        for i, it in enumerate(document.get("relations", ()))
+        _read_relation(item, index, f"{path}.relations[{i}]")
+        for i, item in enumerate(document.get("relations", ()))
     )
     ids = {thing: quote(name) for name, thing in index.items()}
-    between = [it for it in relations if it.relation == BETWEEN]
-    for figure in dict.fromkeys(it.figure for it in between):
-        landmarks = sorted({it.landmark for it in between if it.figure == figure})
+    between = [item for item in relations if item.relation == BETWEEN]
+    for figure in dict.fromkeys(item.figure for item in between):
+        landmarks = sorted({item.landmark for item in between if item.figure == figure})
         if len(landmarks) != 2:
             raise ValueError(
                 f"{path}.relations has {ids[figure]} between "
-                f"{', '.join(ids[it] for it in landmarks)}, but a thing lies "
+                f"{', '.join(ids[item] for item in landmarks)}, but a thing lies "
                 "between two: one entry for each of its two landmarks"
             )
     commands = tuple(
-        _read_command(it, index, f"{path}.commands[{i}]")
-        for i, it in enumerate(document.get("commands", ()))
+        _read_command(item, index, f"{path}.commands[{i}]")
+        for i, item in enumerate(document.get("commands", ()))
     )
     types = tuple(type_names.index(thing["type"]) for thing in document["things"])
     return FormReading(float(document["probability"]), types, relations, commands)
@@ -200,7 +200,7 @@ def _read_relation(document: Mapping[str, Any], index: Mapping[str, int], path: 
             "nothing is its own landmark"
         )
     rank = int(document.get("rank", 0))
-    relation = [it.name for it in REGISTRY].index(document["relation"])
+    relation = [item.name for item in REGISTRY].index(document["relation"])
     if rank and relation not in ORDERS:
         raise ValueError(
             f"{path}.rank is {rank}, but nothing is ordered by {document['relation']}: use near, "
@@ -252,7 +252,7 @@ def read_meaning(document: Any, *, path: str) -> tuple[FormReading, tuple[str, .
         ValueError: a field cannot be; one line that begins with the JSON ``path`` of the document.
     """
     schema = annotation_schema()["$defs"]["reading"]
-    fields = {name: it for name, it in schema["properties"].items() if name != "probability"}
+    fields = {name: item for name, item in schema["properties"].items() if name != "probability"}
     validate(document, {**schema, "properties": fields, "required": ["things"]}, path=path)
     names = tuple(dict.fromkeys(thing["type"] for thing in document["things"]))
     return _to_reading({**document, "probability": 1.0}, names, path), names

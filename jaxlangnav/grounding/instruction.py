@@ -251,7 +251,7 @@ def understand_parse(
     ]
     clauses = [c | {"named_types": bound.type_codes(c["named_types"])} for c in clauses]
     instruction = pack_instruction(
-        to_readings(belief, bound.kinds_of), clauses, [tree.measures[i] for i in commands]
+        to_readings(belief, bound.codes_of), clauses, [tree.measures[i] for i in commands]
     )
 
     return Understanding(

@@ -99,7 +99,7 @@ class RewriteGrounder(WrappedGrounder):
             )
         temperature = float(self.params.temperature)
         if refusals:
-            log_refused = [score / temperature for it, score in rewrites if it in refusals]
+            log_refused = [score / temperature for item, score in rewrites if item in refusals]
             log_all = [score / temperature for _, score in rewrites]
             fraction = np.exp(np.logaddexp.reduce(log_refused) - np.logaddexp.reduce(log_all))
             notes += (
@@ -119,7 +119,7 @@ class RewriteGrounder(WrappedGrounder):
                     f"the source gives {quote(rewrite)} the log-probability {score}; it must be a "
                     "text and a number that is finite or -inf"
                 )
-        ranked = sum_by_key((it for it in answers if it[1] > -math.inf), np.logaddexp)
+        ranked = sum_by_key((item for item in answers if item[1] > -math.inf), np.logaddexp)
         if not ranked:
             raise ValueError(f"the source has no rewriting of {quote(text)}: say it in other words")
         left_out = len(ranked) - MAX_REWRITES
@@ -154,9 +154,9 @@ def _mixture(reads: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, .
         alternatives.append(alternative)
     likeliest = alternatives[0]
     summary = [f"read as '{likeliest.says}', {likeliest.probability:.0%} of the weight"]
-    reported = [it for it in alternatives[1:] if it.probability >= _MIN_REPORTED]
+    reported = [item for item in alternatives[1:] if item.probability >= _MIN_REPORTED]
     if reported:
-        others = ", ".join(f"'{it.says}' {it.probability:.0%}" for it in reported)
+        others = ", ".join(f"'{item.says}' {item.probability:.0%}" for item in reported)
         summary.append(f"it may also mean {others}")
     readings, left_out = _mixed_readings(reads, log_weights, [i for group in ranked for i in group])
     if left_out >= _MIN_REPORTED:

@@ -2,7 +2,7 @@
 
 Given what the child phrases express, the factors of a phrase are independent, so its k best sets
 follow exactly from the margins |log-odds|. The only approximation is the beam: of each phrase's
-sets, and of the combinations of its children's sets, the best ``width`` are kept.
+sets, and of the combinations of its children's sets, only the best ``width`` remain.
 """
 
 import dataclasses
@@ -71,7 +71,7 @@ def search(
     combined: list[tuple[tuple[Hypothesis, ...], float]] = [((), 0.0)]
     for i, child in enumerate(root.children):
         pairs = itertools.product(combined, search(child, log_odds, width=width, path=(*path, i)))
-        joint = [((*done, new), score + new.log_probability) for (done, score), new in pairs]
+        joint = [((*left, new), score + new.log_probability) for (left, score), new in pairs]
         combined = sorted(joint, key=lambda pair: -pair[1])[:width]
     results = [
         Hypothesis(expressed, score + log_p, below)
@@ -79,10 +79,10 @@ def search(
         for expressed, log_p in _best_sets(log_odds(path, tuple(c.expressed for c in below)), width)
     ]
     results.sort(key=lambda h: -h.log_probability)
-    # Probabilities of equal sets are summed; the likeliest children are kept.
+    # Probabilities of equal sets are summed; each has the children of its likeliest hypothesis.
     ranked = sum_by_key(((h.expressed.tobytes(), h.log_probability) for h in results), np.logaddexp)
-    first = {h.expressed.tobytes(): h for h in reversed(results)}
-    return [dataclasses.replace(first[key], log_probability=p) for key, p in ranked[:width]]
+    best = {h.expressed.tobytes(): h for h in reversed(results)}
+    return [dataclasses.replace(best[key], log_probability=p) for key, p in ranked[:width]]
 
 
 def search_exactly(beam_of: Callable[[int], list[Hypothesis]]) -> tuple[np.ndarray, bool]:

@@ -54,7 +54,7 @@ class SimulatedPerson:
         """Build the simulated person of this name in ``PERSONS``."""
         return cls(jax.device_put(params_of(**PERSONS[name])))
 
-    def is_there(self, state: EpisodeState) -> bool:
+    def is_present(self, state: EpisodeState) -> bool:
         """Test whether the person would speak in this state."""
         return bool(_speak(state, self.person, params=self.params)[0].will_speak)
 
@@ -96,14 +96,14 @@ _MAX_PER_STEP = 8
 """Maximum number of utterances of one speaker before a step."""
 
 
-def enlarge(understood: Understanding) -> Understanding:
+def pad_arrays(understood: Understanding) -> Understanding:
     """Pad the arrays of a sentence to the capacity of the dialogue state."""
     instruction = understood.instruction
     readings = jax.device_put(pad_to_capacity(instruction.readings, Capacity()))
     return dataclasses.replace(understood, instruction=replace(instruction, readings=readings))
 
 
-def check_words(grounder: Grounder, first: Understanding, text: str) -> None:
+def check_utterance(grounder: Grounder, first: Understanding, text: str) -> None:
     """Refuse an utterance that is not understood in any state of the dialogue after ``first``.
 
     Raises:

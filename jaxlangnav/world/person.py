@@ -100,7 +100,7 @@ def new_person() -> Person:
     return strong_types(Person())
 
 
-def next_act(
+def utter(
     key: Array, person: Person, view: RobotView, scenario: Scenario, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
     """Sample the person's speech act before the robot's next decision.
