@@ -12,7 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from jaxlangnav.environments import ID, functional
-from jaxlangnav.environments.command import COMMAND_SIZE, command_of
+from jaxlangnav.environments.command import COMMAND_SIZE, embed_command
 from jaxlangnav.environments.functional import (
     DISCRETE_ACTIONS,
     NUM_CELLS,
@@ -104,7 +104,7 @@ def test_what_has_been_seen_is_remembered_and_where_it_was_looked() -> None:
 def test_a_sentence_is_embedded(
     text: str, relation: str | None, flags: list[int], landmark: int
 ) -> None:
-    command = command_of(understand(text, load_shipped()), is_find_task="find" in text)
+    command = embed_command(understand(text, load_shipped()), is_find_task="find" in text)
     expected = [float(one.name == relation) for one in REGISTRY] + [float(one) for one in flags]
     np.testing.assert_allclose(command.embedding, expected, atol=0.01)
     assert int(command.landmark) == landmark

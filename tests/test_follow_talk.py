@@ -33,9 +33,9 @@ class Episode:
     navigator: object
 
 
-def ear_of(robot, **fields) -> tuple[talk.Speech, Episode]:
-    first = talk.pad_arrays(understand(NULL, load_shipped()))
-    ear = talk.Speech(grounder=robot.grounder, first=first, scene=make_scene(text=NULL), **fields)
+def ear_of(robot, **fields) -> tuple[talk.Dialogue, Episode]:
+    first = talk.padded(understand(NULL, load_shipped()))
+    ear = talk.Dialogue(grounder=robot.grounder, first=first, scene=make_scene(text=NULL), **fields)
     return ear, ear.begin(Episode(robot.start(NULL, area=AREA)))
 
 

@@ -96,14 +96,14 @@ class Follow:
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import batched, precompile_cycle
         from jaxlangnav.task.loading import check_template, empty_world
-        from jaxlangnav.task.talk import pad_arrays
+        from jaxlangnav.task.talk import padded
 
         check_template(self.world, understood)
         dialogue = None
         if script or self.ask or self.talk or self.person:
             grounder = GraphGrounder.of_detector(models, detector)
             speech.check_script(script, grounder, understood)
-            understood = pad_arrays(understood)
+            understood = padded(understood)
             dialogue = {"script": script, "grounder": grounder, "first": understood}
         precompile_cycle(batched(understood), empty_world(self.world), **sizes)
         prepared = self._open(understood, output)

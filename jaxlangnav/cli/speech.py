@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.navigator.candidates import Candidate
-    from jaxlangnav.task.talk import Speech
+    from jaxlangnav.task.talk import Dialogue
 
 _STEP_SECONDS = 0.4  # minimum duration of a step while the user may type
 
@@ -73,18 +73,18 @@ def check_script(
                 raise UsageError(f'--hear "{step}: {shorten(text)}": {refusal}') from refusal
 
 
-def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw: Any) -> "Speech":
+def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw: Any) -> "Dialogue":
     """Build the utterance source of ``recorder.play``; ``kw``: its other fields."""
-    from jaxlangnav.task.talk import YOU, SimulatedPerson, Speech
+    from jaxlangnav.task.talk import YOU, Dialogue, SimulatedPerson
 
     if person is not None:
         watcher = SimulatedPerson.from_name(person)
-        return Speech(**kw, speakers={person: watcher.speak}, is_present=watcher.is_present)
+        return Dialogue(**kw, speakers={person: watcher.speak}, is_present=watcher.is_present)
     if not (ask or talk):
-        return Speech(**kw)
+        return Dialogue(**kw)
     user = TerminalUser(output, is_talking=talk)
     speakers = {YOU: user.say}
-    return Speech(**kw, speakers=speakers, is_present=user.is_present, on_heard=user.reply)
+    return Dialogue(**kw, speakers=speakers, is_present=user.is_present, on_heard=user.reply)
 
 
 class TerminalUser:

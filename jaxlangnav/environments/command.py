@@ -27,7 +27,7 @@ class EmbeddedCommand:
     landmark: Array  # i32[] type of what it is placed against; NONE
 
 
-def command_of(understood: Understanding, *, is_find_task: bool = False) -> EmbeddedCommand:
+def embed_command(understood: Understanding, *, is_find_task: bool = False) -> EmbeddedCommand:
     """Embed a command as expected features over its readings; types of the likeliest one."""
     embedding = np.zeros(COMMAND_SIZE, np.float32)
     names = [relation.name for relation in REGISTRY]
@@ -45,7 +45,7 @@ def command_of(understood: Understanding, *, is_find_task: bool = False) -> Embe
     )
 
 
-def text_of(
+def command_text(
     *,
     world: str = "1H1C",
     relation: str = DEFAULT_RELATION,

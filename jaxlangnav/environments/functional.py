@@ -41,8 +41,8 @@ from jaxlangnav.environments.command import (
     COMMAND_SIZE,
     DEFAULT_RELATION,
     EmbeddedCommand,
-    command_of,
-    text_of,
+    command_text,
+    embed_command,
 )
 from jaxlangnav.environments.pool import sample_world
 from jaxlangnav.episode import MAX_STEPS
@@ -147,7 +147,7 @@ def default_params(
     model, source, is_find_task = load_shipped(), open_world(world), False
     sensor, motion = default_sensor(sensing_range or 3.0), default_motion()
     if isinstance(source, WorldFile):
-        text = text_of(world=world, instruction=instruction)
+        text = command_text(world=world, instruction=instruction)
         if not text:
             raise ValueError(f"world {source.name} has no instruction of its own: give one")
         understood = understand(text, model, detector_of(world, model.type_names))
@@ -161,11 +161,11 @@ def default_params(
         raise ValueError(f"instruction is given, but in {world} worlds relation names the command")
     else:
         worlds = scenario_params(template=source, relation=relation)
-        understood = understand(text_of(world=world, relation=relation), model)
+        understood = understand(command_text(world=world, relation=relation), model)
     range_max = jnp.maximum(sensor.range_max, simulator.SUCCESS_RADIUS)
     return EnvironmentParams(
         worlds=worlds,
-        command=command_of(understood, is_find_task=is_find_task),
+        command=embed_command(understood, is_find_task=is_find_task),
         sensor=sensor,
         motion=motion,
         max_steps=jnp.int32(max_steps),

@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from jaxlangnav.environments import functional
-from jaxlangnav.environments.command import text_of
+from jaxlangnav.environments.command import command_text
 from jaxlangnav.environments.functional import DISCRETE_ACTIONS, EnvironmentState
 from jaxlangnav.environments.pool import NUM_WORLDS, draw_pool
 from jaxlangnav.inputs.limits import check_minimum
@@ -73,7 +73,7 @@ class _Simulation:
             require("matplotlib")
         self.has_rendering = render_mode is not None
         self.params = functional.default_params(**options)
-        self.text = text_of(**options)
+        self.text = command_text(**options)
         self.state: EnvironmentState | None = None
         self._paths: list[list[np.ndarray]] = []
 

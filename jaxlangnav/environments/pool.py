@@ -17,7 +17,7 @@ _BATCH_SIZE = 64  # worlds sampled together, which bounds the memory of rejectio
 
 @functools.partial(jax.jit, static_argnames="num_worlds")
 def draw_pool(
-    key: Array, worlds: ScenarioParams | Scenario, *, num_worlds: int = NUM_WORLDS
+    key: Array, source: ScenarioParams | Scenario, *, num_worlds: int = NUM_WORLDS
 ) -> Scenario:
     """Sample a pool of worlds, a leading axis N ≥ 1 on every leaf; another N recompiles.
 
@@ -25,19 +25,19 @@ def draw_pool(
     are any. A single world or a pool is returned unchanged.
     """
     check_minimum(1, num_worlds=num_worlds)
-    if isinstance(worlds, Scenario):
-        return worlds
+    if isinstance(source, Scenario):
+        return source
     keys = jax.random.split(key, num_worlds)
-    samples = jax.lax.map(lambda k: draw_scenario(k, worlds), keys, batch_size=_BATCH_SIZE)
+    samples = jax.lax.map(lambda k: draw_scenario(k, source), keys, batch_size=_BATCH_SIZE)
     order = jnp.argsort(~samples.is_valid, stable=True)
     num_valid = jnp.maximum(jnp.sum(samples.is_valid), 1)
     return jax.tree.map(lambda leaf: leaf[order[jnp.arange(num_worlds) % num_valid]], samples)
 
 
-def sample_world(key: Array, worlds: ScenarioParams | Scenario) -> Scenario:
+def sample_world(key: Array, source: ScenarioParams | Scenario) -> Scenario:
     """Sample a world, or pick one of the N worlds of a pool uniformly."""
-    if isinstance(worlds, ScenarioParams):
-        return draw_scenario(key, worlds)
+    if isinstance(source, ScenarioParams):
+        return draw_scenario(key, source)
     # Cheaper than randint; the modulo bias of 32 bits is negligible.
-    index = jax.random.bits(key) % jnp.uint32(worlds.goal_index.shape[0])
-    return jax.tree.map(lambda leaf: leaf[index], worlds)
+    index = jax.random.bits(key) % jnp.uint32(source.goal_index.shape[0])
+    return jax.tree.map(lambda leaf: leaf[index], source)

@@ -74,7 +74,7 @@ def play(
     """Run an episode step by step; yield each step and the episode's result if it ended there.
 
     The same ``task.key`` gives the same episode as ``episode.run``. The episode runs for
-    ``max_steps`` cycles (at least 1), or until it ends and ``speech`` (a ``task.talk.Speech``,
+    ``max_steps`` cycles (at least 1), or until it ends and ``speech`` (a ``task.talk.Dialogue``,
     polled before each step) expects no further utterance.
 
     Raises:

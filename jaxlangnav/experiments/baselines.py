@@ -46,7 +46,7 @@ _ARC_POINTS = 8
 _ARC_RADII = (0.0, 1.6, -1.6)  # of the passes: offset from the likeliest radius, in sensing ranges
 _ARC_DEPTH, _ARC_MARGIN = 0.66, 0.8
 """Most likely radius as a fraction of the area's depth; margin to the edge, in sensing ranges."""
-_ARRIVAL = 0.5  # metres within which a waypoint of the search counts as reached
+_ARRIVAL_RADIUS = 0.5  # metres within which a waypoint of the search counts as reached
 _NUM_CELLS, _NUM_BLOCKS = 32, 8
 _FRONTIER_MISS = 0.5
 
@@ -132,7 +132,7 @@ def _explore_sweep(run: _Run, waypoint: WaypointFn) -> _Run:
     """Advance to the next waypoint of a coverage path once the current one is reached."""
     area, range_max = run.coverage.area, run.task.sensor.range_max
     offset = waypoint(area, range_max, run.leg) - run.world.odometry[:2]
-    leg = run.leg + (jnp.hypot(offset[0], offset[1]) < _ARRIVAL).astype(jnp.int32)
+    leg = run.leg + (jnp.hypot(offset[0], offset[1]) < _ARRIVAL_RADIUS).astype(jnp.int32)
     return replace(run, waypoint=waypoint(area, range_max, leg), leg=leg)
 
 
@@ -141,17 +141,17 @@ def _explore_frontiers(run: _Run) -> _Run:
     coverage, current, pose = run.coverage, run.waypoint, run.world.odometry
     x, y, is_frontier = frontiers(coverage, _NUM_BLOCKS, jnp.float32(_FRONTIER_MISS))
     squared = (x - pose[0]) ** 2 + (y - pose[1]) ** 2
-    is_open = is_frontier & (squared > (0.5 * _ARRIVAL) ** 2)
+    is_open = is_frontier & (squared > (0.5 * _ARRIVAL_RADIUS) ** 2)
     nearest = jnp.argmin(jnp.where(is_open, squared, jnp.inf))
     max_log_miss = jnp.max(coverage.log_miss)
     log_miss = log_miss_at(coverage, current[0], current[1])
     remaining = jnp.hypot(current[0] - pose[0], current[1] - pose[1])
-    is_kept = (run.leg > 0) & (remaining > _ARRIVAL)
-    is_kept = is_kept & (log_miss > max_log_miss + jnp.log(jnp.float32(_FRONTIER_MISS)))
+    is_pending = (run.leg > 0) & (remaining > _ARRIVAL_RADIUS)
+    is_pending = is_pending & (log_miss > max_log_miss + jnp.log(jnp.float32(_FRONTIER_MISS)))
     return replace(
         run,
-        waypoint=jnp.where(is_kept, current, jnp.stack([x[nearest], y[nearest]])),
-        leg=run.leg + (~is_kept).astype(jnp.int32),
+        waypoint=jnp.where(is_pending, current, jnp.stack([x[nearest], y[nearest]])),
+        leg=run.leg + (~is_pending).astype(jnp.int32),
     )
 
 

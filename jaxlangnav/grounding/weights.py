@@ -41,7 +41,7 @@ _MAX_WEIGHT = 1e6
 _MODELS = {"annotation": ANNOTATION_KINDS, "behavior": BEHAVIOR_KINDS}
 
 
-class _About(Schema):
+class _Provenance(Schema):
     command: str
     corpus: str
     types: list[str]
@@ -114,7 +114,7 @@ def load(path: Path | None) -> GroundingModel:
     with _opened(path) as archive:
         if sorted(archive.namelist()) != sorted(members):
             raise ValueError("its arrays are not those of two models")
-        trained = tuple(_document(archive, "about", _About).types)
+        trained = tuple(_document(archive, "about", _Provenance).types)
         annotation, behavior = (_unpack(name, archive) for name in _MODELS)
     type_names = load_lexicon().type_names
     if type_names[: len(trained)] != trained:
@@ -123,14 +123,14 @@ def load(path: Path | None) -> GroundingModel:
     return GroundingModel(annotation, behavior, type_names)
 
 
-def about(path: Path) -> dict[str, object]:
+def read_provenance(path: Path) -> dict[str, object]:
     """Read the provenance of a weight file: ``command``, ``corpus`` hash, ``types``.
 
     Raises:
         ValueError: the file is not readable as weights.
     """
     with _opened(path) as archive:
-        return structs.asdict(_document(archive, "about", _About))
+        return structs.asdict(_document(archive, "about", _Provenance))
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.follow import batched, prepare_episode, score
 from jaxlangnav.task.loading import detector_of, step_limit
-from jaxlangnav.task.talk import YOU, Speech, add_talk, allow_questions, name_candidates, pad_arrays
+from jaxlangnav.task.talk import YOU, Dialogue, add_talk, allow_questions, name_candidates, padded
 from jaxlangnav.viz.html import page_data
 from jaxlangnav.viz.sentences import percent
 from jaxlangnav.world.files import (
@@ -113,7 +113,7 @@ class LiveEpisode:
             model, detector_of(self._world, opened.understood.type_names)
         )
         # Reserve capacity for later utterances.
-        understood = pad_arrays(opened.understood)
+        understood = padded(opened.understood)
         params = allow_questions(opened.params) if request.may_ask else opened.params
         self._opened = dataclasses.replace(opened, understood=understood, params=params)
         scene = recorder.make_scene(
@@ -125,7 +125,7 @@ class LiveEpisode:
             params=params,
             config=opened.config,
         )
-        self._source = Speech(
+        self._source = Dialogue(
             grounder=grounder,
             first=understood,
             scene=scene,

@@ -1,6 +1,6 @@
 """Utterances during an episode, from a script, a person at hand or a simulated person.
 
-The ``Speech`` of ``recorder.play`` applies every utterance to the state as it then is, and
+The ``Dialogue`` of ``recorder.play`` applies every utterance to the state as it then is, and
 records its speech act and what it changed. A refused utterance is recorded too and leaves the state
 unchanged.
 """
@@ -96,7 +96,7 @@ _MAX_PER_STEP = 8
 """Maximum number of utterances of one speaker before a step."""
 
 
-def pad_arrays(understood: Understanding) -> Understanding:
+def padded(understood: Understanding) -> Understanding:
     """Pad the arrays of a sentence to the capacity of the dialogue state."""
     instruction = understood.instruction
     readings = jax.device_put(pad_to_capacity(instruction.readings, Capacity()))
@@ -121,7 +121,7 @@ def check_utterance(grounder: Grounder, first: Understanding, text: str) -> None
 
 
 @dataclasses.dataclass(kw_only=True)
-class Speech:
+class Dialogue:
     """Dialogue of an episode: its speakers, and the record of its ``utterances`` so far."""
 
     grounder: Grounder
@@ -204,7 +204,7 @@ class Speech:
         )
 
 
-def add_talk(recording: Recording, dialogue: Speech) -> Recording:
+def add_talk(recording: Recording, dialogue: Dialogue) -> Recording:
     """Add the utterances of an episode to its recording.
 
     A person at hand may have changed the goal for which the world was opened; success is undefined

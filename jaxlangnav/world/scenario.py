@@ -86,11 +86,11 @@ def _sample_placement(key: Array, dist: ScenarioParams) -> _Placement:
     points, offsets = _sample_candidates(key, dist)
     is_hydrant = jnp.arange(MAX_HYDRANTS) < dist.num_hydrants
     check = jax.vmap(_are_valid, in_axes=(-1, None, None))
-    is_fit = check(points[:, :MAX_HYDRANTS], is_hydrant, _area_depth(dist))
-    hydrant = points[:, :MAX_HYDRANTS, jnp.argmax(is_fit)]
+    is_valid = check(points[:, :MAX_HYDRANTS], is_hydrant, _area_depth(dist))
+    hydrant = points[:, :MAX_HYDRANTS, jnp.argmax(is_valid)]
     anchor_cone, is_anchor_met = _place_anchor_cones(offsets, dist, hydrant, is_hydrant)
     free_cone, is_free_met = _place_free_cones(points, offsets, dist, hydrant, anchor_cone)
-    is_met = jnp.any(is_fit) & is_anchor_met & is_free_met
+    is_met = jnp.any(is_valid) & is_anchor_met & is_free_met
     return _Placement(hydrant=hydrant, anchor_cone=anchor_cone, free_cone=free_cone, is_met=is_met)
 
 
