@@ -235,9 +235,9 @@ def test_a_refusal_of_a_sentence_cannot_act_on_a_terminal(text: str) -> None:
 TEXT = "go to the hydrant"
 
 
-def typed(*words: str) -> dict[settings.SettingPath, Any]:
+def typed(*words: str) -> dict[settings.OptionPath, Any]:
     command: Any = parse_arguments(["follow", TEXT, *words])
-    return settings.read_settings(command.settings, Follow.SETTINGS)
+    return settings.read_options(command.settings, Follow.SETTINGS)
 
 
 def test_every_number_of_the_planner_is_an_option_with_its_help() -> None:

@@ -10,7 +10,7 @@ from jaxlangnav.cli import checks, speech
 from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.runtime import spinner
-from jaxlangnav.cli.settings import SettingPath, apply, apply_to_task, read_settings
+from jaxlangnav.cli.settings import OptionPath, apply, apply_to_task, read_options
 from jaxlangnav.inputs.limits import check_minimum
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class Follow:
             self.text, output, world=self.world, weights=self.weights
         )
         understood.check_task()
-        values = read_settings(self.settings, self.SETTINGS)
+        values = read_options(self.settings, self.SETTINGS)
         sizes = self._sizes(values)
         from jaxlangnav.experiments.policies import add_heading_bias
         from jaxlangnav.grounding import GraphGrounder
@@ -138,7 +138,7 @@ class Follow:
             checks.check_extra("--mp4 is written by OpenCV", "cv2", "robot")
         return script
 
-    def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
+    def _sizes(self, values: "dict[OptionPath, Any]") -> dict[str, Any]:
         """Build parameters and configuration, and check their validity and memory needs."""
         from jaxlangnav.episode import MAX_STEPS
         from jaxlangnav.experiments.sizes import check_recording

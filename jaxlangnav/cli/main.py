@@ -120,8 +120,8 @@ def parse_arguments(arguments: Sequence[str]) -> Any:
     import tyro
 
     groups: tuple[str, ...] = getattr(command_class, "SETTINGS", ())
-    if groups and any(settings.is_setting(word) for word in options):
-        command_class = settings.with_settings(command_class)
+    if groups and any(settings.is_option(word) for word in options):
+        command_class = settings.with_options(command_class)
         options = ["--help" if word == settings.HELP_ALL else word for word in options]
     stderr = io.StringIO()
     try:
@@ -165,7 +165,7 @@ def _explain_error(stderr: str, command_class: type[Any], options: Sequence[str]
     groups: tuple[str, ...] = getattr(command_class, "SETTINGS", ())
     for option in options:
         flag, is_assigned, _ = option.partition("=")
-        if groups and settings.is_setting(flag):
+        if groups and settings.is_option(flag):
             if flag not in (setting.flag for setting in settings.options(groups)):
                 return f'unknown option "{flag}"{settings.suggestion(flag, groups, fields)}'
         elif flag.startswith("--") and flag not in fields:

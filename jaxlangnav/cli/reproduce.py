@@ -8,7 +8,7 @@ import tyro
 from jaxlangnav.cli import checks
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs
-from jaxlangnav.cli.settings import apply, read_settings
+from jaxlangnav.cli.settings import apply, read_options
 from jaxlangnav.inputs.limits import check_minimum
 
 _DEFAULT_EPISODES = {"robustness": 500}
@@ -97,7 +97,7 @@ class Reproduce:
         range_texts = [] if self.ranges is None else self.ranges.split(",")
         ranges = tuple(LENGTH.read(text.strip(), "--ranges") for text in range_texts)
         names = [name.strip() for name in self.policy.split(",") if name.strip()]
-        values = read_settings(self.settings, self.SETTINGS)
+        values = read_options(self.settings, self.SETTINGS)
         max_range = min(SENSING_RANGES) if self.what in ("fig5", "all") else 3.0
         check_sensor(apply(default_sensor(min(ranges, default=max_range)), values, "sensor"))
         params = apply(navigator_params(), values, "params")
@@ -151,7 +151,7 @@ class Reproduce:
             and field.name not in is_read and getattr(self, field.name) != field.default
         ]  # fmt: skip
         taken = _SETTING_GROUPS.get(self.what, self.SETTINGS)
-        settings = read_settings(self.settings, self.SETTINGS)
+        settings = read_options(self.settings, self.SETTINGS)
         unread += [".".join(path).replace("_", "-") for path in settings if path[0] not in taken]
         if unread:
             raise UsageError(f"--{unread[0]} changes nothing in {self.what}: leave it out")
@@ -166,7 +166,7 @@ class Reproduce:
                 parts.append("--extra")
             elif is_plain and value != field.default:
                 parts.append(f"--{field.name} {value}")
-        for path, value in read_settings(self.settings, self.SETTINGS).items():
+        for path, value in read_options(self.settings, self.SETTINGS).items():
             flag = ".".join(path).replace("_", "-")
             numbers = value if isinstance(value, tuple) else (value,)
             parts.append(f"--{flag} {','.join(f'{number:g}' for number in numbers)}")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from jaxlangnav.task.loading import PreparedTask
 
 _T = TypeVar("_T")
-SettingPath = tuple[str, ...]  # such as ("params", "planner", "discount")
+OptionPath = tuple[str, ...]  # such as ("params", "planner", "discount")
 GROUPS = ("params", "config", "sensor", "motion")
 HELP_ALL = "--help-params"  # prints the help with all of these options
 
@@ -38,7 +38,7 @@ _SYMBOLS = {"alpha": "α", "gamma": "γ", "kappa": "κ", "mu": "μ", "sigma": "�
 class Option:
     """A command-line option for one parameter."""
 
-    path: SettingPath
+    path: OptionPath
     default: Any  # a number, or a tuple of them
     help: str
     is_integer: bool
@@ -74,7 +74,7 @@ class Option:
         return f"{len(self.default)}x{name}" if isinstance(self.default, tuple) else name
 
 
-def is_setting(word: str) -> bool:
+def is_option(word: str) -> bool:
     """Test whether an argument is such an option (a dot in its name) or the help on them."""
     return word == HELP_ALL or re.match(r"--[\w-]+\.", word) is not None
 
@@ -98,7 +98,7 @@ def options(groups: Iterable[str]) -> list[Option]:
     return result
 
 
-def with_settings(command: type[Any]) -> type[Any]:
+def with_options(command: type[Any]) -> type[Any]:
     """Derive a command class with the options of its ``SETTINGS`` in a field ``settings``."""
     import tyro
 
@@ -109,22 +109,22 @@ def with_settings(command: type[Any]) -> type[Any]:
     return dataclasses.make_dataclass(command.__name__, [field], **kwargs)
 
 
-def read_settings(settings: Any, groups: Sequence[str]) -> dict[SettingPath, Any]:
-    """Parse the given settings into values by path; ``UsageError`` for invalid ones."""
+def read_options(settings: Any, groups: Sequence[str]) -> dict[OptionPath, Any]:
+    """Parse the given options into values by path; ``UsageError`` for invalid ones."""
     if settings is None:
         return {}
     texts = [(opt, functools.reduce(getattr, opt.path, settings)) for opt in options(groups)]
     return {opt.path: opt.read(text) for opt, text in texts if text != _UNSET}
 
 
-def apply(record: _T, values: Mapping[SettingPath, Any], root: str) -> _T:
+def apply(record: _T, values: Mapping[OptionPath, Any], root: str) -> _T:
     """Set the values of one group in its record; returns the same record if there are none."""
     group_values = {path[1:]: value for path, value in values.items() if path[0] == root}
     return _set_values(record, group_values) if group_values else record
 
 
 def apply_to_task(
-    prepared: "PreparedTask", values: Mapping[SettingPath, Any], *, params: "NavigatorParams"
+    prepared: "PreparedTask", values: Mapping[OptionPath, Any], *, params: "NavigatorParams"
 ) -> "tuple[PreparedTask, NavigatorParams]":
     """Set the sensor and the motion of a task, and the motion model of the filter."""
     new = {name: apply(getattr(prepared.task, name), values, name) for name in ("sensor", "motion")}
@@ -150,7 +150,7 @@ def suggestion(flag: str, groups: Sequence[str], undotted: Iterable[str]) -> str
     return f'; did you mean "{matches[0]}"?' if matches else f"; see {HELP_ALL}"
 
 
-def _list_options(record: Any, path: SettingPath) -> list[Option]:
+def _list_options(record: Any, path: OptionPath) -> list[Option]:
     """List the options of a record and its nested records."""
     record = _raw_params(record)
     result: list[Option] = []
@@ -189,7 +189,7 @@ def _as_numbers(value: Any) -> float | int | tuple[float, ...] | None:
     return rounded if array.ndim else rounded[0]
 
 
-def _quantity(path: SettingPath) -> Any:
+def _quantity(path: OptionPath) -> Any:
     """Return the unit and limits of a parameter, as in a sweep's configuration."""
     from jaxlangnav.inputs.limits import Quantity
     from jaxlangnav.navigator.deployment import FIELDS
@@ -226,7 +226,7 @@ def _options_class(name: str, group: Sequence[Option], *, depth: int) -> type[An
     return dataclasses.make_dataclass(name, fields, frozen=True, kw_only=True)
 
 
-def _set_values(record: Any, values: Mapping[SettingPath, Any]) -> Any:
+def _set_values(record: Any, values: Mapping[OptionPath, Any]) -> Any:
     """Replace values in a record and its nested records."""
     import jax.numpy as jnp
 

@@ -8,7 +8,7 @@ from typing import Any
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.reproduce import Reproduce
 from jaxlangnav.cli.runtime import spinner
-from jaxlangnav.cli.settings import SettingPath, apply_to_task
+from jaxlangnav.cli.settings import OptionPath, apply_to_task
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.policies import navigator_config
@@ -40,7 +40,7 @@ class Settings:
     params: NavigatorParams
     ranges: tuple[float, ...]
     """Sensing ranges, metres, that replace those of Table 2 and Figure 5; empty: theirs."""
-    values: Mapping[SettingPath, Any]
+    values: Mapping[OptionPath, Any]
     """Changed parameters of navigator, sensor and motion."""
     args: Reproduce  # the other options, and how to run an experiment again
 

@@ -10,7 +10,7 @@ import tyro
 from jaxlangnav.cli.checks import Folder, check_folder
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
-from jaxlangnav.cli.settings import read_settings
+from jaxlangnav.cli.settings import read_options
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class Sweep:
         from jaxlangnav.experiments.sweep_config import read_config
 
         overrides: dict[str, dict[str, float]] = {}
-        for path, value in read_settings(self.settings, self.SETTINGS).items():
+        for path, value in read_options(self.settings, self.SETTINGS).items():
             overrides.setdefault(path[-2], {})[path[-1]] = value
         config = read_config(self.config, overrides=overrides)
         with progress_bar("episodes", total_episodes(config, shard=shard)) as advance:

@@ -161,7 +161,7 @@ _SCENARIO_COLUMNS: TableColumns = (
     ("Said", "{said}"),
     ("Sensors in truth", "{truth}"),
     ("Belief is told otherwise", lambda row: row["told"] or "no"),
-    ("Numbers of things told", "{numbers}"),
+    ("Numbers of things told", "{numbers}"),  # prior over object counts; the default if empty
 )
 
 

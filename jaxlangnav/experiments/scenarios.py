@@ -77,7 +77,7 @@ class ScenarioSpec(RowSpec):
         return {"scenario": self.name} | super().heading()
 
     def described(self) -> Row:
-        """Describe the scenario for the report."""
+        """Describe the scenario for the report; ``numbers``: its prior over object counts."""
         actual = [_format(name, value) for name, value in {**self.truth, **self.motion}.items()]
         assumed = [_format(name, value) for name, value in self.assumed.items()]
         assumed += ["odometry 2 %"] if self.motion else []
