@@ -23,7 +23,7 @@ from jaxlangnav.inputs import program_cache
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.follow import follow as follow_text, params_and_config, score
-from jaxlangnav.task.labelled import meant_goals
+from jaxlangnav.task.labelled import intended_goals
 from jaxlangnav.task.loading import PreparedTask, detector_of, empty_world, load_task, step_limit
 from jaxlangnav.viz.narrative import closing
 from jaxlangnav.world.files import open_world
@@ -189,7 +189,7 @@ def test_the_worlds_of_the_tables_keep_their_goal() -> None:
 
 def test_a_world_is_drawn_in_which_the_sentence_is_true() -> None:
     prepared = prepare("go to the hydrant in front of the cone", "1H1C")
-    assert prepared.is_meant
+    assert prepared.goal_exists
     hydrant, cone = places(prepared)["hydrant"][0], places(prepared)["cone"][0]
     assert (hydrant - cone) @ cone < 0
 
@@ -197,7 +197,7 @@ def test_a_world_is_drawn_in_which_the_sentence_is_true() -> None:
 def test_the_known_way_goes_by_where_earlier_commands_end(tmp_path):
     world, text = bare(tmp_path / "park.toml", 4), "go to the bench then go to the car"
     understood = understand(text, load_shipped(), detector_of(world, ()))
-    (goals, car), _ = meant_goals(understood, open_world(world).scenario)
+    (goals, car), _ = intended_goals(understood, open_world(world).scenario)
     assert (goals[0].position, car[0].position) == ((18.0, -9.0), (6.0, 0.0))
     found = follow_text(text, world=world, max_steps=1).scene
     assert found.known_distance == pytest.approx(math.hypot(18.0, 9.0) + math.hypot(12.0, 9.0))
@@ -234,11 +234,11 @@ def prepare_own(text: str, world: str) -> PreparedTask:
 def test_a_world_without_a_goal_is_judged_by_what_is_said(tmp_path: Path) -> None:
     world = bare(tmp_path / "bare.toml", 4)
     prepared = prepare_own("go to the statue behind the car", world)
-    assert prepared.is_meant
+    assert prepared.goal_exists
     assert int(prepared.task.scenario.goal_index) == 1
     # Its start stands in for a goal, and is none: here nothing fits.
     nothing = prepare_own("go to the bench behind the statue in front of the car", world)
-    assert not nothing.is_meant
+    assert not nothing.goal_exists
     assert nothing.unscored == "nothing there fits the sentence (no statue is in front of the car)"
 
 

@@ -15,7 +15,7 @@ from jaxlangnav.experiments.conversation import CONVERSATION, ROWS, _run_row
 from jaxlangnav.experiments.dialogue import ground_dialogue
 from jaxlangnav.experiments.experiment import Grid, Options
 from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed_targets
-from jaxlangnav.experiments.rows import TABLE2_ROWS as SPECS, RowSpec, printed_rows
+from jaxlangnav.experiments.rows import TABLE2_ROWS as SPECS, RowSpec, published_rows
 from jaxlangnav.experiments.scenarios import SCENARIOS
 from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _rotate
 from jaxlangnav.navigator import check
@@ -235,7 +235,7 @@ def test_a_correction_finds_the_other() -> None:
 
 # ---------------------------------------------------------------- what the paper leaves open
 
-PRINTED = printed_rows(TABLE_2)
+PRINTED = published_rows(TABLE_2)
 OPTIONS = Options(seed=3000)
 
 

@@ -19,7 +19,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments import paper
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.metrics import _sign_flip, compare, summarize
-from jaxlangnav.experiments.rows import RowSpec, describe_noise, deviations, printed_rows
+from jaxlangnav.experiments.rows import RowSpec, describe_noise, deviations, published_rows
 from jaxlangnav.experiments.table import Section, Table, _report_html, write_report
 from jaxlangnav.experiments.table1 import _accuracy, _oov_accuracy, draw_splits, evaluate, table_1
 from jaxlangnav.grounding import load_shipped
@@ -48,7 +48,7 @@ def document(*rows: dict[str, Any]) -> dict[str, Any]:
         "num_particles": 64,
         "noise": describe_noise(),
         "rows": list(rows),
-        "paper": printed_rows(TABLE_2),
+        "paper": published_rows(TABLE_2),
     }
 
 
@@ -90,7 +90,7 @@ def test_a_row_the_paper_lacks_has_no_figure_beside_it() -> None:
 
 
 def test_deviations_by_hand() -> None:
-    printed = printed_rows(TABLE_2)[5]
+    printed = published_rows(TABLE_2)[5]
     assert deviations(row(), printed)["distance"] == pytest.approx(0.0)
     far = deviations(row(distance_mean=20.72, success_rate=100.0), printed)
     # Standard errors 10 / 20 and 10.23 / 10.

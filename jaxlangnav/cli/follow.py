@@ -164,11 +164,11 @@ class Follow:
         prepared = load_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
         missing = absent_types(scenario, understood.annotations, names)
-        if not prepared.is_meant and prepared.is_drawn:
+        if not prepared.goal_exists and prepared.is_sampled:
             raise UsageError(mismatch_message(prepared.world, count_types(scenario, names), ()))
         for name in missing:
             output.note(f"note: world {prepared.world} has no {name}")
-        if prepared.unscored and not (prepared.is_meant and self.person):
+        if prepared.unscored and not (prepared.goal_exists and self.person):
             output.note(f"note: {prepared.unscored}, so success cannot be judged")
         return prepared
 

@@ -28,7 +28,7 @@ from jaxlangnav.experiments.policies import (
     check_policies,
     policy_arm,
 )
-from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
+from jaxlangnav.experiments.rows import RowSpec, describe_noise, published_rows
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
 from jaxlangnav.experiments.table import Report, Row
 from jaxlangnav.experiments.tasks import (
@@ -268,7 +268,7 @@ class Experiment(Report):
             "sentences": dict(self.sentences),
             "noise": describe_noise(options.sensor, options.motion),
             "rows": rows,
-            "paper": printed_rows([row for row in TABLE_2 if RowSpec.of(row) in self.specs]),
+            "paper": published_rows([row for row in TABLE_2 if RowSpec.of(row) in self.specs]),
             **self.derived(rows, options),
             "wall_s": time.perf_counter() - begin,
             "compile_s": clock.seconds,

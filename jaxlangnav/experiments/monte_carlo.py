@@ -42,7 +42,7 @@ OnProgress = Callable[[int], None]  # called with the number of episodes just fi
 class DeviceBatch:
     """Input of one device in one call."""
 
-    tasks: Task  # leaves [CHUNK, …], see ``pad_chunk``
+    tasks: Task  # leaves [CHUNK_SIZE, …], see ``pad_chunk``
     count: int  # of them to run; the rest is padding
     params: Any  # of the program
 
@@ -95,7 +95,7 @@ def join_devices(
 
 
 def pad_chunk(tasks: Task, first: int, size: int) -> Task:
-    """Slice ``size`` tasks from ``first`` on and pad to the shape of a call: leaves [CHUNK, …]."""
+    """Slice ``size`` tasks from ``first`` on and pad to a call's shape: leaves [CHUNK_SIZE, …]."""
     index = np.arange(CHUNK_SIZE)
     return take_tasks(tasks, first + np.where(index < size, index, 0))
 

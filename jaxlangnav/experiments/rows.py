@@ -1,4 +1,4 @@
-"""Rows of Table 2 and Figure 5: specifications, printed values, bounds and deviations (4.2)."""
+"""Rows of Table 2 and Figure 5: specifications, published values, bounds, deviations (4.2)."""
 
 import dataclasses
 import math
@@ -10,8 +10,8 @@ from jaxlangnav.messages import MotionParams, SensorParams, default_motion, defa
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TABLE_2, TableRow, known_range, parse_template
 
-PAPER_RUNS = 100  # simulations per printed figure: "approximately 100" (section 4.2)
-MAX_Z = 2.0  # standard errors within which two figures agree
+PAPER_RUNS = 100  # simulations per published value: "approximately 100" (section 4.2)
+MAX_Z = 2.0  # standard errors within which two values agree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,9 +23,9 @@ class RowSpec:
     relation: str  # a key of ``SENTENCES``
 
     @classmethod
-    def of(cls, printed: TableRow) -> "RowSpec":
-        """Build the key of a printed row."""
-        return cls(world=printed.world, range=printed.range, relation=printed.relation)
+    def of(cls, row: TableRow) -> "RowSpec":
+        """Build the key of a published row."""
+        return cls(world=row.world, range=row.range, relation=row.relation)
 
     def heading(self) -> Row:
         """Return the entries that identify the row; relation None for a command without one."""
@@ -55,8 +55,8 @@ class RowSpec:
 TABLE2_ROWS = tuple(RowSpec.of(row) for row in TABLE_2)  # the rows of Table 2, in the paper's order
 
 
-def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
-    """Convert printed rows to records, rates in percent, distances in metres."""
+def published_rows(table: Sequence[TableRow]) -> list[Row]:
+    """Convert published rows to records, rates in percent, distances in metres."""
     return [
         RowSpec.of(row).heading()
         | {
@@ -68,7 +68,7 @@ def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
             "known_distance_mean": row.distance_known,
             "known_distance_sd": row.distance_known_sd,
         }
-        for row in printed
+        for row in table
     ]
 
 
@@ -108,7 +108,7 @@ def row_key(row: Row) -> tuple[str, float, str | None]:
 
 
 def deviations(row: Row, paper: Row) -> dict[str, float]:
-    """Compute z-scores of a row against the printed one, with the standard errors of both.
+    """Compute z-scores of a row against the published one, with the standard errors of both.
 
     A rate of 0 or 100 % counts as half a run away from it, so that its error is not zero.
     """

@@ -26,7 +26,7 @@ from jaxlangnav.experiments.rows import (
     RowSpec,
     deviations,
     distance_error,
-    printed_rows,
+    published_rows,
     rate_error,
 )
 from jaxlangnav.experiments.table import Document, Row, Table
@@ -125,7 +125,7 @@ def _rotate(tasks: Task, seed: int) -> Task:
 
 def _measure(row: Row, spec: RowSpec, _: EpisodeResult) -> Row:
     """Compare a row with the published one, in standard errors."""
-    paper = printed_rows([TABLE_2[TABLE2_ROWS.index(spec)]])[0]
+    paper = published_rows([TABLE_2[TABLE2_ROWS.index(spec)]])[0]
     z = deviations(row, paper)
     is_near = {f"is_{name}_near": abs(deviation) <= MAX_Z for name, deviation in z.items()}
     return {

@@ -113,7 +113,7 @@ def prepare_episode(
     params = defaults if params is None else replace(params, policy=defaults.policy)
     prepared = load_task(world, understood, sensing_range=sensing_range, seed=seed)
     motion = prepared.task.motion
-    if prepared.is_drawn and not prepared.is_meant:
+    if prepared.is_sampled and not prepared.goal_exists:
         counts = count_types(prepared.task.scenario, understood.type_names)
         raise ValueError(mismatch_message(prepared.world, counts, ()))
     return PreparedEpisode(
@@ -208,7 +208,7 @@ def score(recording: Recording, prepared: PreparedTask, *, has_person: bool = Fa
     """
     result, scene = recording.result, recording.scene
     radius = max(float(scene.sensor.range_max) if prepared.is_find_task else 0.0, SUCCESS_RADIUS)
-    is_scored = prepared.is_meant and (has_person or not prepared.unscored)
+    is_scored = prepared.goal_exists and (has_person or not prepared.unscored)
     is_arrived = (result.ending == Status.ARRIVED) & is_scored
     world = scene.scenario
     waypoints = [tuple(world.start[:2]), *prepared.via, tuple(world.goal)]

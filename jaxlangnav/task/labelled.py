@@ -56,7 +56,7 @@ class Goal:
     position: tuple[float, float]  # metres, map frame: typical position in the region
 
 
-def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[list[Goal]], bool]:
+def intended_goals(understood: Understanding, scenario: Scenario) -> tuple[list[list[Goal]], bool]:
     """List the most probable goals of each command in a fully known world.
 
     The second value tells whether the last command is to find, not to navigate.

@@ -20,7 +20,7 @@ from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.grounding.worlds import explain_mismatch
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.labelled import is_among, meant_goals, placed_world, with_goal
+from jaxlangnav.task.labelled import intended_goals, is_among, placed_world, with_goal
 from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
 from jaxlangnav.world.state import Scenario, empty_scenario
 from jaxlangnav.world.templates import Template
@@ -38,8 +38,8 @@ class PreparedTask:
     world: str  # its name
     task: Task
     is_find_task: bool  # success is to have the goal in view
-    is_meant: bool  # some place there fits the sentence
-    is_drawn: bool  # the world is sampled from a template
+    goal_exists: bool  # some place there fits the sentence
+    is_sampled: bool  # the world is sampled from a template
     via: tuple[tuple[float, float], ...] = ()
     """End positions of the commands before the last, metres."""
     num_tied: int = 1
@@ -50,7 +50,7 @@ class PreparedTask:
     @property
     def unscored(self) -> str:
         """Reason why success is undefined; empty where it is defined."""
-        if not self.is_meant:
+        if not self.goal_exists:
             details = f" ({'; '.join(self.missing)})" if self.missing else ""
             return f"nothing there fits the sentence{details}"
         if self.num_tied == 1:
@@ -176,16 +176,16 @@ def _set_goal(
     task: Task,
     understood: Understanding,
     *,
-    is_drawn: bool = False,
+    is_sampled: bool = False,
     is_default: bool = False,
     has_goal: bool = True,
 ) -> PreparedTask:
     """Set the goal to the sentence's; the world's own goal is kept if it fits as well."""
-    (*earlier, goals), is_find_task = meant_goals(understood, task.scenario)
+    (*earlier, goals), is_find_task = intended_goals(understood, task.scenario)
     is_given = is_default or (has_goal and is_among(task.scenario, goals))
-    is_meant = is_default or bool(goals)
+    goal_exists = is_default or bool(goals)
     missing: Sequence[str] = ()
-    if not is_meant:
+    if not goal_exists:
         types = understood.type_names
         placed = placed_world(task.scenario, types)
         missing = explain_mismatch(placed, types, understood.instruction.readings)
@@ -195,8 +195,8 @@ def _set_goal(
         world=name,
         task=task,
         is_find_task=is_find_task,
-        is_meant=is_meant,
-        is_drawn=is_drawn,
+        goal_exists=goal_exists,
+        is_sampled=is_sampled,
         via=tuple(ends[0].position for ends in earlier if ends),
         num_tied=1 if is_given else max(len(goals), 1),
         missing=tuple(missing),
@@ -219,14 +219,14 @@ def _sample_task(
         and (item["relation"] == "behind" or (item["relation"] == "near" and item["superlative"]))
     )
     tasks = _sample_tasks(template, next(matches, "null"), sensing_range, seed, 1)
-    prepared = _set_goal(template.name, tasks[0], understood, is_drawn=True)
+    prepared = _set_goal(template.name, tasks[0], understood, is_sampled=True)
     absent = absent_types(tasks[0].scenario, understood.annotations, understood.type_names)
-    if prepared.is_meant or absent:
+    if prepared.goal_exists or absent:
         return prepared
     # "nearest" places each cone anywhere around its hydrant, so other relations may hold too.
     for task in _sample_tasks(template, "nearest", sensing_range, seed, _MAX_TRIES):
-        other = _set_goal(template.name, task, understood, is_drawn=True)
-        if other.is_meant:
+        other = _set_goal(template.name, task, understood, is_sampled=True)
+        if other.goal_exists:
             return other
     return prepared
 
