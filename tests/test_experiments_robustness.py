@@ -56,7 +56,7 @@ def test_truth_and_what_is_told_differ_only_where_it_says_so(name: str) -> None:
     if spec.is_matched:
         assert all(float(true) == float(told) for true, told in pairs)
         assert float(cell.motion.odometry_noise) == np.float32(0.02)
-        assert not spec.place.get("num_clutter", 0)
+        assert not spec.layout.get("num_clutter", 0)
     assert bool(spec.described()["told"]) != spec.is_matched
 
 

@@ -13,29 +13,29 @@ from jaxlangnav.world.places import (
     GOAL_GAP,
     NUM_FIXED_CLUTTER,
     PAIR_GAP,
-    PlaceParams,
+    WorldParams,
     is_related,
-    place_params,
+    world_params,
 )
 from jaxlangnav.world.state import CONE, HYDRANT
 
 AREA = (-2.0, 12.0, -9.0, 9.0)
 NUMBER = 40
 LAWS = {
-    "plain": place_params(area=AREA),
-    "pairs": place_params(area=AREA, num_pairs=4, num_bystanders=6),
-    "false": place_params(area=AREA, side=-1.0, num_pairs=2),
-    "crowd": place_params(area=AREA, num_pairs=1, num_bystanders=56),
-    "small": place_params(area=(-4.0, 4.0, -4.0, 4.0), num_clutter=3),
-    "no goal": place_params(area=AREA, has_goal=False),
-    "no cone": place_params(area=AREA, has_cone=False),
+    "plain": world_params(area=AREA),
+    "pairs": world_params(area=AREA, num_pairs=4, num_bystanders=6),
+    "false": world_params(area=AREA, side=-1.0, num_pairs=2),
+    "crowd": world_params(area=AREA, num_pairs=1, num_bystanders=56),
+    "small": world_params(area=(-4.0, 4.0, -4.0, 4.0), num_clutter=3),
+    "no goal": world_params(area=AREA, has_goal=False),
+    "no cone": world_params(area=AREA, has_cone=False),
 }
 
 
-def cell(law: PlaceParams) -> Cell:
+def cell(law: WorldParams) -> Cell:
     return Cell(
-        world="here", relation="behind", instruction_index=0, sensor=default_sensor(),
-        motion=default_motion(), episodes=1, seed=0, place=law, assumed_sensor=default_sensor(),
+        world="here", relation="behind", instruction_index=0, sensor=default_sensor(), seed=0,
+        motion=default_motion(), episodes=1, world_params=law, assumed_sensor=default_sensor(),
     )  # fmt: skip
 
 
@@ -109,7 +109,7 @@ def test_a_place_is_the_same_alone_and_among_others(drawn: dict) -> None:
 
 def test_too_many_things_are_refused() -> None:
     with pytest.raises(ValueError, match="place of 66 things"):
-        place_params(area=AREA, num_bystanders=64)
+        world_params(area=AREA, num_bystanders=64)
 
 
 def test_places_and_templates_are_not_drawn_at_once() -> None:

@@ -72,7 +72,7 @@ def _row_metrics(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
     }
     assert isinstance(spec, ScenarioSpec)
     entries |= {"is_told": spec.is_matched, "target": None, "is_met": None, "is_calibrated": None}
-    if spec.ending == "not_found":
+    if spec.termination == "not_found":
         num_correct, count = row["not_found"], row["episodes"]
         lower, upper = wilson_interval(num_correct, count)
         rate = 100.0 * num_correct / max(1, count)

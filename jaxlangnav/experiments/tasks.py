@@ -21,7 +21,7 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
-from jaxlangnav.world.places import PlaceParams, draw_place
+from jaxlangnav.world.places import WorldParams, draw_world
 from jaxlangnav.world.scenario import draw_scenario, scenario_params
 from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, empty_scenario
@@ -80,7 +80,7 @@ class Cell:
     """Number of worlds, used cyclically (ten in the paper); 0: a new one per episode."""
     scenario: Scenario | None = None
     """A custom world; None: sample worlds of the template that ``world`` names."""
-    place: PlaceParams | None = None
+    world_params: WorldParams | None = None
     """Distribution of worlds in place of a template; equal names in ``world`` share keys."""
     assumed_sensor: SensorParams | None = None  # sensor model of the filter; the true one if None
     labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -126,8 +126,8 @@ def _draw(shared: dict[str, Any], *ids: ArrayLike) -> Task:
         keys, world_keys = jax.vmap(
             lambda index: jax.random.split(jax.random.fold_in(root, index))
         )(jnp.stack([episode, world]))
-        if "place" in cell:
-            scenario = draw_place(world_keys[0], cell["place"])
+        if "world_params" in cell:
+            scenario = draw_world(world_keys[0], cell["world_params"])
         else:
             sampled, is_custom = draw_scenario(world_keys[0], cell["dist"]), cell["is_custom"]
             candidates = cell["scenario"], sampled
@@ -157,7 +157,7 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, episodes: np.ndarray) -
     world); ``episodes`` and ``first_episode`` of the cells are not used. ``ValueError``: unknown
     world or relation, or places beside templates.
     """
-    if len({cell.place is None for cell in cells}) > 1:
+    if len({cell.world_params is None for cell in cells}) > 1:
         raise ValueError("places and templates cannot be drawn at once: they differ in size")
     shared = [_shared_fields(cell) for cell in cells]
     stacked = jax.tree.map(lambda *leaves: np.stack([*map(np.asarray, leaves)]), *shared)
@@ -180,8 +180,8 @@ def _shared_fields(cell: Cell) -> dict[str, Any]:
     """Collect the fields that all tasks of a cell share; leaves are single values."""
     common = {name: getattr(cell, name) for name in ("sensor", "motion", "assumed_sensor")}
     common["instruction_index"] = np.int32(cell.instruction_index)
-    if cell.place is not None:
-        return common | {"place": cell.place}
+    if cell.world_params is not None:
+        return common | {"world_params": cell.world_params}
     # A custom world replaces a sampled one, so any template will do.
     template = (cell.world, cell.relation) if cell.scenario is None else ("1H1C", "null")
     return common | {

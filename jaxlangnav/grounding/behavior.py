@@ -1,7 +1,7 @@
 """Behavior inference per particle (section 3.3): beam search of width 4 over phrases, on device.
 
 Words are contracted beforehand (``program``), which leaves table look-ups, sums and k-best. Sets
-of objects are bit masks, so joining children, and finding what lies in regions, is a few integer
+of objects are bit masks, so joining children, and finding the objects in regions, is a few integer
 operations. The four best sets of independent factors have a closed form: none, the smallest margin
 flipped, the second smallest, and the cheaper of the third smallest and the two smallest together.
 

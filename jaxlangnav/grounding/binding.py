@@ -64,7 +64,7 @@ class Detector:
             " ".join(normalize(label).replace("_", " ").replace("-", " ").split())
             for label in self.labels
         ]
-        self._extra: list[str] = []
+        self._unlabelled: list[str] = []
         fault = self._fault()
         if fault:
             raise ValueError(
@@ -94,7 +94,7 @@ class Detector:
     @property
     def names(self) -> tuple[str, ...]:
         """The labels, then the nouns without a label."""
-        return (*self.labels, *self._extra)
+        return (*self.labels, *self._unlabelled)
 
     @property
     def plain_labels(self) -> frozenset[str]:
@@ -134,11 +134,11 @@ class Detector:
 
     def index_without_label(self, noun: str) -> int:
         """Assign a noun without a label an index after the labels."""
-        if noun not in self._extra:
+        if noun not in self._unlabelled:
             if len(self.names) + 1 >= MAX_LABELS:
                 raise ValueError(f"more than {MAX_LABELS} nouns and labels: start a new navigator")
-            self._extra.append(noun)
-        return len(self.labels) + self._extra.index(noun)
+            self._unlabelled.append(noun)
+        return len(self.labels) + self._unlabelled.index(noun)
 
 
 def _synonym_sets(noun: str) -> Iterator[frozenset[str]]:
@@ -162,7 +162,7 @@ class BoundSentence:
     """A sentence whose nouns are bound to labels and attributes of a detector, in order.
 
     ``tree`` is the parse, in which every noun has the sense ``type:NAME`` of one of ``names``, the
-    sentence's types, those of the lexicon first. ``kinds`` are the codes of label and attributes
+    sentence's types, those of the lexicon first. ``codes`` are those of label and attributes
     that each type may have, and ``notes`` list words that are not used, a line each.
     """
 

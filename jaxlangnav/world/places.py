@@ -23,7 +23,7 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import field, pytree, replace, strong_types
 from jaxlangnav.world.state import CONE, HYDRANT, Errors, Scenario
 
-PLACE_SLOTS = 64
+WORLD_SLOTS = 64
 """O, object slots of a world."""
 NUM_FIXED_CLUTTER = 4
 """G, limit of fixed positions of recurring false detections."""
@@ -40,7 +40,7 @@ _MIN_DISTANCE = 1.5  # metres from the start
 
 
 @pytree
-class PlaceParams:
+class WorldParams:
     """Parameters of a distribution of worlds; traced, so one program samples them all."""
 
     area: Array  # f32[4] x_min, x_max, y_min, y_max metres; the start, at the origin, is in it
@@ -57,12 +57,12 @@ class PlaceParams:
     is_clutter: Array  # bool[T] types of false detections
 
 
-def draw_place(key: Array, spec: PlaceParams) -> Scenario:
+def draw_world(key: Array, spec: WorldParams) -> Scenario:
     """Sample one world.
 
     Args:
         key: random key.
-        spec: distribution of worlds; traced. With more than ``PLACE_SLOTS`` objects it is invalid.
+        spec: distribution of worlds; traced. With more than ``WORLD_SLOTS`` objects it is invalid.
 
     Returns:
         The world; ``is_valid`` is False where an object could not be placed. Without a goal
@@ -71,15 +71,15 @@ def draw_place(key: Array, spec: PlaceParams) -> Scenario:
     pair_key, type_key, position_key, clutter_key = jax.random.split(key, 4)
     goal, cone, is_valid = _draw_pair(pair_key, spec)
     # Types by slot, goal and cone first, and which slots are used.
-    slots, num_paired = jnp.arange(PLACE_SLOTS), 2 + 2 * spec.num_pairs
+    slots, num_paired = jnp.arange(WORLD_SLOTS), 2 + 2 * spec.num_pairs
     pair_types = jnp.where(slots % 2 == 0, HYDRANT, CONE)
-    other_types = jax.random.randint(type_key, (PLACE_SLOTS,), 2, NUM_TYPES)
+    other_types = jax.random.randint(type_key, (WORLD_SLOTS,), 2, NUM_TYPES)
     types = jnp.where(slots < num_paired, pair_types, other_types).astype(jnp.int32)
     count = num_paired + spec.num_bystanders
     is_present = ((slots != 0) | spec.has_goal) & ((slots != 1) | spec.has_cone)
     is_object = (slots < count) & is_present
-    placed = jnp.pad(jnp.stack([goal, cone], axis=1), ((0, 0), (0, PLACE_SLOTS - 2)))
-    candidates = _uniform_points(position_key, spec.area, (PLACE_SLOTS, _NUM_CANDIDATES))
+    placed = jnp.pad(jnp.stack([goal, cone], axis=1), ((0, 0), (0, WORLD_SLOTS - 2)))
+    candidates = _uniform_points(position_key, spec.area, (WORLD_SLOTS, _NUM_CANDIDATES))
 
     def insert(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         placed, is_valid = carry
@@ -88,7 +88,7 @@ def draw_place(key: Array, spec: PlaceParams) -> Scenario:
         position = candidates[:, index, jnp.argmax(is_free)]
         return placed.at[:, index].set(position), is_valid & (jnp.any(is_free) | ~is_object[index])
 
-    placed, is_valid = jax.lax.fori_loop(2, PLACE_SLOTS, insert, (placed, is_valid))
+    placed, is_valid = jax.lax.fori_loop(2, WORLD_SLOTS, insert, (placed, is_valid))
     return Scenario(
         object_type=jnp.where(is_object, types, NONE),
         object_x=jnp.where(is_object, placed[0], 0.0),
@@ -98,7 +98,7 @@ def draw_place(key: Array, spec: PlaceParams) -> Scenario:
         goal_index=jnp.where(spec.has_goal, 0, NONE).astype(jnp.int32),
         start=jnp.zeros(3, jnp.float32),
         area=spec.area,
-        is_valid=is_valid & (count <= PLACE_SLOTS),
+        is_valid=is_valid & (count <= WORLD_SLOTS),
         errors=_errors(clutter_key, spec),
     )
 
@@ -115,7 +115,7 @@ def is_related(figure: Array, cone: Array, side: Array) -> Array:
     return is_near & (side != 0.0) & (side * along > MIN_RELATION_COSINE * distance)
 
 
-def _draw_pair(key: Array, spec: PlaceParams) -> tuple[Array, Array, Array]:
+def _draw_pair(key: Array, spec: WorldParams) -> tuple[Array, Array, Array]:
     """Sample positions of the goal and its cone, f32[2] each, and their validity, bool[]."""
     position_key, gap_key, turn_key = jax.random.split(key, 3)
     cone = _uniform_points(position_key, spec.area, (8 * _NUM_CANDIDATES,))
@@ -133,7 +133,7 @@ def _draw_pair(key: Array, spec: PlaceParams) -> tuple[Array, Array, Array]:
 
 
 def _are_free(
-    point: Array, type_id: Array, placed: Array, types: Array, is_placed: Array, spec: PlaceParams
+    point: Array, type_id: Array, placed: Array, types: Array, is_placed: Array, spec: WorldParams
 ) -> Array:
     """Test at which positions f32[2, K] an object of a type is valid given f32[2, O] others."""
 
@@ -149,7 +149,7 @@ def _are_free(
     return jnp.all(is_valid | ~is_placed[:, None], axis=0)
 
 
-def _errors(key: Array, spec: PlaceParams) -> Errors:
+def _errors(key: Array, spec: WorldParams) -> Errors:
     """Sample the fixed positions of recurring false detections of hydrants and cones."""
     position_key, type_key = jax.random.split(key)
     position = _uniform_points(position_key, spec.area, (NUM_FIXED_CLUTTER,))
@@ -176,25 +176,25 @@ def _uniform_points(key: Array, area: Array, shape: tuple[int, ...]) -> Array:
     return lower + (upper - lower) * jax.random.uniform(key, (2, *shape))
 
 
-def place_params(*, area: tuple[float, float, float, float], **fields: Any) -> PlaceParams:
+def world_params(*, area: tuple[float, float, float, float], **fields: Any) -> WorldParams:
     """Build a distribution of worlds.
 
     False detections are of hydrants and cones, the worst case for a sentence about them.
 
     Args:
         area: x_min, x_max, y_min, y_max, metres; the origin is in it.
-        **fields: other fields of ``PlaceParams``.
+        **fields: other fields of ``WorldParams``.
 
     Raises:
         ValueError: more objects or more fixed clutter than there are slots.
     """
     is_clutter = jnp.isin(jnp.arange(NUM_TYPES), jnp.array([HYDRANT, CONE]))
-    spec = PlaceParams(area=jnp.array(area, jnp.float32), is_clutter=is_clutter, **fields)
+    spec = WorldParams(area=jnp.array(area, jnp.float32), is_clutter=is_clutter, **fields)
     count = 2 + 2 * int(spec.num_pairs) + int(spec.num_bystanders)
-    if count > PLACE_SLOTS or int(spec.num_clutter) > NUM_FIXED_CLUTTER:
+    if count > WORLD_SLOTS or int(spec.num_clutter) > NUM_FIXED_CLUTTER:
         raise ValueError(
             f"a place of {count} things and {spec.num_clutter} haunted places was asked for, but "
-            f"must have at most {PLACE_SLOTS} and {NUM_FIXED_CLUTTER}: take fewer"
+            f"must have at most {WORLD_SLOTS} and {NUM_FIXED_CLUTTER}: take fewer"
         )
     # So many objects would not fit with a metre between them.
     return strong_types(replace(spec, gap=0.5) if count > 30 else spec)
