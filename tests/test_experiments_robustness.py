@@ -89,7 +89,7 @@ def judged(
 
 
 def test_where_there_is_no_goal_it_is_right_to_say_so() -> None:
-    (spec,) = (one for one in SCENARIOS if one.ending == "not_found")
+    (spec,) = (one for one in SCENARIOS if one.termination == "not_found")
     found = judged(spec.name, [3, 3, 2, 0], [False] * 4, success_rate=0.0)
     assert found["success_rate"] == 50.0
     assert (found["elsewhere"], found["asks"], found["other_ends"]) == (1, 0, 0)
