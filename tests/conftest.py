@@ -17,8 +17,7 @@ import pytest
 from jaxlangnav.cli.runtime import compile_fast
 
 RUN_LONG = ("test_experiments_", "test_kept", "test_language_", "test_training_")
-"""Files whose programs run longer than they compile, or are held to the last digits of float32 or
-to other processes; single programs elsewhere: readings.OFTEN."""
+"""Files whose programs run longer than they compile, or are held to the last digits of float32."""
 TOGETHER = {
     "the filter": (
         "test_semantic_map_", "test_conversation_enumeration", "test_relations_fit",
@@ -33,8 +32,7 @@ TOGETHER = {
     ),
     "corpora": ("test_language_corpus", "test_training_labelled"),
 }  # fmt: skip
-"""Files that run the same programs, by the beginnings of their names: the worker that has compiled
-them runs them all."""
+"""Files that run the same programs, by the beginnings of their names: one worker runs them all."""
 FIRST = ("test_notebooks.py", *TOGETHER, "test_experiments_sweep.py")
 """What to begin with, so that no worker waits for it at the end."""
 FULL = 2e9

@@ -140,7 +140,9 @@ def _finish(way: Way) -> tuple[jax.Array, jax.Array, jax.Array]:
     return way.at, way.progress.navigator.status, way.progress.steps
 
 
-COURSE = lanes.EpisodeProgram(_begin, _advance, _finish, lambda way: way.progress)
+COURSE = lanes.EpisodeProgram(
+    _begin, _advance, _finish, lambda way: way.progress, lambda way: way.progress.navigator.is_done
+)
 
 
 def follow(cases: list[tuple[str, Place]]) -> list[tuple[np.ndarray, Status, int]]:

@@ -27,7 +27,7 @@ class EpisodeProgram(NamedTuple):
     finish: Callable[[Any], Any]  # as ``finish``: result of the final state
     episode_state: Callable[[Any], Any]
     """Selects the ``EpisodeState`` in a state, or another record that counts its ``steps``."""
-    is_done: Callable[[Any], Array] = operator.attrgetter("progress.navigator.is_done")
+    is_done: Callable[[Any], Array]
     """Selects from a state whether the episode has ended, time-outs aside."""
 
 

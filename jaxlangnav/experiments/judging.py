@@ -36,6 +36,7 @@ TALLY_PROGRAM = EpisodeProgram(
     advance=_advance_and_tally,
     finish=lambda state: (finish(state.episode), state.tally),
     episode_state=operator.attrgetter("episode"),
+    is_done=operator.attrgetter("episode.navigator.is_done"),
 )
 """Program for ``run_tasks``: runs episodes as usual; returns the result and ``Tally`` of each."""
 Bins: TypeAlias = Mapping[str, Sequence[float]]
