@@ -25,7 +25,7 @@ class ObjectSets(NamedTuple):
     object_type: Array  # i32[N, E, P]
     previous: Array  # i32[3, E, P] the previous goal; others of its type; those of other types
     robot: Array  # i32[E, P]
-    everything: Array  # i32[E, P]
+    all_objects: Array  # i32[E, P]
     in_region: Array  # i32[T, N, E, P] objects in the region, by the clause's tables and landmark
 
 
@@ -39,29 +39,29 @@ class Combinations(NamedTuple):
     cost: Array  # f32[4, E, P]
 
 
-_OBJECTS, _MENTIONED, _CONSTRAINTS, _EXCLUDED, _SLOTS, _NEAR = 0, 1, 2, 3, slice(4, -1), -1
+_OBJECTS, _MENTIONED, _CONSTRAINTS, _EXCLUDED, _SLOTS, _LAST_SLOT = 0, 1, 2, 3, slice(4, -1), -1
 """Indices into ``Combinations.sets``."""
 
 
 def build_object_sets(clause: CompiledClause, world: BehaviorWorld) -> ObjectSets:
     """Encode worlds as bit masks; leaves of the world are [..., E, P]."""
     is_object, object_type = world.is_object, world.object_type
-    itself = jnp.where(is_object, _bit_of_each(object_type.shape[0], 3), 0)
-    everything = jnp.sum(itself, axis=0)
+    bits = jnp.where(is_object, _bit_of_each(object_type.shape[0], 3), 0)
+    all_objects = jnp.sum(bits, axis=0)
     edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_ordinal])
-    figures = jnp.sum(jnp.where(edges, itself[None, :, None], 0), axis=1)
-    figures = jnp.append(figures, itself[None], axis=0)  # [18 + 1, N, E, P]: the last table is "at"
+    figures = jnp.sum(jnp.where(edges, bits[None, :, None], 0), axis=1)
+    figures = jnp.append(figures, bits[None], axis=0)  # [18 + 1, N, E, P]: the last table is "at"
     previous = world.is_previous & is_object
     last_type = jnp.max(jnp.where(previous, object_type, NONE - 9), axis=0)
     same_type = (label_of(object_type) == label_of(last_type)[None]) & is_object
     is_robot = (object_type == ROBOT) & is_object
     goal, others, robot = to_mask(jnp.stack([previous, same_type & ~previous, is_robot]))
-    rest = jnp.where(goal != 0, everything & ~(goal | others), 0)
+    rest = jnp.where(goal != 0, all_objects & ~(goal | others), 0)
     return ObjectSets(
         object_type=object_type,
         previous=jnp.stack([goal, others, rest]),
         robot=robot,
-        everything=everything,
+        all_objects=all_objects,
         in_region=lookup(figures, _per_object(clause.table, is_object)),
     )
 
@@ -74,7 +74,7 @@ def _per_object(index: Array, objects: Array) -> Array:
 def _named(phrase: CompiledClause, scene: ObjectSets) -> Array:
     """Find the objects of the types that the words name, i32[E, P]."""
     named = is_type(scene.object_type[None], phrase.named_types[:, None])  # [W, N, E, P]
-    return to_mask(functools.reduce(jnp.logical_or, named)) & scene.everything
+    return to_mask(functools.reduce(jnp.logical_or, named)) & scene.all_objects
 
 
 def object_odds(phrase: CompiledClause, scene: ObjectSets, given: Combinations, size: int) -> Array:
@@ -87,7 +87,7 @@ def object_odds(phrase: CompiledClause, scene: ObjectSets, given: Combinations, 
     for n in range(3):
         base = base + jnp.where(_is_in(scene.previous[n], size), previous[1 + n], 0.0)
     base = base + jnp.where(scene.previous[0] == 0, previous[4], 0.0)[None]
-    base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
+    base = jnp.where(_is_in(scene.all_objects, size), base, LOG_NEVER)
     objects, excluded = given.sets[:, _OBJECTS], given.sets[:, _EXCLUDED]
     in_child, is_located = _is_in(objects, size), ~_is_in(excluded, size)
     child_odds = child + jnp.where(is_located, located, elsewhere)
@@ -102,7 +102,7 @@ def region_odds(phrase: CompiledClause, scene: ObjectSets, given: Combinations, 
     base, child, child_region, neither, named, robot = phrase.regions[:, :, None]
     base = base + jnp.where(_is_in(_named(phrase, scene), size), named, 0.0)
     base = base + jnp.where(_is_in(scene.robot, size), robot, 0.0)
-    base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
+    base = jnp.where(_is_in(scene.all_objects, size), base, LOG_NEVER)
     return (
         base[None]
         + jnp.where(in_child, child, 0.0)
@@ -116,9 +116,9 @@ def constraint_odds(
 ) -> Array:
     """Evaluate the log-odds of the constraints, f32[4, N, E, P], of the phrase's one relation."""
     base, child_region, child, mention, no_mention, repeated, first = phrase.constraints
-    base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
+    base = jnp.where(_is_in(scene.all_objects, size), base, LOG_NEVER)
     in_child, is_mentioned, is_repeated, region_in_child = (
-        _is_in(given.sets[:, i], size) for i in (_OBJECTS, _MENTIONED, _CONSTRAINTS, _NEAR)
+        _is_in(given.sets[:, i], size) for i in (_OBJECTS, _MENTIONED, _CONSTRAINTS, _LAST_SLOT)
     )
     return (
         base[None]

@@ -7,7 +7,7 @@ a gate that depends on the words of the phrase, per relation:
 
 Each is declared once, for training and search on the host (``feature_matrices``) and for the
 particles: there only conditions are evaluated, and ``sum_by_condition`` sums the coefficients of
-all properties that share one. The order of declaration is that of the weights' columns.
+all properties that share one. Order and names are those of the columns in weight files.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,16 +51,16 @@ class GateInputs(NamedTuple):
         )
 
 
-def _object_columns(words: GateInputs, conditions: Conditions) -> PropertyColumns:
+def _object_columns(gates: GateInputs, conditions: Conditions) -> PropertyColumns:
     return {
         "bias": conditions["always"],
         "named": conditions["named"],
-        "unnamed": words.names_type * conditions["unnamed"],
+        "unnamed": gates.names_type * conditions["unnamed"],
         "inside": conditions["in_child"],
-        "inside and there": words.is_restricted * conditions["in_child_located"],
-        "inside, not there": words.is_restricted * conditions["in_child_not_located"],
-        "not inside": words.has_children * conditions["not_in_child"],
-        "named and there": words.is_restricted * conditions["named_located"],
+        "inside and there": gates.is_restricted * conditions["in_child_located"],
+        "inside, not there": gates.is_restricted * conditions["in_child_not_located"],
+        "not inside": gates.has_children * conditions["not_in_child"],
+        "named and there": gates.is_restricted * conditions["named_located"],
         "named, the previous goal": conditions["named_previous"],
         "previous goal": conditions["previous"],
         "like the previous goal": conditions["like_previous"],
@@ -69,26 +69,26 @@ def _object_columns(words: GateInputs, conditions: Conditions) -> PropertyColumn
     }
 
 
-def _region_columns(words: GateInputs, conditions: Conditions) -> PropertyColumns:
-    named, in_child = words.named_regions, conditions["in_child"]
+def _region_columns(gates: GateInputs, conditions: Conditions) -> PropertyColumns:
+    named, in_child = gates.named_regions, conditions["in_child"]
     return {
         "bias": conditions["always"],
         "relation named": named * conditions["always"],
         "inside": in_child,
         "inside, relation named": named * in_child,
-        "inside, other relation named": (1.0 - named) * words.has_relations * in_child,
+        "inside, other relation named": (1.0 - named) * gates.has_relations * in_child,
         "same": conditions["region_in_child"],
-        "neither": words.has_children * conditions["neither"],
-        "inside, at by default": _AT * (not words.has_relations) * in_child,
+        "neither": gates.has_children * conditions["neither"],
+        "inside, at by default": _AT * (not gates.has_relations) * in_child,
         "named, relation named": named * conditions["named"],
-        "lone relation to the robot": named * words.is_bare * conditions["robot"],
+        "lone relation to the robot": named * gates.is_bare * conditions["robot"],
         "robot": conditions["robot"],
         **by_name("is", REGIONS, _IS_REGION * conditions["always"]),
         **by_name("inside, is", REGIONS, _IS_REGION * in_child),
     }
 
 
-def _goal_columns(words: GateInputs, conditions: Conditions) -> PropertyColumns:
+def _goal_columns(gates: GateInputs, conditions: Conditions) -> PropertyColumns:
     return {
         "bias": conditions["always"],
         "same": conditions["region_in_child"],
@@ -96,15 +96,15 @@ def _goal_columns(words: GateInputs, conditions: Conditions) -> PropertyColumns:
         "neither": conditions["neither"],
         "at, inside": _AT * conditions["in_child"],
         "at, same": _AT * conditions["region_in_child"],
-        "inside, relation named": words.named_regions * conditions["in_child"],
-        "same, relation named": words.named_regions * conditions["region_in_child"],
-        "relation to the robot named": words.named_regions * conditions["robot"],
+        "inside, relation named": gates.named_regions * conditions["in_child"],
+        "same, relation named": gates.named_regions * conditions["region_in_child"],
+        "relation to the robot named": gates.named_regions * conditions["robot"],
         **by_name("is", REGIONS, _IS_REGION * conditions["always"]),
         **by_name("same, is", REGIONS, _IS_REGION * conditions["region_in_child"]),
     }
 
 
-def _constraint_columns(words: GateInputs, conditions: Conditions) -> PropertyColumns:
+def _constraint_columns(gates: GateInputs, conditions: Conditions) -> PropertyColumns:
     return {
         "bias": conditions["always"],
         "same": conditions["region_in_child"],
@@ -142,7 +142,7 @@ _FEATURES = {
 """Kind of symbol → its property columns, and the conditions that they use."""
 
 
-def sum_by_condition(kind: str, words: GateInputs, terms: np.ndarray) -> dict[str, np.ndarray]:
+def sum_by_condition(kind: str, gates: GateInputs, terms: np.ndarray) -> dict[str, np.ndarray]:
     """Sum the terms, f32[F] log-odds, of the properties that share a condition.
 
     For a kind "object", "region", "goal" or "constraint": condition → f32[7] by relation; equal for
@@ -152,7 +152,7 @@ def sum_by_condition(kind: str, words: GateInputs, terms: np.ndarray) -> dict[st
     # Evaluate the columns for one-hot conditions.
     one_hot = dict(zip(names, np.eye(len(names), dtype=np.float32)[:, None], strict=True))
     sums = np.zeros((NUM_REGIONS, len(names)), np.float32)
-    for term, column in zip(terms, columns(words, one_hot).values(), strict=True):
+    for term, column in zip(terms, columns(gates, one_hot).values(), strict=True):
         sums += term * np.asarray(column, np.float32)
     return dict(zip(names, sums.T, strict=True))
 
@@ -174,10 +174,10 @@ def choice_tables(senses: Senses) -> dict[str, np.ndarray]:
 
 def feature_names() -> dict[str, tuple[str, ...]]:
     """List the names of the weights' columns: kind of symbol → F names."""
-    words = GateInputs(_AT, *[False] * 5)
+    gates = GateInputs(_AT, *[False] * 5)
     choices = {"action": ACTIONS, "mode": MODES}
     return {
-        kind: tuple(columns(words, dict.fromkeys(conditions, False)))
+        kind: tuple(columns(gates, dict.fromkeys(conditions, False)))
         for kind, (columns, conditions) in _FEATURES.items()
     } | {kind: tuple(choice_columns(frozenset(), names)) for kind, names in choices.items()}
 
@@ -242,7 +242,7 @@ def _conditions(world: World, senses: Senses, child: ChildGroundings) -> Conditi
 
 
 def feature_matrices(
-    world: World, is_verb: bool, senses: Senses, words: GateInputs, child: ChildGroundings
+    world: World, is_verb: bool, senses: Senses, gates: GateInputs, child: ChildGroundings
 ) -> dict[str, np.ndarray]:
     """Build the feature matrices of a phrase's behavior symbols in one world: kind → f32[n, F].
 
@@ -251,5 +251,5 @@ def feature_matrices(
     conditions, matrices = _conditions(world, senses, child), {}
     for kind in ("goal", "constraint") if is_verb else ("object", "region"):
         shape = child.objects.shape if kind == "object" else child.regions.shape
-        matrices[kind] = stack_columns(shape, _FEATURES[kind][0](words, conditions))
+        matrices[kind] = stack_columns(shape, _FEATURES[kind][0](gates, conditions))
     return matrices | (choice_tables(senses) if is_verb else {})

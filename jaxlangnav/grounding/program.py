@@ -205,14 +205,14 @@ def compile_clause(
         restricts = [nodes[child].phrase.label in RESTRICTORS for child in children]
         fields["num_children"][row], fields["is_verb"][row] = len(children), node.is_verb
         fields["is_restrictor"][row, : len(children)] = restricts
-        words = GateInputs.of(senses, bool(node.children), any(restricts))
+        gates = GateInputs.of(senses, bool(node.children), any(restricts))
         if node.is_verb:
-            terms = sum_by_condition("goal", words, z["goal"])
-            constraints = sum_by_condition("constraint", words, z["constraint"])
+            terms = sum_by_condition("goal", gates, z["goal"])
+            constraints = sum_by_condition("constraint", gates, z["constraint"])
             _fill_constraint(fields, row, children, constraints)
         else:
-            terms = sum_by_condition("region", words, z["region"])
-            objects = sum_by_condition("object", words, z["object"])
+            terms = sum_by_condition("region", gates, z["region"])
+            objects = sum_by_condition("object", gates, z["object"])
             if senses.is_thing:  # as if there were no previous goal
                 objects["always"] += objects["no_previous"]
                 objects |= dict.fromkeys(PREVIOUS_GOAL, np.zeros(NUM_REGIONS, np.float32))

@@ -260,7 +260,7 @@ class Behaviors:
         space, senses = self.symbols_in(world), senses_of(phrase, self.type_names)
         is_verb = phrase.label in VERB_LABELS
         is_restrictor = [child.label in RESTRICTORS for child in phrase.children]
-        words = GateInputs.of(senses, bool(phrase.children), any(is_restrictor))
+        gates = GateInputs.of(senses, bool(phrase.children), any(is_restrictor))
         ranks = [
             find_ranks(child, (*path, i), self.rank, self.type_names)
             for i, child in enumerate(phrase.children)
@@ -286,7 +286,7 @@ class Behaviors:
                 constraints=space.part(union, CONSTRAINT),
                 is_located=is_located,
             )
-            matrices = feature_matrices(world, is_verb, senses, words, joined)
+            matrices = feature_matrices(world, is_verb, senses, gates, joined)
             return {kind: block(kind, matrix) for kind, matrix in matrices.items()}
 
         return Described(given)
