@@ -149,7 +149,7 @@ def _manifest(text: bytes, folder: Path) -> None:
     document = summarize_directory(folder)
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
-        Output(is_json=False).say(render(document))
+        Output(is_json=False).print(render(document))
         write_document(document)
     output.write(summary_markdown(document))
     assert all(line.isprintable() for line in output.getvalue().split("\n")), "it is not plain"

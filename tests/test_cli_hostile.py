@@ -170,7 +170,7 @@ def test_every_way_out_makes_text_printable(text: str, capsys: pytest.CaptureFix
     output, table = Output(is_json=False), Table(title=text)
     table.add_column(text)
     table.add_row(text)
-    output.say(text, table)
+    output.print(text, table)
     output.print_wrapped([text])
     output.note(text)
     captured = capsys.readouterr()
@@ -183,7 +183,7 @@ def test_markup_in_text_from_others_is_not_read(capsys: pytest.CaptureFixture[st
     table = Table(title=MARKUP)
     table.add_column(MARKUP)
     table.add_row(MARKUP)
-    Output(is_json=False).say(MARKUP, table)
+    Output(is_json=False).print(MARKUP, table)
     assert capsys.readouterr().out.count(MARKUP) == 4
 
 

@@ -48,5 +48,5 @@ class Bench:
                 advance(num_done)
 
             document = benchmarks.run_bench(bench, on_progress=report)
-        output.say(benchmarks.render(document))
+        output.print(benchmarks.render(document))
         return document

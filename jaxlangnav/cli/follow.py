@@ -220,7 +220,7 @@ class Follow:
         recording = score(recording, prepared, has_person=self.person is not None)
         recording = recording if source is None else add_talk(recording, source)
         if self.live or is_typed:
-            output.say("")
+            output.print("")
             output.print_wrapped(closing(recording.last_scene, recording.at(-1), recording.result))
         else:
             output.print_wrapped(narrate(recording))
@@ -272,5 +272,5 @@ class Follow:
         document["pictures"] = [str(path) for path in paths]
         write_text(document_text(document), self.out / "episode.json")
         names = ", ".join(path.name for path in paths)
-        output.say("")
-        output.say(f"Wrote {names} and episode.json into {self.out}")
+        output.print("")
+        output.print(f"Wrote {names} and episode.json into {self.out}")

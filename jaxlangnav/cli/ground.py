@@ -112,12 +112,12 @@ class Parse:
 
             grammar = export_grammar(self.grammar, self.nouns)
             for line in grammar.splitlines():
-                output.say(line)
+                output.print(line)
             return {"form": self.grammar, "grammar": grammar}
         if self.nouns:
             raise UsageError("--nouns needs --grammar")
         document = parse_text(self.text, output).to_dict()
-        output.say(_draw_tree(document["tree"]))
+        output.print(_draw_tree(document["tree"]))
         return document
 
 
@@ -173,14 +173,14 @@ class Ground:
         document["commands"] = list_commands(understood.instruction, understood.type_names)
         annotations, commands = document["annotations"], document["commands"]
         title = "Annotations: what it says of the world"
-        output.say(Table.of(annotations, _ANNOTATIONS, title=title).text())
+        output.print(Table.of(annotations, _ANNOTATIONS, title=title).text())
         if commands:
             rows = [command | {"number": position} for position, command in enumerate(commands, 1)]
-            output.say(Table.of(rows, _COMMANDS, title="Commands: what it asks for").text())
+            output.print(Table.of(rows, _COMMANDS, title="Commands: what it asks for").text())
         if behaviors_document:
             if behaviors := document["behaviors"]:
                 title = f"Behaviors in world {document['world']}"
-                output.say(Table.of(behaviors, _BEHAVIORS, title=title).text())
+                output.print(Table.of(behaviors, _BEHAVIORS, title=title).text())
             else:
                 output.note(f"note: {document['unjudged']} in world {document['world']}")
             num_objects = len(document["objects"])
@@ -188,14 +188,14 @@ class Ground:
         for graph_name, size in document["graph"].items():
             objects = f", {size['objects']} objects" if "objects" in size else ""
             counts = "{phrases} phrases, {factors} factors, {variables} variables".format_map(size)
-            output.say(Text(f"{graph_name} graph: {counts}{objects}", style="dim"))
+            output.print(Text(f"{graph_name} graph: {counts}{objects}", style="dim"))
         if self.out is not None:
             from jaxlangnav.viz.html import write_factor_graph
 
             model = dataclasses.replace(model, type_names=understood.names)
             pictures = write_factor_graph(understood.parse, model, self.out)
             document["pictures"] = [str(path) for path in pictures]
-            output.say(f"Wrote {', '.join(document['pictures'])}")
+            output.print(f"Wrote {', '.join(document['pictures'])}")
         return document
 
     def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:

@@ -33,7 +33,7 @@ class Output:
         """Create a writer; with ``is_json`` only notes are printed, on standard error."""
         self.is_json = is_json
 
-    def say(self, *parts: Any) -> None:
+    def print(self, *parts: Any) -> None:
         """Print texts, tables and trees; nothing under ``--json``.
 
         The parts are texts, each within one line, and what rich draws: tables, trees, styled text.

@@ -77,7 +77,7 @@ def _run_table1(settings: Settings, output: Output) -> StudyResult:
     with progress_bar("splits", _NUM_SPLITS) as advance:
         document = evaluate(splits=_NUM_SPLITS, seed=settings.options.seed, on_progress=advance)
     table = table_1(document)
-    output.say(table.text())
+    output.print(table.text())
     text = f"# {table.title}\n\n{table.markdown()}"
     return document, lambda out: [write_text(text, out / "table1.md")]
 
@@ -90,9 +90,9 @@ def _episode_study(name: str, settings: Settings) -> Study:
         total = experiment.total_episodes(options)
         with progress_bar("episodes", total) as advance:
             document = experiment.run(options, out=settings.args.out, on_progress=advance)
-        output.say(experiment.render(document))
+        output.print(experiment.render(document))
         wall, compiling = document["wall_s"], document["compile_s"]
-        output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
+        output.print(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
         return document, lambda out: _draw(experiment.name, document, out, output)
 
     return Study(
@@ -112,7 +112,7 @@ def _run_timing(settings: Settings, output: Output) -> StudyResult:
         document: dict[str, Any] = cycle_parts(params=settings.params)
     total, parts = document["cycle_us"], document["parts_us"]
     for part, micros in sorted(parts.items(), key=lambda item: -item[1]):
-        output.say(f"{part:<34} {micros:8.1f} µs {100 * micros / total:5.1f} %")
+        output.print(f"{part:<34} {micros:8.1f} µs {100 * micros / total:5.1f} %")
     return document, lambda out: [
         write_manifest(document, out / "time.json"),
         *_draw("time", document, out, output),
@@ -124,7 +124,7 @@ def _run_conversation(settings: Settings, output: Output) -> StudyResult:
     options = settings.options
     with progress_bar("episodes", options.episodes * len(spoken.ROWS)) as advance:
         document = spoken.run_rows(options, on_progress=advance)
-    output.say(spoken.CONVERSATION.render(document))
+    output.print(spoken.CONVERSATION.render(document))
 
     def write(out: Path) -> list[Path]:
         page = write_text(spoken.CONVERSATION.markdown(document), out / "conversation.md")
@@ -146,13 +146,13 @@ def _run_table3(settings: Settings, output: Output) -> StudyResult:
     with progress_bar("runs", total) as advance:
         document = reproduce_table3(plan, on_progress=advance)
     table = trials_table(document, title=_TITLE3, caption=_CAPTION3)
-    output.say(table.text())
+    output.print(table.text())
     for row in document["rows"]:
-        label = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"
+        name = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"
         for failure in row["failures"]:
-            output.say(f"{label}, trial {failure['trial']}: {failure['ending']}: {failure['why']}")
+            output.print(f"{name}, trial {failure['trial']}: {failure['ending']}: {failure['why']}")
     low, high = (100 * bound for bound in document["success_interval"])
-    output.say(
+    output.print(
         f"Over all: {100 * document['success']:.1f} % [{low:.1f}, {high:.1f}]; "
         f"{total - document['resumed']} runs in {document['wall_s']:.0f} s, "
         f"{document['resumed']} kept from before."
@@ -295,7 +295,7 @@ def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, An
     if settings.args.out is not None:
         document["files"] += [str(path) for path in write(settings.args.out)]
     for path in document["files"]:
-        output.say(f"Wrote {path}")
+        output.print(f"Wrote {path}")
     return document, study
 
 
@@ -313,7 +313,7 @@ def run_all(settings: Settings, output: Output) -> Document:
             seconds = time.perf_counter() - begin
             documents["report"] = str(_write_page(sections, settings, seconds))
     if documents["report"] is not None:
-        output.say(f"Wrote {documents['report']}")
+        output.print(f"Wrote {documents['report']}")
     return documents
 
 

@@ -191,7 +191,7 @@ def _count_factors(_: Settings, output: Output) -> StudyResult:
                   "behavior": {"factors": 383, "variables": 772}},
     }  # fmt: skip
     for row in _factors_table(document).rows:
-        output.say(f"{row[0]}: {row[1]} factors (paper {row[2]}), {row[3]} variables ({row[4]})")
+        output.print(f"{row[0]}: {row[1]} factors (paper {row[2]}), {row[3]} variables ({row[4]})")
     return document, lambda out: write_factor_graph(parsed, model, out, name="figure3")
 
 

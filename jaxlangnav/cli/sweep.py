@@ -75,7 +75,7 @@ class Sweep:
                 on_progress=advance,
                 on_note=output.note,
             )
-        output.say(f"Wrote {self.out}. See it: jaxlangnav summarize {self.out}")
+        output.print(f"Wrote {self.out}. See it: jaxlangnav summarize {self.out}")
         return document
 
     def _shard(self) -> str:
@@ -119,12 +119,12 @@ class Summarize:
         document = summarize_directory(self.directory)
         for line in document["damaged"]:
             output.note(f"note: {line}; it is left out: make it again with sweep --resume")
-        output.say(render(document))
+        output.print(render(document))
         if self.out is None:
             return document
         files = [str(path) for path in self._write(document, self.out, output)]
         for path in files:
-            output.say(f"Wrote {path}")
+            output.print(f"Wrote {path}")
         return {**document, "written": files}
 
     def _write(self, document: Document, out: Path, output: Output) -> list[Path]:

@@ -57,22 +57,22 @@ class Train:
             corpus_hash = trained.report["corpus"]
             save(self.out, trained.model, command=self._command, corpus_hash=corpus_hash)
         document = {**trained.report, "file": self.out}
-        output.say(f"{document['sentences']} sentences, corpus {document['corpus']}")
+        output.print(f"{document['sentences']} sentences, corpus {document['corpus']}")
         for name in kinds:
             report = document[name]
-            output.say(
+            output.print(
                 f"{name}: {report['examples']} factors, {report['features']} features; "
                 f"{report['steps']} steps in {report['train_s']:.2f} s "
                 f"(compiled in {report['train_compile_s']:.1f} s)"
             )
             if "accuracy" in report:
-                output.say(
+                output.print(
                     f"  whole sentences right: {100 * report['accuracy']:.1f} % of the "
                     f"{report['held_out']} held out; calibration error "
                     f"{report['calibration_error']:.3f} at temperature {report['temperature']:.2f}"
                 )
         message = f"Wrote {self.out}. Use it: jaxlangnav follow ... --weights FILE"
-        output.say(message if self.out else "Nothing was written; --out FILE keeps the weights.")
+        output.print(message if self.out else "Nothing was written; --out FILE keeps the weights.")
         return document
 
     @property
@@ -91,12 +91,12 @@ class Train:
         model, report = train_reader(examples, config=ReaderConfig())
         if self.out is not None:
             save_reader(self.out, model, command=self._command)
-        output.say(
+        output.print(
             "{sentences} sentences, {features} features, {labels} labels: {weights} weights, "
             "{loss:.3f} nats a sentence, in {train_s:.0f} s".format(**report)
         )
         message = f"Wrote {self.out}. Use it: JAXLANGNAV_READER=FILE jaxlangnav ..."
-        output.say(message if self.out else "Nothing was written; --out FILE keeps the reader.")
+        output.print(message if self.out else "Nothing was written; --out FILE keeps the reader.")
         return {**report, "file": self.out}
 
 
@@ -160,7 +160,7 @@ class Evaluate:
         kwargs: dict[str, Any] = {"splits": self.splits, "seed": self.seed, "beams": self.beams}
         with progress_bar("splits", self.splits) as advance:
             document = evaluate(**kwargs, is_exact=not self.beam_only, on_progress=advance)
-        output.say(table_1(document).text())
+        output.print(table_1(document).text())
         return document
 
     def _score(self, path: Path, output: Output) -> Document:
@@ -193,7 +193,7 @@ class Evaluate:
             with progress_bar("sentences", len(usable) * len(evaluation.VARIANTS)) as advance:
                 document |= evaluation.score_variants(usable, recorded, model, temperature, advance)
             table, lines = evaluation.render_variants(document, fit)
-        output.say(table)
+        output.print(table)
         for line in lines:
-            output.say(line)
+            output.print(line)
         return document
