@@ -17,7 +17,7 @@ from fuzz import TEXTS, Target
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.cli.output import Output, write_document
-from jaxlangnav.experiments.shards import Shard, ShardError, read_shard, write_shard
+from jaxlangnav.experiments.shards import FileError, FileId, read_file, write_file
 from jaxlangnav.experiments.summary import render, summarize_directory, summary_markdown
 from jaxlangnav.experiments.sweep import MANIFEST, identity, read_manifest
 from jaxlangnav.experiments.sweep_config import read_config
@@ -144,8 +144,8 @@ def _manifest(text: bytes, folder: Path) -> None:
     """Summarise a sweep with a mutated manifest; if accepted, all outputs are printable."""
     (folder / MANIFEST).write_bytes(text)
     sweep = identity(read_manifest(folder))
-    shard = Shard(sweep=sweep, index=0, rows=8)
-    write_shard(_episodes(), folder / "episodes-000000.parquet", shard)
+    shard = FileId(sweep=sweep, index=0, rows=8)
+    write_file(_episodes(), folder / "episodes-000000.parquet", shard)
     document = summarize_directory(folder)
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
@@ -186,13 +186,13 @@ def _weights(text: bytes, folder: Path) -> None:
 def _valid_shard() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "episodes-000000.parquet"
-        return write_shard(_episodes(), path, Shard(sweep="0" * 64, index=0, rows=8)).read_bytes()
+        return write_file(_episodes(), path, FileId(sweep="0" * 64, index=0, rows=8)).read_bytes()
 
 
 def _shard(text: bytes, folder: Path) -> None:
     path = folder / "episodes-000000.parquet"
     path.write_bytes(text)
-    read_shard(path, sweep="0" * 64, index=0)
+    read_file(path, sweep="0" * 64, index=0)
     assert text == _valid_shard(), "a damaged file passes for whole"
 
 
@@ -258,7 +258,7 @@ TARGETS = (
     Target(name="corpus", seeds=_corpus_lines, call=_corpus, refusals=(CorpusError,)),
     Target(name="sweep", seeds=partial(_texts, "sweep"), call=_sweep, refusals=(ValueError,)),
     Target(name="manifest", seeds=_manifests, call=_manifest, refusals=(ValueError,)),
-    Target(name="shard", seeds=lambda: [_valid_shard()], call=_shard, refusals=(ShardError,)),
+    Target(name="shard", seeds=lambda: [_valid_shard()], call=_shard, refusals=(FileError,)),
     Target(name="weights", seeds=_shipped_weights, call=_weights, refusals=(ValueError,)),
     Target(name="form", seeds=_forms, call=_form, refusals=(ValueError,)),
     Target(

@@ -11,7 +11,7 @@ from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT, Behavior, R
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import gather, reassign_distractor_mass
 from jaxlangnav.planner.graph import add_visited, empty_visited, frontiers, unexplored_cells
-from jaxlangnav.planner.relevance import groups, links_to_goal, links_to_unseen, particle_groups
+from jaxlangnav.planner.relevance import components, links_to_goal, links_to_unseen, particle_groups
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare
 from jaxlangnav.semantic_map import particle
@@ -249,7 +249,7 @@ def reading_of(types: list[int], relations: list[tuple[int, int, int]]) -> Readi
 
 
 def sets(readings: Readings) -> list[set[int]]:
-    found = np.asarray(groups(readings))[:, 0]
+    found = np.asarray(components(readings))[:, 0]
     return [{m for m in range(len(found)) if bits >> m & 1} for bits in found]
 
 

@@ -18,7 +18,7 @@ from jaxlangnav.world.templates import (
     TABLE_2,
     TEMPLATE_NAMES,
     check_relation,
-    known_range,
+    known_map_distance,
     parse_template,
 )
 
@@ -65,7 +65,7 @@ def test_every_world_obeys_the_law(template: str, relation: str) -> None:
     assert ((worlds.object_type == NONE) == ~worlds.is_object).all()
     assert (worlds.start == 0).all()
 
-    mean, sd = known_range(record, relation)
+    mean, sd = known_map_distance(record, relation)
     depth = mean + 2.5 * sd
     side = depth / np.sqrt(2)
     np.testing.assert_allclose(
@@ -232,10 +232,10 @@ def test_table_2_is_as_printed() -> None:
 def test_known_ranges() -> None:
     for row in TABLE_2:
         expected = (row.distance_known, row.distance_known_sd)
-        assert known_range(parse_template(row.world), row.relation) == expected
+        assert known_map_distance(parse_template(row.world), row.relation) == expected
     # Not printed: the nearest printed row; crowded worlds keep the room per object of 2H1C.
-    assert known_range(parse_template("1H1C"), "nearest") == (8.75, 1.69)
-    assert known_range(parse_template("2H2C"), "behind") == (10.38, 1.86)
-    assert known_range(parse_template("2H0C"), "null") == (10.49, 1.81)
-    assert known_range(parse_template("3H3C"), "nearest")[0] == pytest.approx(9.19 * 2**0.5)
-    assert all(known_range(parse_template(name), "null")[0] < 12 for name in TEMPLATE_NAMES)
+    assert known_map_distance(parse_template("1H1C"), "nearest") == (8.75, 1.69)
+    assert known_map_distance(parse_template("2H2C"), "behind") == (10.38, 1.86)
+    assert known_map_distance(parse_template("2H0C"), "null") == (10.49, 1.81)
+    assert known_map_distance(parse_template("3H3C"), "nearest")[0] == pytest.approx(9.19 * 2**0.5)
+    assert all(known_map_distance(parse_template(name), "null")[0] < 12 for name in TEMPLATE_NAMES)

@@ -71,7 +71,7 @@ def begin_conversation(
     return Conversation(
         words=default_discourse(instruction) if words is None else words,
         context=current_context(instruction.readings, pose),
-        viewer=compose_poses(pose, instruction.frame),
+        viewer=compose_poses(pose, instruction.frame),  # frame: commands' poses, robot frame
         home=pose,
         approached=jnp.int32(NONE),
         ruled_out=jnp.int32(0),
@@ -194,11 +194,11 @@ def add_avoidance(
         The behavior with constraints on observed slots; nothing changes where nothing is avoided.
     """
     num_objects = particles.object_type.shape[0]
-    avoid, types = (_per_particle(it, particles)[:, None] for it in (words.avoid, mention_type))
+    avoid, types = (_per_particle(v, particles)[:, None] for v in (words.avoid, mention_type))
     slots = jnp.arange(num_objects)[None, :, None]
-    is_it = (avoid == AVOID_IT) & (particles.referent[:, None] == slots)
+    is_referent = (avoid == AVOID_IT) & (particles.referent[:, None] == slots)
     is_alike = (avoid == AVOID_ALL) & is_type(particles.object_type[None], types)
-    is_avoided = jnp.any(is_it | is_alike, axis=0) & particles.is_observed
+    is_avoided = jnp.any(is_referent | is_alike, axis=0) & particles.is_observed
     goal = jnp.sum(behavior.goal, axis=0)[:num_objects]
     prob = jnp.where(is_avoided, 1.0 - jnp.minimum(goal, 1.0), 0.0)
     prob = jnp.pad(prob, ((0, behavior.constraint.shape[1] - num_objects), (0, 0)))

@@ -51,7 +51,7 @@ def action_space(actions: str) -> spaces.Box | spaces.Discrete[np.int64]:
     return spaces.Box(-1.0, 1.0, (functional.ACTION_SIZE,), np.float32)
 
 
-def to_functional(actions: Any, space: spaces.Space[Any]) -> np.ndarray:
+def to_functional_action(actions: Any, space: spaces.Space[Any]) -> np.ndarray:
     """Convert one or many actions of a space to those of ``functional``: f32[..., 3]."""
     if isinstance(space, spaces.Discrete):
         return DISCRETE_ACTIONS[np.asarray(actions)]
@@ -63,7 +63,7 @@ def _seed(generator: np.random.Generator) -> np.integer:
     return generator.integers(2**32, dtype=np.uint32)
 
 
-class _Simulation:
+class _SharedState:
     """State shared by both environments: parameters, current state, and trajectories to draw."""
 
     def __init__(self, render_mode: str | None, options: dict[str, Any]) -> None:
@@ -139,8 +139,8 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         self.observation_space = observation_space()
         self.action_space = action_space(actions)
         self.render_mode = render_mode
-        self._simulation = _Simulation(render_mode, options)
-        self.instruction = self._simulation.text
+        self._shared = _SharedState(render_mode, options)
+        self.instruction = self._shared.text
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -151,22 +151,22 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         those after it; no ``options`` are known.
         """
         super().reset(seed=seed)
-        first = _reset(_seed(self.np_random), self._simulation.params)
-        return self._simulation.update(*first), {"instruction": self.instruction}
+        first = _reset(_seed(self.np_random), self._shared.params)
+        return self._shared.update(*first), {"instruction": self.instruction}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Execute an action: observation, reward, terminated (stopped), truncated, and info."""
-        simulation, state_before = self._simulation, self._simulation.require_state("step")
-        action = to_functional(action, self.action_space)
+        shared, state_before = self._shared, self._shared.require_state("step")
+        action = to_functional_action(action, self.action_space)
         seed = _seed(self.np_random)
-        observation, state, reward, _, info = _step(seed, state_before, action, simulation.params)
+        observation, state, reward, _, info = _step(seed, state_before, action, shared.params)
         scalars = {name: value.item() for name, value in _info_dict(info).items()}
         terminated, truncated = scalars["is_stopped"], scalars["is_truncated"]
-        return simulation.update(observation, state), float(reward), terminated, truncated, scalars
+        return shared.update(observation, state), float(reward), terminated, truncated, scalars
 
     def render(self) -> np.ndarray | None:
         """Render the true world, the trajectory and the field of view: u8[480, W, 3], or None."""
-        pictures = self._simulation.render()
+        pictures = self._shared.render()
         return pictures[0] if pictures else None
 
 
@@ -185,7 +185,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         render_mode: RenderMode | None = None,
         **options: Any,
     ) -> None:
-        """Set up ``num_envs`` environments, options and errors as of ``FollowEnv``; a picture each.
+        """Set up ``num_envs`` environments, options and errors as of ``FollowEnv``.
 
         ``num_worlds``: size of the pool from which each episode takes a random world; 0 samples
         a new world in every step of every environment, at hundreds of times the cost.
@@ -200,7 +200,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.render_mode = render_mode
-        self._simulation = _Simulation(render_mode, options)
+        self._shared = _SharedState(render_mode, options)
         self._is_over = np.zeros(num_envs, bool)
 
     def reset(
@@ -208,15 +208,15 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Sample the pool and start all episodes: observations f32[num_envs, …], the command."""
         super().reset(seed=seed)
-        self._params = self._simulation.params
+        self._params = self._shared.params
         if self._num_worlds:
             key = jax.random.key(_seed(self.np_random))
             worlds = draw_pool(key, self._params.worlds, num_worlds=self._num_worlds)
             self._params = replace(self._params, worlds=worlds)
         keys = _keys(_seed(self.np_random), self.num_envs)
         self._is_over = np.zeros(self.num_envs, bool)
-        info = {"instruction": np.full(self.num_envs, self._simulation.text)}
-        return self._simulation.update(*_reset_many(keys, self._params)), info
+        info = {"instruction": np.full(self.num_envs, self._shared.text)}
+        return self._shared.update(*_reset_many(keys, self._params)), info
 
     def step(
         self, actions: Any
@@ -225,20 +225,20 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
 
         Observations, rewards, terminated, truncated, and info as arrays over environments.
         """
-        sim, state_before = self._simulation, self._simulation.require_state("step")
+        shared, state_before = self._shared, self._shared.require_state("step")
         keys = _keys(_seed(self.np_random), self.num_envs)
-        actions = to_functional(actions, self.single_action_space)
+        actions = to_functional_action(actions, self.single_action_space)
         observation, state, reward, info = _step_many(
             keys, state_before, actions, self._params, self._is_over
         )
         arrays = _info_dict(info)
         terminated, truncated = arrays["is_stopped"], arrays["is_truncated"]
         self._is_over = terminated | truncated
-        return sim.update(observation, state), np.asarray(reward), terminated, truncated, arrays
+        return shared.update(observation, state), np.asarray(reward), terminated, truncated, arrays
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Render every environment, as ``FollowEnv.render``."""
-        return self._simulation.render()
+        return self._shared.render()
 
 
 def _info_dict(info: functional.EnvironmentInfo) -> dict[str, np.ndarray]:

@@ -64,14 +64,14 @@ class Snapshot:
     num_regrounded: Leaf  # i32[] particles whose groundings were resampled
     is_news: Leaf  # bool[] a new object or a new utterance
     fault: Leaf  # i32[] bits of messages.Fault: why the robot stands still
-    overflow: Leaf  # i32[]
+    overflow: Leaf  # i32[] detections in this step for which no object slot was free
     # Goals and behavior
     goal_x: Leaf  # f32[O + 1] goal position at each observed object; the robot last
     goal_y: Leaf  # f32[O + 1]
     goal_mass: Leaf  # f32[O + 1] probability that it is the goal
     goal_confirmed: Leaf  # f32[O + 1] … with everything mentioned observed
-    is_goal: Leaf  # bool[O + 1]
-    goal_region: Leaf  # i32[O + 1] likeliest region, index into messages.REGIONS
+    is_goal: Leaf  # bool[O + 1] valid entry: an observed object; the robot if it may be the goal
+    goal_region: Leaf  # i32[O + 1] likeliest relation of goal to object, index into REGIONS
     hypothesis_goal_x: Leaf  # f32[P]
     hypothesis_goal_y: Leaf  # f32[P]
     hypothesis_goal_mass: Leaf  # f32[P]
@@ -101,13 +101,13 @@ class StaticScene:
 
     text: str
     type_names: tuple[str, ...]
-    policy: str
-    portrayal: PolicyDescription
+    policy: str  # its name
+    portrayal: PolicyDescription  # how it decides, in words and columns
     scenario: Scenario
     sensor: SensorParams
     readings: Readings
     planner: PlannerParams
-    num_clauses: int
+    num_clauses: int  # C, number of commands
     known_distance: float  # metres from the start to the goal, via the ends of earlier commands
     commands: tuple[CommandSummary, ...] = ()  # what each command asks for
     stop_radius: float = SUCCESS_RADIUS  # success radius around the goal, metres

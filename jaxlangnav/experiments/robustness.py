@@ -78,7 +78,7 @@ def _row_metrics(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
         rate = 100.0 * num_correct / max(1, count)
         entries |= {"success_rate": rate, "success_ci": [100.0 * lower, 100.0 * upper]}
     row = row | entries
-    # Only ``informed`` has targets.
+    # Only our policy ``informed``, the tour of least expected latency, has targets.
     if row["policy"] != "informed":
         return entries
     if spec.target is not None:
@@ -143,15 +143,15 @@ _RESULT_COLUMNS: TableColumns = (
     ("Success % (95 %)", SUCCESS_FORMAT),
     ("target", _format_target),
     ("Distance m (σ)", "{distance_mean:.1f} ({distance_sd:.1f})"),
-    ("Known m", "{known_distance_mean:.1f}"),
-    ("Stopped elsewhere", "{elsewhere}"),
+    ("Known m", "{known_distance_mean:.1f}"),  # shortest path from start to goal
+    ("Stopped elsewhere", "{elsewhere}"),  # arrivals that are not at the goal
     ("Not found", "{not_found}"),
-    ("Asks", "{asks}"),
+    ("Asks", "{asks}"),  # ended with a question which object is meant
     ("Other ends", "{other_ends}"),
     ("Time-outs", "{timeouts}"),
     ("ECE (chance)",
      lambda row: "" if row["ece"] is None else f"{row['ece']:.3f} ({row['ece_floor']:.3f})"),
-    ("Overflow", "{overflow_episodes}"),
+    ("Overflow", "{overflow_episodes}"),  # … with a detection for which no object slot was free
 )  # fmt: skip
 _NARROW_COLUMNS = [_RESULT_COLUMNS[i] for i in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
 """Columns for the terminal."""
@@ -192,4 +192,4 @@ ROBUSTNESS = Experiment(
     tables=_tables,
     notes=_notes,
 )
-"""The robustness suite; its arms have the capacities of ``Navigator.pretrained``."""
+"""The robustness suite; its arms have the array sizes of ``Navigator.pretrained``."""

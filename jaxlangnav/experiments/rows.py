@@ -8,7 +8,7 @@ from jaxlangnav.experiments.table import Row
 from jaxlangnav.experiments.tasks import SENTENCES, Cell
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.world.templates import TABLE_2, TableRow, known_range, parse_template
+from jaxlangnav.world.templates import TABLE_2, TableRow, known_map_distance, parse_template
 
 PAPER_RUNS = 100  # simulations per published value: "approximately 100" (section 4.2)
 MAX_Z = 2.0  # standard errors within which two values agree
@@ -82,7 +82,7 @@ def bound_rows(specs: Sequence[RowSpec]) -> list[Row]:
     for spec in specs:
         template = parse_template(spec.world)
         success_rate = 1.0 / template.num_hydrants if spec.relation == "null" else 1.0
-        mean, _ = known_range(template, spec.relation)
+        mean, _ = known_map_distance(template, spec.relation)
         rows.append(spec.heading() | {"known": mean, "success": 100.0 * success_rate})
     return rows
 

@@ -25,7 +25,7 @@ COMMANDS = {
 }
 """Commands by relation; "null" has no spatial relation."""
 _Values = Mapping[str, Any]
-AHEAD = (-2.0, 12.0, -9.0, 9.0)  # metres; default operating area
+_AREA = (-2.0, 12.0, -9.0, 9.0)  # metres; default operating area
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,7 @@ class ScenarioSpec(RowSpec):
             motion=replace(default_motion(), **motion),
             seed=seed,
             environments=environments,
-            world_params=world_params(**{"area": AHEAD, **self.layout}),
+            world_params=world_params(**{"area": _AREA, **self.layout}),
             assumed_sensor=default_sensor(self.range, **{**self.truth, **self.assumed}),
             labels=self.heading() | {"relation": self.relation},
             overrides=self.params,
@@ -138,8 +138,8 @@ def _square(half: float) -> _Values:
 
 
 def _counts(expected: float) -> _Values:
-    """Set the expected number of further objects per type, and a low annotation error rate."""
-    return {"concentration": expected, "clumping": 0.0, "misleading": 0.01}
+    """Prior: ``expected`` further objects per type, Poisson; a relation is false with 1 %."""
+    return {"concentration": expected, "clumping": 0.0, "misleading": 0.01}  # clumping: of counts
 
 
 _FP_2, _FP_10 = {"false_detections": 0.01}, {"false_detections": 0.05}

@@ -1,6 +1,6 @@
-"""Shards: self-verifying Parquet files of a sweep, and locks on the parts of its folder.
+"""Self-verifying Parquet files of a sweep's episodes, and locks on the parts of its folder.
 
-A shard is a Parquet file with the episodes of one chunk of the plan. Its footer contains the hash
+A file has the episodes of one chunk of the plan. Its footer (Parquet metadata) contains the hash
 of the sweep, the index of the file, the number of rows, and the SHA-256 of its bytes (with zeros in
 place of the digits). Rows and record are in one file, so one rename publishes both, and a killed
 process cannot leave one without the other.
@@ -31,25 +31,25 @@ _ZERO_HASH = "0" * 64
 _HASH_PREFIX = b'"sha256": "'  # precedes the digits, which end the footer
 
 
-class ShardError(ValueError):
-    """Raised if a file is not the expected shard; the message says how it differs."""
+class FileError(ValueError):
+    """Raised if a file is not the expected one; the message says how it differs."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Shard:
-    """Identity of a shard: its sweep, index and number of rows."""
+class FileId:
+    """Identity of an episode file: its sweep, index and number of rows."""
 
     sweep: str  # SHA-256 that all files of a sweep share, see ``sweep.identity``
     index: int
     rows: int
 
 
-def write_shard(columns: Mapping[str, Any], path: Path, shard: Shard) -> Path:
+def write_file(columns: Mapping[str, Any], path: Path, identity: FileId) -> Path:
     """Write a chunk's episodes, columns [E], atomically; ``ValueError`` for a wrong length."""
     table = pa.table(dict(columns))
-    if table.num_rows != shard.rows:
-        raise ValueError(f"{path} would have {table.num_rows} rows, but must have {shard.rows}")
-    record = json.dumps(dataclasses.asdict(shard) | {"sha256": _ZERO_HASH})
+    if table.num_rows != identity.rows:
+        raise ValueError(f"{path} would have {table.num_rows} rows, but must have {identity.rows}")
+    record = json.dumps(dataclasses.asdict(identity) | {"sha256": _ZERO_HASH})
     sink = pa.BufferOutputStream()
     options: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
     with pq.ParquetWriter(sink, table.schema, **options) as writer:
@@ -61,53 +61,53 @@ def write_shard(columns: Mapping[str, Any], path: Path, shard: Shard) -> Path:
     return write_bytes(content[:start] + digits + content[start + len(digits) :], path)
 
 
-def check_shard(path: Path, shard: Shard) -> None:
-    """Raise ``ShardError`` if a file is not the expected shard, or is damaged."""
-    _compare(_record(_read(path)), shard)
+def check_file(path: Path, identity: FileId) -> None:
+    """Raise ``FileError`` if a file is not the expected one, or is damaged."""
+    _compare(_record(_read(path)), identity)
 
 
-def read_shard(path: Path, *, sweep: str, index: int) -> pa.Table:
-    """Read the rows of the file ``index`` of a sweep, verified as in ``check_shard``."""
+def read_file(path: Path, *, sweep: str, index: int) -> pa.Table:
+    """Read the rows of the file ``index`` of a sweep, verified as in ``check_file``."""
     content = _read(path)
     record = _record(content)
-    _compare(record, Shard(sweep=sweep, index=index, rows=record.rows))
+    _compare(record, FileId(sweep=sweep, index=index, rows=record.rows))
     # The hash has verified every byte, so the file can be read and has those rows.
     return pq.read_table(pa.BufferReader(content))
 
 
 def _read(path: Path) -> bytes:
-    """Read the bytes of a file; ``ShardError`` if there is none."""
+    """Read the bytes of a file; ``FileError`` if there is none."""
     if not path.is_file():
-        raise ShardError("is no file")
+        raise FileError("is no file")
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ShardError(f"cannot be read: {error.strerror}") from None
+        raise FileError(f"cannot be read: {error.strerror}") from None
 
 
-def _record(content: bytes) -> Shard:
+def _record(content: bytes) -> FileId:
     """Verify the hash of a file's bytes, and parse its record."""
     if not content:
-        raise ShardError("is empty")
+        raise FileError("is empty")
     start = content.rfind(_HASH_PREFIX) + len(_HASH_PREFIX)
     end = start + len(_ZERO_HASH)
     if start < len(_HASH_PREFIX) or not content.endswith(b"PAR1"):
-        raise ShardError("has no record of what was written: it is cut short, or of another origin")
+        raise FileError("has no record of what was written: it is cut short, or of another origin")
     zeroed = content[:start] + _ZERO_HASH.encode() + content[end:]
     if hashlib.sha256(zeroed).hexdigest().encode() != content[start:end]:
-        raise ShardError("is damaged: its bytes are not those that were written (SHA-256)")
+        raise FileError("is damaged: its bytes are not those that were written (SHA-256)")
     record = json.loads(content[content.rfind(b"{", 0, start) : end + len(b'"}')])
-    return Shard(sweep=record["sweep"], index=record["index"], rows=record["rows"])
+    return FileId(sweep=record["sweep"], index=record["index"], rows=record["rows"])
 
 
-def _compare(actual: Shard, expected: Shard) -> None:
-    """Raise ``ShardError`` if a valid file is not the expected one."""
+def _compare(actual: FileId, expected: FileId) -> None:
+    """Raise ``FileError`` if a valid file is not the expected one."""
     if actual.sweep != expected.sweep:
-        raise ShardError("is of another sweep, or of another version")
+        raise FileError("is of another sweep, or of another version")
     if actual.index != expected.index:
-        raise ShardError(f"stands in the place of another: it is file {actual.index} of the sweep")
+        raise FileError(f"stands in the place of another: it is file {actual.index} of the sweep")
     if actual.rows != expected.rows:
-        raise ShardError(f"has {actual.rows} rows, but must have {expected.rows}")
+        raise FileError(f"has {actual.rows} rows, but must have {expected.rows}")
 
 
 # A part i/n of a folder is locked by the file ``.held-i-of-n.json``, which names host, process and

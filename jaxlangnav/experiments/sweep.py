@@ -21,7 +21,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import CompileClock, json_text, manifest
 from jaxlangnav.experiments.monte_carlo import (
     CHUNK_SIZE,
-    NUM_LANES,
+    NUM_LANES,  # concurrent episodes on a device
     DeviceBatch,
     OnProgress,
     concurrent_calls,
@@ -30,7 +30,7 @@ from jaxlangnav.experiments.monte_carlo import (
     run_ahead,
     run_round,
 )
-from jaxlangnav.experiments.shards import OnNote, Shard, ShardError, check_shard, lock, write_shard
+from jaxlangnav.experiments.shards import FileError, FileId, OnNote, check_file, lock, write_file
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
@@ -78,7 +78,7 @@ def identity(document: dict[str, Any]) -> str:
 
     Files of a version with other metrics cannot be combined with these in one table.
     """
-    shared = {key: _without_count(document.get(key)) for key in _IDENTITY}
+    shared = {key: _drop_device_count(document.get(key)) for key in _IDENTITY}
     shared["measured"] = [field.name for field in dataclasses.fields(EpisodeResult)]
     return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()
 
@@ -89,28 +89,28 @@ def _open_folder(
     """Write the manifest, or check that the existing one is of this sweep; return its identity."""
     sizes = {"files": plan.num_files, "rows": plan.episodes_of("1/1")}
     settings = plan.config.document() | {"chunk": CHUNK_SIZE, "lanes": NUM_LANES} | sizes
-    expected_manifest = json.loads(json.dumps(manifest(settings, models=models)))
+    required = json.loads(json.dumps(manifest(settings, models=models)))
     path = folder / MANIFEST
     # In this order because other processes may be writing the manifest at the same time.
     has_episodes = any(True for _ in episode_files(folder))
     if not path.exists():
         if has_episodes:
             raise ValueError(f"{folder} holds episodes without a manifest: choose another folder")
-        write_once(json_text(expected_manifest).encode(), path)
+        write_once(json_text(required).encode(), path)
     # Read back in any case: of several sweeps that start here at once, one has written it.
     existing = read_manifest(folder)
     for key in _IDENTITY:
-        actual, expected = _without_count(existing.get(key)), _without_count(expected_manifest[key])
+        actual, expected = _drop_device_count(existing.get(key)), _drop_device_count(required[key])
         if actual != expected:
             difference = _difference(actual, expected, key)
             raise ValueError(f"{folder} holds another sweep ({difference}): choose another folder")
     if not is_resumed and any(index in indices for index, _ in episode_files(folder)):
         raise ValueError(f"{folder} already holds episodes of this sweep: add --resume")
-    return identity(expected_manifest)
+    return identity(required)
 
 
 def _valid_files(
-    folder: Path, plan: SweepPlan, indices: Sequence[int], sweep: str, on_note: OnNote
+    folder: Path, plan: SweepPlan, indices: Sequence[int], sweep_id: str, on_note: OnNote
 ) -> set[int]:
     """Find the indices of those of our files that exist and are valid."""
     valid = set()
@@ -118,8 +118,8 @@ def _valid_files(
         if index not in indices:
             continue
         try:
-            check_shard(path, Shard(sweep=sweep, index=index, rows=plan.size(index)))
-        except ShardError as fault:
+            check_file(path, FileId(sweep=sweep_id, index=index, rows=plan.size(index)))
+        except FileError as fault:
             if path.is_dir():
                 raise ValueError(f"{path}: is a folder where a file belongs: remove it") from None
             on_note(f"note: {path} {fault}; it is made again")
@@ -128,7 +128,7 @@ def _valid_files(
     return valid
 
 
-def _without_count(value: Any) -> Any:
+def _drop_device_count(value: Any) -> Any:
     """Drop the number of devices, on which results do not depend."""
     if isinstance(value, dict):
         return {key: entry for key, entry in value.items() if key != "count"}
@@ -185,18 +185,18 @@ def run_sweep(
     with CompileClock() as clock:
         sentences = ground_sentences([command.text for command in config.commands])
         with lock(folder, parse_shard(shard), on_note=note) as is_locked:
-            sweep = _open_folder(folder, plan, indices, sentences.models, is_resumed=resume)
+            sweep_id = _open_folder(folder, plan, indices, sentences.models, is_resumed=resume)
             if is_locked:
                 # Temporary files of killed writers; nobody else writes those of this shard.
                 for path in folder.iterdir():
                     if (match := _TEMPORARY.fullmatch(path.name)) and int(match[1]) in indices:
                         path.unlink(missing_ok=True)
-            valid = _valid_files(folder, plan, indices, sweep, note)
+            valid = _valid_files(folder, plan, indices, sweep_id, note)
             num_valid, missing = sum(map(plan.size, valid)), (i for i in indices if i not in valid)
             advance(num_valid)
-            run_files = functools.partial(_run_files, plan, folder, sweep, sentences)
-            batches = _batches(missing, plan.program_key, mesh().size)
-            for done in run_ahead(run_files, batches, num_threads or concurrent_calls()):
+            run_files = functools.partial(_run_files, plan, folder, sweep_id, sentences)
+            rounds = _rounds(missing, plan.program_key, mesh().size)
+            for done in run_ahead(run_files, rounds, num_threads or concurrent_calls()):
                 advance(done)
     return {
         "out": str(folder),
@@ -211,7 +211,7 @@ def run_sweep(
     }
 
 
-def _batches(
+def _rounds(
     files: Iterable[int], program_key: Callable[[int], tuple[str, int | None]], devices: int
 ) -> Iterator[list[int]]:
     """Group file indices into rounds of one program, one file per device."""
@@ -225,7 +225,7 @@ def _batches(
 
 
 def _run_files(
-    plan: SweepPlan, folder: Path, sweep: str, sentences: GroundedSentences, files: list[int]
+    plan: SweepPlan, folder: Path, sweep_id: str, sentences: GroundedSentences, files: list[int]
 ) -> int:
     """Run the episodes of a round, write its files and return the number of episodes."""
     grid, arms = plan.grid, [plan.arm(index) for index in files]
@@ -242,7 +242,7 @@ def _run_files(
         columns = grid.columns(arm, ids, result, known_distances(part))
         path = folder / f"episodes-{index:06d}.parquet"
         try:
-            write_shard(columns, path, Shard(sweep=sweep, index=index, rows=len(ids)))
+            write_file(columns, path, FileId(sweep=sweep_id, index=index, rows=len(ids)))
         except OSError as error:
             raise OSError(
                 f"{path} cannot be written: {error}; the other files stay, go on with --resume"

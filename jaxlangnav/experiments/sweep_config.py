@@ -7,7 +7,7 @@
     worlds = ["1H1C", "2H1C", "yard.toml"]    # templates, shipped worlds, files
     commands = ["behind", "nearest", { text = "drive to the hydrant", relation = "null" }]
     ranges = [2, 3, "500 cm"]                 # metres
-    policies = ["informed", "faithful", "frontier"]
+    policies = ["informed", "faithful", "frontier"]  # ours, the paper's, nearest frontier
     particles = [64, 256]
 
     [sensor]                                  # each key: a value or a list of values
@@ -19,7 +19,7 @@
     odometry_noise = "2 %"
 
     [map]
-    concentration = [0.1, 0.3]
+    concentration = [0.1, 0.3]                # expected count of further objects per type
 
     [planner]
     discount = 0.8
@@ -55,7 +55,7 @@ from jaxlangnav.world.templates import Template, check_relation
 
 _MAX_BYTES = 1 << 20  # bytes of a configuration
 _NONEMPTY = Meta(min_length=1)
-_Seed = Annotated[int, Meta(ge=0, lt=SEED_LIMIT)]
+_UInt32 = Annotated[int, Meta(ge=0, lt=SEED_LIMIT)]
 _Particles = Annotated[int, Meta(ge=2)]
 Choices = dict[str, tuple[float, ...]]
 
@@ -72,8 +72,8 @@ class _SweepSchema(Schema):
     commands: PlainText | Command | Annotated[list[PlainText | Command], _NONEMPTY]
     name: Name = "sweep"
     episodes: Annotated[int, Meta(ge=1)] = 100
-    environments: _Seed = 0
-    seeds: _Seed | Annotated[list[_Seed], _NONEMPTY] = 0
+    environments: _UInt32 = 0
+    seeds: _UInt32 | Annotated[list[_UInt32], _NONEMPTY] = 0
     ranges: float | int | str | Annotated[list[float | int | str], _NONEMPTY] = 3
     policies: PlainText | Annotated[list[PlainText], _NONEMPTY] = "informed"
     particles: _Particles | Annotated[list[_Particles], _NONEMPTY] = DEFAULT_PARTICLES

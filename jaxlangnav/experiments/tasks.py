@@ -63,7 +63,7 @@ def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One setting of a grid: episodes that share everything but their keys.
+    """An experimental setting: episodes that share everything but their random keys.
 
     Sensor and motion model are the default ones unless given.
     """
@@ -129,7 +129,7 @@ def _draw(shared: dict[str, Any], *ids: ArrayLike) -> Task:
         if "world_params" in cell:
             scenario = draw_world(world_keys[0], cell["world_params"])
         else:
-            sampled, is_custom = draw_scenario(world_keys[0], cell["dist"]), cell["is_custom"]
+            sampled, is_custom = draw_scenario(world_keys[0], cell["params"]), cell["is_custom"]
             candidates = cell["scenario"], sampled
             scenario = jax.tree.map(lambda a, b: jnp.where(is_custom, a, b), *candidates)
         return Task(
@@ -155,7 +155,7 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, episodes: np.ndarray) -
 
     ``index``: i[E], the cell of each; ``episodes``: i[E], its index within the cell's (seed,
     world); ``episodes`` and ``first_episode`` of the cells are not used. ``ValueError``: unknown
-    world or relation, or places beside templates.
+    world or relation, or cells with and without ``world_params``.
     """
     if len({cell.world_params is None for cell in cells}) > 1:
         raise ValueError("places and templates cannot be drawn at once: they differ in size")
@@ -185,7 +185,7 @@ def _shared_fields(cell: Cell) -> dict[str, Any]:
     # A custom world replaces a sampled one, so any template will do.
     template = (cell.world, cell.relation) if cell.scenario is None else ("1H1C", "null")
     return common | {
-        "dist": scenario_params(template=template[0], relation=template[1]),
+        "params": scenario_params(template=template[0], relation=template[1]),
         "is_custom": np.asarray(cell.scenario is not None),
         "scenario": empty_scenario() if cell.scenario is None else cell.scenario,
     }

@@ -38,11 +38,11 @@ from jaxlangnav.grounding.program import (
     MAX_DEPTH,
     NUM_CHILDREN,
     NUM_PHRASES,
-    NUM_REGION_SLOTS,
+    NUM_REGION_SLOTS,  # relations that a phrase may express at once
     CompiledClause,
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
-from jaxlangnav.inputs.object_types import label_of
+from jaxlangnav.inputs.object_types import label_of  # type code without attribute bits
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
 from jaxlangnav.numerics.batching import materialize, select_row
 from jaxlangnav.pytree import replace
@@ -59,14 +59,14 @@ _OBJECTS, _REGIONS, _CONSTRAINTS, _LOCATED = 0, 1, 1 + NUM_REGION_SLOTS, 2 + NUM
 class _Stack(NamedTuple):
     """Beam hypotheses of phrases whose parent has not been processed yet; the latest first."""
 
-    sets: Array  # i32[D, 5, 4, E, P] objects, regions by slot, constraints, objects in the regions
+    sets: Array  # i32[D, 5, 4, E, P] objects, regions by relation slot, constraints, located
     cost: Array  # f32[D, 4, E, P] −log-probability, ascending
 
 
 class _SymbolOdds(NamedTuple):
     """Log-odds of a phrase's symbols, given each of the four best combinations of its children."""
 
-    log_odds: Array  # f32[4, 3 N, E, P] objects (of a verb: constraints), regions by slot
+    log_odds: Array  # f32[4, 3 N, E, P] objects (of a verb: constraints), regions by relation
     cost: Array  # f32[4, E, P] of the combinations
 
 
@@ -81,10 +81,10 @@ def _child_beam(phrase: CompiledClause, stack: _Stack, k: Array | int) -> Combin
     mentioned = functools.reduce(jnp.bitwise_or, [objects, *regions])
     constraints = jnp.where(phrase.child_constraint_slot[k] == NONE, 0, sets[_CONSTRAINTS])
     excluded = jnp.where(phrase.is_restrictor[k] & exists, ~sets[_LOCATED], 0)
-    single = jnp.where(iota(_BEAM, 3) == 0, 0.0, _COST_EMPTY).astype(jnp.float32)
+    empty_cost = jnp.where(iota(_BEAM, 3) == 0, 0.0, _COST_EMPTY).astype(jnp.float32)
     return Combinations(
         sets=jnp.append(jnp.stack([objects, mentioned, constraints, excluded], 1), by_slot, axis=1),
-        cost=jnp.where(exists, stack.cost[k], single),
+        cost=jnp.where(exists, stack.cost[k], empty_cost),
     )
 
 
@@ -182,7 +182,7 @@ def _reduce(phrase: CompiledClause, scene: ObjectSets, stack: _Stack) -> tuple[_
 
 
 def _by_relation(values: Array, relation: Array) -> Array:
-    """Spread slots f32[L, N, E, P] over the seven regions, f32[7, N, E, P]."""
+    """Scatter values of a phrase's L relations, f32[L, N, E, P], to all seven: f32[7, N, E, P]."""
     regions = iota(NUM_REGIONS, 3)[:, None]
     spread = [
         jnp.where(r == regions, value[None], 0.0) for r, value in zip(relation, values, strict=True)
@@ -205,11 +205,11 @@ def _root_marginals(clause: CompiledClause, root: _SymbolOdds, size: int) -> Beh
     probability = materialize(1.0 / (1.0 + jnp.exp(-root.log_odds)))
     constraint, goal = probability[:, :size], probability[:, size:]
     goal = goal.reshape(_BEAM, NUM_REGION_SLOTS, size, *batch_shape)
-    is_none = jnp.prod(functools.reduce(jnp.multiply, jnp.unstack(1.0 - goal, axis=1)), axis=1)
+    none_prob = jnp.prod(functools.reduce(jnp.multiply, jnp.unstack(1.0 - goal, axis=1)), axis=1)
     total = jnp.sum(functools.reduce(jnp.add, jnp.unstack(goal, axis=1)), axis=1)
     exists = jnp.where(clause.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-root.cost, axis=0)
-    scale = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
+    scale = weight * (1.0 - none_prob) / jnp.maximum(total, 1e-9)
     by_slot = materialize((mean(goal, scale[:, None, None]), mean(constraint, weight[:, None])))
     return Behavior(
         action=jnp.broadcast_to(clause.action, (clause.action.shape[0], *batch_shape)),

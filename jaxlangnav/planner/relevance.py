@@ -19,10 +19,10 @@ _MIN_GOAL_PROB = 1e-3
 """Goal probability below which a mention is not a goal in a particle."""
 
 
-def groups(readings: Readings) -> Array:
+def components(readings: Readings) -> Array:
     """Compute the connected components of mentions in each of K interpretations.
 
-    i32[M, K], for each mention the set of its component, including itself.
+    i32[M, K], for each mention the bit set of its component, itself included.
     """
     num_mentions = readings.mention_type.shape[-1]
     mentions, identity = np.arange(num_mentions)[None, None], np.eye(num_mentions, dtype=bool)[None]
@@ -45,26 +45,26 @@ def _bitset(is_member: Array) -> Array:
 
 def particle_groups(readings: Readings, particles: SemanticMap) -> Array:
     """Look up the groups under each particle's interpretation, i32[M, P]."""
-    table = groups(readings).T  # [K, M]
+    table = components(readings).T  # [K, M]
     index = jnp.broadcast_to(particles.reading, (table.shape[1], particles.reading.shape[-1]))
     return lookup(table[:, :, None], index)
 
 
-def links_to_unseen(group: Array, particles: SemanticMap) -> Array:
-    """Mark the mentions whose group has an unseen object, bool[M, P], themselves included."""
-    return (group & _bitset(particles.is_hypothesised)[None]) != 0
+def links_to_unseen(group_bits: Array, particles: SemanticMap) -> Array:
+    """Mark mentions in groups with a hypothesised (unobserved) object, bool[M, P]."""
+    return (group_bits & _bitset(particles.is_hypothesised)[None]) != 0
 
 
-def links_to_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> Array:
+def links_to_goal(group_bits: Array, particles: SemanticMap, behavior: Behavior) -> Array:
     """Mark the mentions in the group of the current command's goal.
 
     bool[M, P], for the groups from ``particle_groups``. Limits: in a particle whose goal is none
     of the mentions, such as "the other cone", all are marked.
     """
     num_objects, num_mentions = particles.object_type.shape[0], particles.referent.shape[0]
-    goal = jnp.sum(behavior.goal, axis=0)  # [N + 1, P]
+    goal = jnp.sum(behavior.goal, axis=0)  # [O + 1, P]
     is_referent = np.arange(num_objects)[:, None, None] == particles.referent[None]  # [O, M, P]
     observed_mass = jnp.sum(jnp.where(is_referent, goal[:num_objects, None], 0.0), axis=0)
     mention_mass = observed_mass + goal[num_objects : num_objects + num_mentions]
     goals = _bitset((mention_mass > _MIN_GOAL_PROB) & particles.is_mentioned)
-    return ((group & goals[None]) != 0) | (goals == 0)[None]
+    return ((group_bits & goals[None]) != 0) | (goals == 0)[None]

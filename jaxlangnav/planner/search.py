@@ -12,7 +12,7 @@ from jaxlangnav.messages import ROBOT
 from jaxlangnav.numerics.batching import materialize, skip_unless_any
 from jaxlangnav.planner import prior
 from jaxlangnav.planner.constraints import Zones
-from jaxlangnav.planner.relevance import groups
+from jaxlangnav.planner.relevance import components
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, cell_size
@@ -131,7 +131,7 @@ def _viewer_factor(
 
     def factor_minus_one(positions: tuple[Array, Array]) -> Array:
         log_density = log_viewer_density(utterances, log_area, *positions)
-        is_grouped = (groups(readings)[:, None] >> mentions[None, :, None]) & 1  # [M, M, K]
+        is_grouped = (components(readings)[:, None] >> mentions[None, :, None]) & 1  # [M, M, K]
         log_density = jnp.sum(jnp.where(is_grouped[None] > 0, log_density[:, None], 0.0), axis=2)
         factor = jnp.exp(log_density - jnp.max(log_density, axis=0, keepdims=True))  # [C, M, K]
         factor = factor / jnp.maximum(jnp.tensordot(mass, factor, axes=1), 1e-9)[None]

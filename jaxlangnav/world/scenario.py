@@ -35,7 +35,7 @@ from jaxlangnav.world.templates import (
     RELATION_NAMES,
     Template,
     check_relation,
-    known_range,
+    known_map_distance,
     parse_template,
 )
 
@@ -220,7 +220,7 @@ def scenario_params(*, template: str | Template, relation: str) -> ScenarioParam
             f"world template {record.name!r} has no cone for the relation {relation!r}: "
             "choose one with 1 cone or more, or the relation 'null'"
         )
-    mean, sd = known_range(record, relation)
+    mean, sd = known_map_distance(record, relation)
     return ScenarioParams(
         num_hydrants=jnp.int32(record.num_hydrants),
         num_cones=jnp.int32(record.num_cones),

@@ -14,7 +14,7 @@ from jaxlangnav.inputs.sanitize import as_text, shorten
 from jaxlangnav.inputs.schema import closest_choice
 
 RELATION_NAMES = ("null", "behind", "nearest")
-"""Relations of the commands of Table 2; an index into this tuple is ``ScenarioParams.relation``."""
+"""Relations of Table 2's commands, "null": none; ``ScenarioParams.relation`` is an index."""
 MAX_HYDRANTS = 4
 MAX_CONES = 4
 TEMPLATE_NAMES = ("1H1C", "1H2C", "2H1C", "2H2C")
@@ -34,10 +34,10 @@ class TableRow(NamedTuple):
     """One published row of Table 2; rates in percent, distances in metres, ``sd`` 1 sigma."""
 
     world: str
-    range: float
+    range: float  # sensing range
     relation: str
-    success_known: float
-    success_ours: float
+    success_known: float  # of its robot that knows the map
+    success_ours: float  # of the paper's method
     distance_known: float
     distance_known_sd: float
     distance_ours: float
@@ -92,7 +92,7 @@ def check_relation(relation: str) -> int:
     return RELATION_NAMES.index(relation)
 
 
-def known_range(template: Template, relation: str) -> tuple[float, float]:
+def known_map_distance(template: Template, relation: str) -> tuple[float, float]:
     """Look up the distance from the start to the intended hydrant: column Known of Table 2.
 
     A combination that is not in the paper uses the closest row that is: the same relation or else
