@@ -104,7 +104,7 @@ def _join_published(document: Document) -> list[Row]:
 
 
 def min_distance(bound: Mapping[str, Any]) -> float:
-    """Compute the least mean distance, metres, of a success: straight to within 1.5 m of the goal."""
+    """Compute a lower bound on the mean distance: straight to within 1.5 m of the goal, metres."""
     return max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
@@ -199,7 +199,7 @@ def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
 
 
 def _tables(document: Document, *, collapsed_title: str = "") -> list[Table]:
-    """Build the results table, and one of published rows against ``faithful``, the paper's policy."""
+    """Build the results table, and published rows against ``faithful``, the paper's policy."""
     rows = [
         row
         | {
