@@ -17,7 +17,7 @@ from fuzz import TEXTS, Target
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.cli.output import Output, write_document
-from jaxlangnav.experiments.shards import FileError, FileId, read_file, write_file
+from jaxlangnav.experiments.shards import FileError, FileId, read_rows, write_rows
 from jaxlangnav.experiments.summary import render, summarize_directory, summary_markdown
 from jaxlangnav.experiments.sweep import MANIFEST, identity, read_manifest
 from jaxlangnav.experiments.sweep_config import read_config
@@ -145,7 +145,7 @@ def _manifest(text: bytes, folder: Path) -> None:
     (folder / MANIFEST).write_bytes(text)
     sweep = identity(read_manifest(folder))
     shard = FileId(sweep=sweep, index=0, rows=8)
-    write_file(_episodes(), folder / "episodes-000000.parquet", shard)
+    write_rows(_episodes(), folder / "episodes-000000.parquet", shard)
     document = summarize_directory(folder)
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
@@ -186,13 +186,13 @@ def _weights(text: bytes, folder: Path) -> None:
 def _valid_shard() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "episodes-000000.parquet"
-        return write_file(_episodes(), path, FileId(sweep="0" * 64, index=0, rows=8)).read_bytes()
+        return write_rows(_episodes(), path, FileId(sweep="0" * 64, index=0, rows=8)).read_bytes()
 
 
 def _shard(text: bytes, folder: Path) -> None:
     path = folder / "episodes-000000.parquet"
     path.write_bytes(text)
-    read_file(path, sweep="0" * 64, index=0)
+    read_rows(path, sweep="0" * 64, index=0)
     assert text == _valid_shard(), "a damaged file passes for whole"
 
 

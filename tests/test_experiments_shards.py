@@ -50,15 +50,15 @@ def columns(number: int = ROWS) -> dict[str, object]:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    return shards.write_file(columns(), tmp_path / "episodes-000003.parquet", SHARD)
+    return shards.write_rows(columns(), tmp_path / "episodes-000003.parquet", SHARD)
 
 
 def test_a_shard_comes_back_as_it_was_written(path: Path, tmp_path: Path) -> None:
-    shards.check_file(path, SHARD)
-    table = shards.read_file(path, sweep=SWEEP, index=3)
+    shards.check_rows(path, SHARD)
+    table = shards.read_rows(path, sweep=SWEEP, index=3)
     assert table.equals(pa.table(columns()))
     assert pq.read_table(path).equals(table)
-    again = shards.write_file(columns(), tmp_path / "again.parquet", SHARD)
+    again = shards.write_rows(columns(), tmp_path / "again.parquet", SHARD)
     assert again.read_bytes() == path.read_bytes()
 
 
@@ -69,29 +69,29 @@ def test_no_flipped_bit_passes(path: Path) -> None:
         content[bit // 8] ^= 1 << bit % 8
         path.write_bytes(content)
         with pytest.raises(FileError):
-            shards.check_file(path, SHARD)
+            shards.check_rows(path, SHARD)
         with pytest.raises(FileError):
-            shards.read_file(path, sweep=SWEEP, index=3)
+            shards.read_rows(path, sweep=SWEEP, index=3)
 
 
 def test_no_truncated_file_passes(tmp_path: Path) -> None:
-    path = shards.write_file(columns(1), tmp_path / "episodes-000003.parquet", SMALL)
+    path = shards.write_rows(columns(1), tmp_path / "episodes-000003.parquet", SMALL)
     sound = path.read_bytes()
     assert len(sound) < 4000
     for length in range(0, len(sound), 7):
         path.write_bytes(sound[:length])
         with pytest.raises(FileError):
-            shards.check_file(path, SMALL)
+            shards.check_rows(path, SMALL)
     # Cut off at the front, and with something behind it.
     for content in (sound[1:], sound + b"\0", sound + b"PAR1", sound + sound):
         path.write_bytes(content)
         with pytest.raises(FileError):
-            shards.check_file(path, SMALL)
+            shards.check_rows(path, SMALL)
 
 
 def other(number: int = ROWS, **named: Any) -> Callable[[Path], object]:
     shard = dataclasses.replace(SHARD, rows=number, **named)
-    return lambda path: shards.write_file(columns(number), path, shard)
+    return lambda path: shards.write_rows(columns(number), path, shard)
 
 
 @pytest.mark.parametrize(
@@ -109,12 +109,12 @@ def other(number: int = ROWS, **named: Any) -> Callable[[Path], object]:
 def test_another_file_is_told_from_this_one(harm, message, path):
     harm(path)
     with pytest.raises(FileError, match=message):
-        shards.check_file(path, SHARD)
+        shards.check_rows(path, SHARD)
 
 
 def test_rows_must_be_as_many_as_said(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="would have 2 rows, but must have 300"):
-        shards.write_file(columns(2), tmp_path / "episodes.parquet", SHARD)
+        shards.write_rows(columns(2), tmp_path / "episodes.parquet", SHARD)
     assert list(tmp_path.iterdir()) == []
 
 

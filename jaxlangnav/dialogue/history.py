@@ -56,9 +56,9 @@ def renumber(mentions: Sequence[int], indices: Sequence[int]) -> list[int]:
 class Mention:
     """One object that utterances refer to."""
 
-    type_code: int
-    is_asked: bool
-    avoid: int = 0
+    type_code: int  # object type: label and attribute bits
+    is_asked: bool  # the task refers to it
+    avoid: int = 0  # AVOID_IT, AVOID_ALL, or 0
     source: int = NONE  # its old index
 
     @property
@@ -73,11 +73,11 @@ class History:
 
     mentions: list[Mention]
     edges: list[RelationEdge]
-    goals: list[int]  # of the old commands
-    pinned: list[bool]  # likewise
-    new_goals: list[int]
+    goals: list[int]  # goal mention of each old command; NONE: unknown
+    pinned: list[bool]  # whether other utterances specify which object that is
+    new_goals: list[int]  # goal mention of each command of the new utterance
     log_probability: float
-    num_dropped: int = 0
+    num_dropped: int = 0  # relations dropped for lack of capacity
 
     def is_described(self, mention: int, utterance: int, *, is_now: bool) -> bool:
         """Tell whether this utterance (``is_now``) or any other one relates a mention."""
@@ -186,7 +186,7 @@ def to_arrays(
     log_probability = np.full(k_size, -np.inf, np.float32)
     log_probability[: len(ranked)] = np.array(log_all) - np.logaddexp.reduce(log_all)
 
-    mentions = ([dataclasses.astuple(it) for it in history.mentions] for history in ranked)
+    mentions = ([dataclasses.astuple(m) for m in history.mentions] for history in ranked)
     codes, is_asked, avoid, from_mention = _table(mentions, k_size, m_size, (NONE, 0, 0, NONE))
     edges = (history.edges for history in ranked)
     padding = RelationEdge(NONE, NONE, NONE, 0, 0)
@@ -199,8 +199,8 @@ def to_arrays(
         for history in ranked
     )
     new = (
-        [(goal, it.is_described(goal, utterance, is_now=False)) for goal in it.new_goals]
-        for it in ranked
+        [(goal, history.is_described(goal, utterance, is_now=False)) for goal in history.new_goals]
+        for history in ranked
     )
     goal, is_pinned = _table(old, k_size, c_size, (NONE, 0))
     new_goal, new_pinned = _table(new, k_size, c_size, (NONE, 0))

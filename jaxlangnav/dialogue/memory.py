@@ -136,18 +136,18 @@ def task_mentions(particles: SemanticMap, words: DiscourseInfo) -> SemanticMap:
     )
 
 
-def apply_answers(behavior: Behavior, particles: SemanticMap, talk: Conversation) -> Behavior:
+def apply_answers(behavior: Behavior, particles: SemanticMap, state: Conversation) -> Behavior:
     """Condition goals [..., P] on answers: zero those ruled out, set the one that was named.
 
     The named object is the goal in every particle that has it; its region is the belief's marginal.
     """
     goal, slots = behavior.goal, jnp.arange(behavior.goal.shape[1])
-    is_out = (slots < 31) & ((talk.ruled_out >> jnp.minimum(slots, 30)) & 1 == 1)
+    is_out = (slots < 31) & ((state.ruled_out >> jnp.minimum(slots, 30)) & 1 == 1)
     goal = jnp.where(is_out[None, :, None], 0.0, goal)
     region = jnp.sum(goal, axis=(1, 2)) / jnp.maximum(jnp.sum(goal), 1e-12)
-    is_observed = jnp.pad(particles.is_observed, ((0, slots.size - talk.candidate.size), (0, 0)))
-    named = region[:, None, None] * ((slots == talk.chosen)[:, None] & is_observed)[None]
-    return replace(behavior, goal=jnp.where(talk.chosen == NONE, goal, named))
+    is_observed = jnp.pad(particles.is_observed, ((0, slots.size - state.candidate.size), (0, 0)))
+    named = region[:, None, None] * ((slots == state.chosen)[:, None] & is_observed)[None]
+    return replace(behavior, goal=jnp.where(state.chosen == NONE, goal, named))
 
 
 def pin_goals(
@@ -207,14 +207,14 @@ def add_avoidance(
     return replace(behavior, constraint=constraint)
 
 
-def exclude_slots(talk: Conversation, clause: Array, slots: Array) -> Conversation:
+def exclude_slots(state: Conversation, clause: Array, slots: Array) -> Conversation:
     """Exclude observed slots, a bit mask i32[], from the groundings of the present command's goal.
 
     It is evidence: the utterance is re-grounded without them, and importance weights follow. So a
     hypothesis without another grounding loses its weight.
     """
-    excluded = talk.context.excluded
-    goal = jnp.take(talk.words.goal, clause, axis=1, mode="clip")
+    excluded = state.context.excluded
+    goal = jnp.take(state.words.goal, clause, axis=1, mode="clip")
     is_goal = jnp.arange(excluded.shape[1])[None] == goal[:, None]
-    context = replace(talk.context, excluded=jnp.where(is_goal, excluded | slots, excluded))
-    return replace(talk, context=context, ruled_out=talk.ruled_out | slots)
+    context = replace(state.context, excluded=jnp.where(is_goal, excluded | slots, excluded))
+    return replace(state, context=context, ruled_out=state.ruled_out | slots)

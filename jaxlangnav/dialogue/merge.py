@@ -33,7 +33,7 @@ def _resolve(old: History, new: History, spoken: Referents, *, is_loose: bool) -
             continue
         code, is_robot = mention.type_code, mention.type_code == ROBOT
         taken = set() if is_robot else {*indices, *repeated.values()}
-        same = [m for m, it in enumerate(old.mentions) if it.type_code == code and m not in taken]
+        same = [m for m, o in enumerate(old.mentions) if o.type_code == code and m not in taken]
         # Salience: mentions that the task requests come first, then the most recent.
         same.sort(key=lambda m: (old.mentions[m].is_asked, m), reverse=True)
         description = new.description(index)
@@ -57,8 +57,8 @@ def _repeated_mentions(old: History, new: History) -> dict[int, int]:
         text = new.description(index)
         same = [
             m
-            for m, it in enumerate(old.mentions)
-            if it.type_code == code and m not in matches.values() and old.description(m) == text
+            for m, o in enumerate(old.mentions)
+            if o.type_code == code and m not in matches.values() and old.description(m) == text
         ]
         if text and same and codes.count(code) > 1:
             matches[index] = same[-1]
@@ -70,7 +70,7 @@ def _product(
 ) -> History:
     indices = _resolve(old, new, spoken, is_loose=is_loose)
     mentions = [
-        dataclasses.replace(it, is_asked=it.is_asked and not is_new_task) for it in old.mentions
+        dataclasses.replace(m, is_asked=m.is_asked and not is_new_task) for m in old.mentions
     ]
     for index, mention in zip(indices, new.mentions, strict=True):
         if index == len(mentions):
@@ -92,7 +92,7 @@ def _product(
 def _is_inconsistent(old: History, new: History, spoken: Referents) -> bool:
     """Tell whether an ambiguous noun, taken as known, has another type in the old reading."""
     # A noun that may name either of two labels has one reading for each.
-    before, now = ({mention.label for mention in it.mentions} for it in (old, new))
+    before, now = ({mention.label for mention in item.mentions} for item in (old, new))
     return any(
         spoken.known >= set(types) and bool(before & set(types)) and not before & now & set(types)
         for types in spoken.candidates
@@ -118,7 +118,7 @@ def _is_needed(history: History, edge: RelationEdge) -> bool:
     """Tell whether a relation is the last one of a goal, or of a mention to be avoided."""
     goals = {*history.goals, *history.new_goals} - {NONE}
     needed = goals | {m for m, mention in enumerate(history.mentions) if mention.avoid}
-    others = {end for it in history.edges if it is not edge for end in (it.figure, it.landmark)}
+    others = {end for o in history.edges if o is not edge for end in (o.figure, o.landmark)}
     return bool({edge.figure, edge.landmark} & needed - others)
 
 
@@ -185,7 +185,7 @@ def merge_utterance(
     pairs, references = list(itertools.product(old, new)), spoken or Referents()
     merged = [
         _product(*pair, references, is_new_task=is_new_task, is_loose=is_loose)
-        for pair in [it for it in pairs if not _is_inconsistent(*it, references)] or pairs
+        for pair in [p for p in pairs if not _is_inconsistent(*p, references)] or pairs
     ]
     merged.sort(key=lambda history: -history.log_probability)
     (k_size, m_size), j_size = readings.mention_type.shape, readings.relation.shape[1]

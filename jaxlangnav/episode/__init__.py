@@ -48,7 +48,7 @@ class EpisodeResult:
     steps: Array  # i32[] decision cycles
     final: Array  # f32[2] metres, map frame: true final position
     goal_distance: Array  # f32[] metres from the final position to the goal
-    overflow: Array  # i32[] detections that found no free slot
+    overflow: Array  # i32[] detections for which no object slot was free
     degenerate: Array  # i32[] steps at which all particle weights vanished
     contradictions: Array  # i32[] steps at which the observation contradicted the map
     faults: Array  # i32[] steps at which the robot stood still because of a fault
@@ -63,12 +63,12 @@ class EpisodeState:
     task: Task
     navigator: NavigatorState
     world: WorldState
-    steps: Array  # i32[]
-    overflow: Array  # i32[]
+    steps: Array  # i32[] decision cycles so far
+    overflow: Array  # i32[] counters so far, as in ``EpisodeResult``
     degenerate: Array  # i32[]
     contradictions: Array  # i32[]
     faults: Array  # i32[]
-    sum_effective_sample_size: Array  # f32[]
+    sum_effective_sample_size: Array  # f32[] over the steps so far
 
 
 def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> EpisodeState:

@@ -46,7 +46,7 @@ class _Lanes:
 
     state: Any  # of the program; leaves [L, …]
     episode: Array  # i32[L] task index of each lane; ``count`` once none is left
-    next_episode: Array  # i32[]
+    next_episode: Array  # i32[] task index that the next free lane takes
     results: Any  # of the program; leaves [E, …]
 
 
@@ -67,7 +67,7 @@ def run_batch(
         tasks: leaves [E, …]; scalar sensor and motion parameters are shared.
         instructions: leaves [I, …], or what else ``program.begin`` takes.
         params: the navigator's parameters, or what else ``program.advance`` takes; shared, traced.
-        config: sizes and policy.
+        config: capacities and policy.
         num_lanes: L, episodes that run at once.
         max_steps: cycles until a time-out.
         count: i32[], how many of the tasks to run; the rest is padding whose results are zero.

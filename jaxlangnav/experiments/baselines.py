@@ -90,11 +90,11 @@ class _Run:
     world: WorldState
     coverage: Coverage
     target: Array  # f32[2] the object it drives to
-    has_target: Array  # bool[]
+    has_target: Array  # bool[] an object of the figure's type has been detected
     waypoint: Array  # f32[2] current waypoint of the search
     leg: Array  # i32[] waypoints reached
-    steps: Array  # i32[]
-    is_stopped: Array  # bool[]
+    steps: Array  # i32[] decision cycles so far
+    is_stopped: Array  # bool[] it has reported arrival
 
 
 def _figure_type(instruction: Instruction) -> Array:

@@ -48,7 +48,7 @@ class GoalDensity:
     object_mass: Array  # f32[O] probability of being the goal
     object_variance: Array  # f32[O] square metres per axis, relative to the robot
     hypotheses: Array  # f32[2, H] metres, map frame
-    hypothesis_mass: Array  # f32[H]
+    hypothesis_mass: Array  # f32[H] probability of being the goal
 
 
 def _hpd_level(density: GoalDensity, truth: Array) -> tuple[Array, Array]:
@@ -87,17 +87,17 @@ def _hpd_level(density: GoalDensity, truth: Array) -> tuple[Array, Array]:
 class Reliability:
     """Sums over events, binned by probability; leaves may lead with stages and episodes."""
 
-    events: Array  # f32[NUM_BINS]
-    probability: Array  # f32[NUM_BINS]
-    outcome: Array  # f32[NUM_BINS]
-    squared_error: Array  # f32[]
+    events: Array  # f32[NUM_BINS] number of events
+    probability: Array  # f32[NUM_BINS] sum of their predicted probabilities
+    outcome: Array  # f32[NUM_BINS] number of them that are true
+    squared_error: Array  # f32[] sum over all bins, as in the Brier score
 
 
 @pytree
 class Tally:
     """Calibration sums over steps, additive over episodes; leaves lead with stages ``STAGES``."""
 
-    steps: Array  # f32[S]
+    steps: Array  # f32[S] number of steps
     covered: Array  # f32[S] steps at which the 90 % region contained the goal
     rank: Array  # f32[S, NUM_BINS] steps by the mass of higher density than the truth
     negative_log_likelihood: Array  # f32[S] nats, density per square metre

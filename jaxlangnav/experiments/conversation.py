@@ -42,10 +42,10 @@ class DialogueSpec:
 
     name: str
     world: str = "2H1C"
-    relation: str = "null"
-    text: str = _NULL_TEXT
-    person: dict[str, Any]
-    cost: float = math.inf
+    relation: str = "null"  # for which a template's worlds are sampled
+    text: str = _NULL_TEXT  # initial command
+    person: dict[str, Any]  # arguments of ``params_of``
+    cost: float = math.inf  # of a question, in units of success; inf: never ask
     sensing_range: float = 3.0  # metres
 
 

@@ -36,8 +36,8 @@ class Sentence:
     """The initial command, and statements that may follow during the episode."""
 
     instruction: Instruction  # leaves [1, …], with room for more
-    words: DiscourseInfo
-    true_statement: Merged
+    words: DiscourseInfo  # roles of its mentions
+    true_statement: Merged  # the command, with the statement merged in
     false_statement: Merged
 
 
@@ -47,7 +47,7 @@ class DialogueResult:
 
     result: EpisodeResult
     num_questions: Array  # i32[] answered questions
-    num_corrections: Array  # i32[]
+    num_corrections: Array  # i32[] corrections by the person
     walked: Array  # f32[] metres travelled after the first correction; NaN without one
     shortest: Array  # f32[] straight-line metres from there to where the robot may stop
     has_seen_goal: Array  # bool[] the map had the goal by then

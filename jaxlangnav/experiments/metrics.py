@@ -20,22 +20,22 @@ _NUM_PERMUTATIONS = 4000
 class RowMetrics:
     """Summary of a group of episodes; distances in metres, rates in percent."""
 
-    episodes: int
+    episodes: int  # in valid worlds
     success_rate: float
-    success_ci: tuple[float, float]
+    success_ci: tuple[float, float]  # 95 % Wilson interval
     distance_mean: float
     distance_sd: float
-    known_distance_mean: float
+    known_distance_mean: float  # straight from start to goal
     known_distance_sd: float
-    spl: float
+    spl: float  # success weighted by path length, 0 to 1
     steps_mean: float
-    overflows: int
-    degenerate: int
-    contradictions: int
-    faults: int
-    timeouts: int
-    not_found: int
-    invalid_worlds: int
+    overflows: int  # detections for which no object slot was free
+    degenerate: int  # steps at which all particle weights vanished
+    contradictions: int  # steps at which the observation contradicted the map
+    faults: int  # steps at which the robot stood still because of a fault
+    timeouts: int  # episodes that did not end by themselves
+    not_found: int  # episodes that ended as "not found"
+    invalid_worlds: int  # excluded episodes
 
     def row(self) -> dict[str, Any]:
         """Convert to JSON types."""
@@ -100,8 +100,8 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
 class Comparison:
     """Paired comparison of a second arm with a first, over the episodes that both ran."""
 
-    pairs: int
-    success_only_first: int
+    pairs: int  # episodes that both ran
+    success_only_first: int  # pairs
     success_only_second: int
     success_p: float  # two-sided exact McNemar test
     distance_difference: float  # second minus first, mean, metres

@@ -28,7 +28,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 
 POLICY_NAMES = (*reversed(POLICIES), *BASELINES)
-"""All policies: informed, faithful, then the baselines."""
+"""All policies: informed (ours), faithful (the paper's), then the baselines."""
 DEFAULT_PARTICLES = MapConfig().num_particles
 
 POLICY_KNOWLEDGE = {

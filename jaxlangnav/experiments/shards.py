@@ -44,7 +44,7 @@ class FileId:
     rows: int
 
 
-def write_file(columns: Mapping[str, Any], path: Path, identity: FileId) -> Path:
+def write_rows(columns: Mapping[str, Any], path: Path, identity: FileId) -> Path:
     """Write a chunk's episodes, columns [E], atomically; ``ValueError`` for a wrong length."""
     table = pa.table(dict(columns))
     if table.num_rows != identity.rows:
@@ -61,13 +61,13 @@ def write_file(columns: Mapping[str, Any], path: Path, identity: FileId) -> Path
     return write_bytes(content[:start] + digits + content[start + len(digits) :], path)
 
 
-def check_file(path: Path, identity: FileId) -> None:
+def check_rows(path: Path, identity: FileId) -> None:
     """Raise ``FileError`` if a file is not the expected one, or is damaged."""
     _compare(_record(_read(path)), identity)
 
 
-def read_file(path: Path, *, sweep: str, index: int) -> pa.Table:
-    """Read the rows of the file ``index`` of a sweep, verified as in ``check_file``."""
+def read_rows(path: Path, *, sweep: str, index: int) -> pa.Table:
+    """Read the rows of the file ``index`` of a sweep, verified as in ``check_rows``."""
     content = _read(path)
     record = _record(content)
     _compare(record, FileId(sweep=sweep, index=index, rows=record.rows))

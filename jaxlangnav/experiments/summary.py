@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import compare, summarize, timeouts_text
-from jaxlangnav.experiments.shards import FileError, read_file
+from jaxlangnav.experiments.shards import FileError, read_rows
 from jaxlangnav.experiments.sweep import episode_files, identity, read_manifest
 from jaxlangnav.experiments.table import SUCCESS_FORMAT, Document, Row, Table, TableColumns
 from jaxlangnav.inputs import sanitize
@@ -39,7 +39,7 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
     tables, damaged = list[pa.Table](), list[str]()
     for index, file in sorted(episode_files(folder)):
         try:
-            tables.append(read_file(file, sweep=sweep, index=index))
+            tables.append(read_rows(file, sweep=sweep, index=index))
         except FileError as error:
             damaged.append(f"{file} {error}")
     if not tables:

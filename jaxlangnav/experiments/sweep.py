@@ -30,7 +30,7 @@ from jaxlangnav.experiments.monte_carlo import (
     run_ahead,
     run_round,
 )
-from jaxlangnav.experiments.shards import FileError, FileId, OnNote, check_file, lock, write_file
+from jaxlangnav.experiments.shards import FileError, FileId, OnNote, check_rows, lock, write_rows
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
@@ -118,7 +118,7 @@ def _valid_files(
         if index not in indices:
             continue
         try:
-            check_file(path, FileId(sweep=sweep_id, index=index, rows=plan.size(index)))
+            check_rows(path, FileId(sweep=sweep_id, index=index, rows=plan.size(index)))
         except FileError as fault:
             if path.is_dir():
                 raise ValueError(f"{path}: is a folder where a file belongs: remove it") from None
@@ -242,7 +242,7 @@ def _run_files(
         columns = grid.columns(arm, ids, result, known_distances(part))
         path = folder / f"episodes-{index:06d}.parquet"
         try:
-            write_file(columns, path, FileId(sweep=sweep_id, index=index, rows=len(ids)))
+            write_rows(columns, path, FileId(sweep=sweep_id, index=index, rows=len(ids)))
         except OSError as error:
             raise OSError(
                 f"{path} cannot be written: {error}; the other files stay, go on with --resume"

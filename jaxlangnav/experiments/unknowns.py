@@ -1,6 +1,6 @@
 """Sensitivity study: vary one parameter at a time that the paper does not report (section 4.2).
 
-``faithful`` runs the rows of Table 2 once with the defaults and once with each unreported parameter
+The paper's policy, ``faithful``, runs the rows of Table 2 with the defaults and with each of these
 varied, in the same worlds with the same noise. A variation *explains* a row where both its success
 and its distance are within two standard errors of the paper's ones. With two dozen variations some
 agree by chance, so the rows that each explains are counted too.
@@ -47,7 +47,7 @@ class Variation:
 
     unknown: str  # name of the parameter
     value: str  # for people
-    sensor: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    sensor: Mapping[str, float] = dataclasses.field(default_factory=dict)  # by field name
     params: Mapping[str, float] = dataclasses.field(default_factory=dict)
     """Parameters of the navigator, by field name."""
     particle_factor: float = 1.0

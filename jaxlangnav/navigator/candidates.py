@@ -28,10 +28,10 @@ class Candidate:
     """An observed object that may be the goal."""
 
     slot: int  # observed slot
-    type_name: str
+    type_name: str  # of its object type, for people
     x: float  # metres, map frame
     y: float
-    probability: float
+    probability: float  # that it is the goal
 
 
 def candidates(state: NavigatorState, names: Sequence[str]) -> list[Candidate]:

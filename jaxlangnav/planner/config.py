@@ -71,9 +71,9 @@ class PlannerConfig:
     """Configuration of the planner: policy and sizes; static and hashable, a change recompiles."""
 
     policy: AnyPolicy = "faithful"
-    """One of ``POLICIES``, or a custom policy."""
-    num_visited: int = 16
-    num_blocks: int = 6
+    """One of ``POLICIES`` ("informed": ours, "faithful": the paper's), or a custom policy."""
+    num_visited: int = 16  # capacity of the buffer of visited positions
+    num_blocks: int = 6  # blocks per side of the area, each with at most one frontier
 
     def __post_init__(self) -> None:
         """Raise a ValueError for an invalid policy or size."""

@@ -24,10 +24,10 @@ class Goals:
     object_mass: Array  # f32[O + 1] probability that it is the goal
     object_accepted: Array  # f32[O + 1] probability that it fits as well as any other
     object_confirmed: Array  # f32[O + 1] … and that its landmarks have been observed
-    is_object: Array  # bool[O + 1]
+    is_object: Array  # bool[O + 1] valid entry: an observed object; the robot if it may be the goal
     hypothesis_x: Array  # f32[P] metres: position of each particle's hypothesised goal
     hypothesis_y: Array  # f32[P]
-    hypothesis_mass: Array  # f32[P]
+    hypothesis_mass: Array  # f32[P] probability that it is the goal
 
 
 def region_offset(

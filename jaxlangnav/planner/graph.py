@@ -25,7 +25,7 @@ class Nodes:
 
     x: Array  # f32[A] metres, map frame
     y: Array  # f32[A]
-    is_node: Array  # bool[A]
+    is_node: Array  # bool[A] valid entry
     kind: Array  # i32[A] FRONTIER, VISITED or OBJECT_NODE
 
 
@@ -35,7 +35,7 @@ class Visited:
 
     x: Array  # f32[V] metres, map frame
     y: Array  # f32[V]
-    is_node: Array  # bool[V]
+    is_node: Array  # bool[V] valid entry
     count: Array  # i32[] number of positions added so far
 
 

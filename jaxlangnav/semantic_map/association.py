@@ -34,7 +34,7 @@ class Detections(NamedTuple):
     offset_y: Array  # see ``offset_x``
     log_new: Array  # f32[D] log density of reports of a new object there; f32[D, ...] where offsets
     # differ
-    is_detection: Array  # bool[D]
+    is_detection: Array  # bool[D] valid entry
 
 
 class ClutterOdds(NamedTuple):
@@ -78,7 +78,7 @@ class Association(NamedTuple):
     offset_x: Array  # f32[O, ...] measured offset where hit
     offset_y: Array  # f32[O, ...]
     log_weight: Array  # f32[...] log predictive probability
-    overflow: Array  # i32[...] detections that found no free slot
+    overflow: Array  # i32[...] detections for which no object slot was free
     existence: Array  # f32[O, ...] as in the particle
 
 

@@ -41,7 +41,7 @@ class FilterInfo:
     """Diagnostics of one filter step."""
 
     effective_sample_size: Array  # f32[]
-    is_resampled: Array  # bool[]
+    is_resampled: Array  # bool[] the particles were resampled in this step
     num_regrounded: Array  # i32[] particles that drew a new grounding
     log_language_evidence: Array  # f32[] log p(words | observed map), estimated
     overflow: Array  # i32[] detections without a free slot, maximum over particles, or without

@@ -42,7 +42,7 @@ class MeasurementUpdate(NamedTuple):
     is_new: Array  # bool[O, P] slots of new objects
     is_other: Array  # bool[O, P] slots whose type code changed: new, or another attribute
     is_lost: Array | None  # bool[P] a referent was pruned; None: every object exists
-    overflow: Array  # i32[P] detections that found no free slot
+    overflow: Array  # i32[P] detections for which no object slot was free
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
 
 

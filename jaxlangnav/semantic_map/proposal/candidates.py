@@ -65,8 +65,8 @@ class Grounding(NamedTuple):
     y: Array  # f32[M, ...]
     anchor: Array  # i32[M, ...] slot in [0, N) or NONE
     root: Array  # i32[M, ...] observed slot or NONE
-    is_grounded: Array  # bool[M, ...]
-    log_weight: Array  # f32[...]
+    is_grounded: Array  # bool[M, ...] an earlier relation has grounded the mention
+    log_weight: Array  # f32[...] estimated log-evidence of the relations so far
 
 
 def empty_grounding(num_mentions: int, *batch: int) -> Grounding:

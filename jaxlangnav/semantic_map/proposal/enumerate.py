@@ -27,7 +27,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Qu
 class Pairs(NamedTuple):
     """Positions of figures and of their landmarks, metres, map frame."""
 
-    x: Array  # f32[W, ...]
+    x: Array  # f32[W, ...] of the figure
     y: Array  # f32[W, ...]
     landmark_x: Array  # f32[W, ...]
     landmark_y: Array  # f32[W, ...]
