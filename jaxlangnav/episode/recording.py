@@ -41,26 +41,26 @@ class Snapshot:
     distance: Leaf  # f32[] metres truly travelled so far
     clause: Leaf  # i32[] index of the current command
     # What was sensed
-    detection_type: Leaf  # i32[D]
+    detection_type: Leaf  # i32[D] type index
     detection_range: Leaf  # f32[D] metres
     detection_bearing: Leaf  # f32[D] radians, robot frame
-    is_detection: Leaf  # bool[D]
+    is_detection: Leaf  # bool[D] valid entry
     # What is believed, after the step of the filter
     weight: Leaf  # f32[P] sums to 1
     reading: Leaf  # i32[P] interpretation of the instruction, by particle
     object_type: Leaf  # i32[O, P] NONE in empty slots
-    object_x: Leaf  # f32[O, P]
+    object_x: Leaf  # f32[O, P] mean position
     object_y: Leaf  # f32[O, P]
     object_sd: Leaf  # f32[O, P] metres, standard deviation on each axis within the particle
     bystanders: Any  # a Bystanders, objects of types that the task does not mention; leaves [B]
     mention_type: Leaf  # i32[M, P] object type of each mention
     referent: Leaf  # i32[M, P] observed slot a mention refers to; NONE
     is_hypothesised: Leaf  # bool[M, P] the referent is not yet observed
-    hypothesis_x: Leaf  # f32[M, P]
+    hypothesis_x: Leaf  # f32[M, P] position of the unobserved referent
     hypothesis_y: Leaf  # f32[M, P]
     miss: Leaf  # f32[G, G] probability that an object in the cell was missed; [y, x]
-    effective_sample_size: Leaf  # f32[]
-    is_resampled: Leaf  # bool[]
+    effective_sample_size: Leaf  # f32[] of the P particles
+    is_resampled: Leaf  # bool[] in this step
     num_regrounded: Leaf  # i32[] particles whose groundings were resampled
     is_news: Leaf  # bool[] a new object or a new utterance
     fault: Leaf  # i32[] bits of messages.Fault: why the robot stands still
@@ -72,22 +72,22 @@ class Snapshot:
     goal_confirmed: Leaf  # f32[O + 1] … with everything mentioned observed
     is_goal: Leaf  # bool[O + 1] valid entry: an observed object; the robot if it may be the goal
     goal_region: Leaf  # i32[O + 1] likeliest relation of goal to object, index into REGIONS
-    hypothesis_goal_x: Leaf  # f32[P]
+    hypothesis_goal_x: Leaf  # f32[P] goal position at each particle's hypothesis
     hypothesis_goal_y: Leaf  # f32[P]
-    hypothesis_goal_mass: Leaf  # f32[P]
+    hypothesis_goal_mass: Leaf  # f32[P] probability that it is the goal
     action: Leaf  # f32[2] probability of navigate, find
     mode: Leaf  # f32[3] probability of normal, quickly, carefully
     # What was decided, and why
-    node_x: Leaf  # f32[A]
+    node_x: Leaf  # f32[A] position of each candidate waypoint
     node_y: Leaf  # f32[A]
-    is_node: Leaf  # bool[A]
+    is_node: Leaf  # bool[A] valid entry
     node_kind: Leaf  # i32[A] planner.graph.FRONTIER, VISITED or OBJECT_NODE
-    value: Leaf  # f32[A] −∞ where closed
-    goal_value: Leaf  # f32[A]
-    information_value: Leaf  # f32[A]
-    cost: Leaf  # f32[A]
-    waypoint: Leaf  # f32[2]
-    waypoint_kind: Leaf  # i32[]
+    value: Leaf  # f32[A] value of each node; −∞ where closed
+    goal_value: Leaf  # f32[A] part of it from goals
+    information_value: Leaf  # f32[A] part of it from information gained on the path
+    cost: Leaf  # f32[A] part of it lost to detours around keep-out zones
+    waypoint: Leaf  # f32[2] the selected one
+    waypoint_kind: Leaf  # i32[] its node type, as in ``node_kind``
     is_kept: Leaf  # bool[] the previous waypoint was kept
     is_stop: Leaf  # bool[] the present command has been carried out
     status: Leaf  # i32[] a messages.Status: task status
@@ -99,13 +99,13 @@ class Snapshot:
 class StaticScene:
     """Static part of a recording: what no step changes; leaves are NumPy arrays."""
 
-    text: str
-    type_names: tuple[str, ...]
+    text: str  # the instruction
+    type_names: tuple[str, ...]  # by type index
     policy: str  # its name
     portrayal: PolicyDescription  # how it decides, in words and columns
     scenario: Scenario
     sensor: SensorParams
-    readings: Readings
+    readings: Readings  # interpretations of the instruction
     planner: PlannerParams
     num_clauses: int  # C, number of commands
     known_distance: float  # metres from the start to the goal, via the ends of earlier commands

@@ -57,9 +57,9 @@ _COLUMNS: TableColumns = (
     *ROW_COLUMNS,
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS_FORMAT),
-    ("paper", _format_record("counterpart", "{success_rate:.1f}")),
+    ("paper", _format_record("published_same_policy", "{success_rate:.1f}")),
     ("Distance m (σ)", _DISTANCE),
-    ("paper (σ)", _format_record("counterpart", _DISTANCE)),
+    ("paper (σ)", _format_record("published_same_policy", _DISTANCE)),
     ("Known m (σ)", _KNOWN_MAP_DISTANCE),
     ("paper (σ)", _format_record("published", _KNOWN_MAP_DISTANCE)),
     ("SPL", "{spl:.2f}"),
@@ -75,9 +75,9 @@ _NARROW: TableColumns = (
     ("\nPolicy", "{policy}"),
     ("Success\n%", "{success_rate:.1f}"),
     ("\n95 %", "{success_ci[0]:.0f}-{success_ci[1]:.0f}"),
-    ("paper\n%", _format_record("counterpart", "{success_rate:.1f}")),
+    ("paper\n%", _format_record("published_same_policy", "{success_rate:.1f}")),
     ("Distance\nm (σ)", _DISTANCE),
-    ("paper\nm", _format_record("counterpart", "{distance_mean:.2f}")),
+    ("paper\nm", _format_record("published_same_policy", "{distance_mean:.2f}")),
     ("Known\nm (σ)", _KNOWN_MAP_DISTANCE),
     ("\nSPL", "{spl:.2f}"),
     ("Time-\nouts", timeouts_text),
@@ -87,19 +87,19 @@ _NARROW: TableColumns = (
 
 def _join_published(document: Document) -> list[Row]:
     """Join each of our rows with the published one; sorted as specified, then by policy."""
-    # ``counterpart``: its numbers for the same policy. The paper's method is compared with both of
-    # our policies, its known map with ours; it has no other.
+    # ``published_same_policy``: published row to compare a policy with: the paper's method with
+    # both of our policies, its known map with ours; None for other policies.
     published = {row_key(row): row for row in document.get("paper", [])}
     order = list(dict.fromkeys(row_key(row) for row in document["rows"]))
     rows = []
     for row in sorted(document["rows"], key=lambda row: order.index(row_key(row))):
-        paper_row, counterpart = published.get(row_key(row)), None
+        paper_row, same_policy = published.get(row_key(row)), None
         if paper_row is not None and row["policy"] in POLICIES:
-            counterpart = paper_row
+            same_policy = paper_row
         elif paper_row is not None and row["policy"] == "known":
             names = ("success_rate", "distance_mean", "distance_sd")
-            counterpart = {name: paper_row[f"known_{name}"] for name in names}
-        rows.append(row | {"published": paper_row, "counterpart": counterpart})
+            same_policy = {name: paper_row[f"known_{name}"] for name in names}
+        rows.append(row | {"published": paper_row, "published_same_policy": same_policy})
     return rows
 
 
@@ -109,19 +109,19 @@ def min_distance(bound: Mapping[str, Any]) -> float:
 
 
 def results_table(document: Document, *, collapsed_title: str = "") -> Table:
-    """Build a results table: for each setting a line per policy, then a line of limits."""
-    limits = {row_key(limit_row): limit_row for limit_row in document.get("bounds", [])}
+    """Build a results table: for each setting a line per policy, then a line of bounds."""
+    bounds = {row_key(bound): bound for bound in document.get("bounds", [])}
     lines: list[list[Sequence[str]]] = [[], []]
     for key, group in itertools.groupby(_join_published(document), key=row_key):
         rows = list(group)
         for target, columns, distance in zip(lines, (_COLUMNS, _NARROW), (6, 7), strict=True):
             target += Table.of(rows, columns).rows
-            if limit_row := limits.get(key):
+            if bound := bounds.get(key):
                 # Bounds for every policy; the distance is in its column.
-                (labels,) = Table.of([limit_row], ROW_COLUMNS).rows
-                line = [*labels, "limit", f"≤ {limit_row['success']:.0f}"]
+                (labels,) = Table.of([bound], ROW_COLUMNS).rows
+                line = [*labels, "limit", f"≤ {bound['success']:.0f}"]
                 line += [""] * (len(columns) - len(line))
-                line[distance] = f"≥ {min_distance(limit_row):.2f}"
+                line[distance] = f"≥ {min_distance(bound):.2f}"
                 target.append(line)
     is_dim = [line[3] == "limit" for line in lines[0]]
     narrow = dataclasses.replace(Table.of([], _NARROW), rows=lines[1])

@@ -215,4 +215,4 @@ SCENARIOS = (
     ScenarioSpec(name="all at once", **_ALL),
     ScenarioSpec(name="all at once, told", params=_counts(1.0), **_ALL),
 )  # fmt: skip
-"""All scenarios, some with target values."""
+"""All scenarios, some with target values; of those named "told" the assumed prior is the truth."""

@@ -26,7 +26,7 @@ from jaxlangnav.world.state import Scenario, empty_scenario
 
 SCRATCH_RATIO = 8.5
 """Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a
-batch of 32 lanes on a CPU, policy ``informed``, grows by 4,763 bytes a particle and lane, the
+batch of 32 episodes on a CPU, policy ``informed``, grows by 4,763 bytes a particle and episode, the
 records by 562 (``compiled.memory_analysis()``, between 64 and 512 particles)."""
 _INDEX_LIMIT = 2**31  # sizes lie below it: arrays are indexed with 32 bits
 _CGROUP = Path("/sys/fs/cgroup")
@@ -99,25 +99,25 @@ def check_engine(config: NavigatorConfig) -> None:
     """Raise ``ValueError`` if a batch of episodes does not fit into memory (``check_count``)."""
     # On a CPU all calls share one memory, on accelerators each device has its own.
     devices = mesh().size if jax.default_backend() == "cpu" else 1
-    _check_lanes(config, NUM_LANES * concurrent_calls() * devices)
+    _check_concurrent(config, NUM_LANES * concurrent_calls() * devices)
 
 
 def check_recording(config: NavigatorConfig, max_steps: int) -> None:
     """Raise ``ValueError`` if a recorded episode of ``max_steps`` does not fit into memory."""
-    _check_lanes(config, 1)
+    _check_concurrent(config, 1)
     count, (fixed, each) = config.map.num_particles, _episode_bytes(config)
     step, context = fixed + count * each, f"{count:,} particles"
     check_count("max steps", max_steps, each=step, fixed=int(SCRATCH_RATIO * step), context=context)
 
 
-def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
-    """Raise ``ValueError`` if ``lanes`` concurrent episodes do not fit into memory."""
+def _check_concurrent(config: NavigatorConfig, count: int) -> None:
+    """Raise ``ValueError`` if ``count`` concurrent episodes do not fit into memory."""
     sizes = config.map
     objects, cells = readable_count(sizes.num_objects), readable_count(sizes.num_cells)
     context = f"{objects} objects and {cells} cells a side"
     if max(sizes.num_objects, sizes.num_cells, config.planner.num_visited) >= _INDEX_LIMIT:
         raise ValueError(f"the sizes are too large for any memory: {context}")
-    fixed, each = (int(SCRATCH_RATIO * lanes * size) for size in _episode_bytes(config))
+    fixed, each = (int(SCRATCH_RATIO * count * size) for size in _episode_bytes(config))
     check_count("particles", sizes.num_particles, each=each, fixed=fixed, context=context)
 
 

@@ -46,7 +46,7 @@ class GroundedSentences:
 
 
 def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
-    """Parse and ground at least one sentence with the shipped models; raises as ``check_task``."""
+    """Parse and ground sentences with the shipped models; ``ValueError``: none or no command."""
     if not texts:
         raise ValueError("no sentence given")
     from jaxlangnav.grounding.instruction import understand
@@ -68,9 +68,9 @@ class Cell:
     Sensor and motion model are the default ones unless given.
     """
 
-    world: str
-    relation: str
-    instruction_index: int
+    world: str  # name of a template, or of a custom world
+    relation: str  # of the command, for which a template's worlds are sampled
+    instruction_index: int  # of the command, among the instructions of the batch
     sensor: SensorParams = dataclasses.field(default_factory=default_sensor)
     motion: MotionParams = dataclasses.field(default_factory=default_motion)
     episodes: int = 1  # drawn by ``make_tasks``; a grid has its own number

@@ -74,9 +74,9 @@ def measure_parts(
     repetitions: int,
     config: NavigatorConfig,
 ) -> dict[str, float]:
-    """Time a cycle in one batch of lanes, and its sensor, filter and behavior inference.
+    """Time a cycle in one batch of episodes, and its sensor, filter and behavior inference.
 
-    ``tasks``, leaves [E ≥ lanes, …]; ``instructions``, leaves [I, …]. CPU seconds of one lane, the
+    ``tasks``, leaves [E ≥ NUM_LANES, …]; ``instructions``, [I, …]. CPU seconds per episode, the
     whole cycle first; planner and motion are the remainder.
     """
 
@@ -102,9 +102,9 @@ def measure_parts(
     run_cycle = compile_part(lambda state: advance(state, params=params, config=config)[0])
     for _ in range(_STEPS):
         episodes = run_cycle(episodes)
-    cycle_seconds = _lane_seconds(run_cycle, episodes, repetitions)
+    cycle_seconds = _episode_seconds(run_cycle, episodes, repetitions)
     sensor_seconds, filter_seconds, behavior_seconds = (
-        _lane_seconds(compile_part(part), episodes, repetitions)
+        _episode_seconds(compile_part(part), episodes, repetitions)
         for part in (observe, sense_and_filter, infer_behavior)
     )
     return {
@@ -117,8 +117,8 @@ def measure_parts(
     }
 
 
-def _lane_seconds(part: Any, episodes: EpisodeState, repetitions: int) -> float:
-    """Time one call of a part on all lanes; seconds per lane."""
+def _episode_seconds(part: Any, episodes: EpisodeState, repetitions: int) -> float:
+    """Time one call of a part on all concurrent episodes; seconds per episode."""
     jax.block_until_ready(part(episodes))
 
     def calls() -> Any:

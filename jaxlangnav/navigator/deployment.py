@@ -22,11 +22,11 @@ from jaxlangnav.semantic_map.params import MapConfig, MapParams
 NUM_OBJECTS, NUM_BYSTANDERS = 12, 64
 """Capacities for objects of mentioned types, and of other types, in real environments."""
 _DEFAULTS = {
-    "concentration": 1.2,
-    "clumping": 2.0,
-    "prior_share": 0.0,
-    "absent": 0.05,
-    "give_up": 0.15,
+    "concentration": 1.2,  # expected number of further objects of a type
+    "clumping": 2.0,  # its overdispersion
+    "prior_share": 0.0,  # weight of the search prior learned in training worlds
+    "absent": 0.05,  # probability that a mentioned object does not exist
+    "give_up": 0.15,  # existence probability below which a search ends
 }
 """The number of objects is hardly known, with one rate for all mentioned types. In 500 worlds each
 (``searching`` of the tests) a false sentence costs 47 m and one whose landmark does not exist 81 m

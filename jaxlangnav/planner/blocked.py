@@ -1,4 +1,4 @@
-"""Progress monitoring: gets past walls nobody has told of, abandons what is unreachable (ours).
+"""Progress monitoring: follows walls not on the map, abandons unreachable waypoints (ours).
 
 If the robot does not move towards a waypoint for a while, it follows the wall that must be there:
 it steps aside, then past it, and tries again (a Bug algorithm without touch, after Lumelsky and

@@ -38,9 +38,9 @@ class MapParams:
 class MapConfig:
     """Configuration of the filter; hashable, a change recompiles."""
 
-    num_particles: int = 64
-    num_objects: int = 8
-    num_cells: int = 36
+    num_particles: int = 64  # P
+    num_objects: int = 8  # O, slots for observed objects in each particle
+    num_cells: int = 36  # G, cells per side of the coverage map
     num_bystanders: int = 0
     """Capacity for objects of types not mentioned; 0: every observed object takes a slot."""
 
