@@ -3,8 +3,8 @@
     J = mean_s −log p(labels_s | words_s) + λ/2 Σ w²
 
 A corpus line is ``{"text": free speech, "read": its rewriting in the controlled language}``, or
-``"read": null`` if it must be refused; ``names`` lists labels of a detector for that sentence. The
-labels come from aligning the two, word by word.
+``"read": null`` if it must be refused; ``names`` lists labels of a detector for that sentence, and
+it counts ``copies`` times. The labels come from aligning the two, word by word.
 """
 
 import dataclasses
@@ -14,14 +14,14 @@ from collections import Counter
 from collections.abc import Sequence
 from difflib import SequenceMatcher
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import Array
-from msgspec import field
+from msgspec import Meta, field
 
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines, shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
@@ -49,7 +49,6 @@ class ReaderConfig:
     batch: int = 256  # sentences
     rate: float = 0.08  # of Adam, with cosine decay to 0
     l2: float = 2e-5
-    copies: int = 1  # of each sentence, each with a variation
     least_features: int = 3  # rarer features are dropped
     least_labels: int = 3  # sentences; rarer labels are dropped
     smallest: float = 0.03  # smaller weights are set to 0
@@ -105,6 +104,7 @@ class _Row(Schema):
     text: str
     read: str | None
     names: list[str] = field(default_factory=list)
+    copies: Annotated[int, Meta(ge=1, le=100)] = 1
 
     def __post_init__(self) -> None:
         """Accept any characters, unlike the base class."""
@@ -134,17 +134,14 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
         words = tuple(token.text for token in split_text(row.text, names))
         labels = (REJECT,) * len(words) if row.read is None else align(words, row.read.split())
         if words and labels is not None:
-            examples.append(ReaderExample(words, labels, names))
+            examples += [ReaderExample(words, labels, names)] * row.copies
     return examples
 
 
-def vary_sentences(
-    examples: Sequence[ReaderExample], seed: int, copies: int = 1
-) -> list[ReaderExample]:
+def vary_sentences(examples: Sequence[ReaderExample], seed: int) -> list[ReaderExample]:
     """Augment the data: replace a verb by another of its class, or add small talk at either end.
 
-    Each sentence is repeated, and varied, ``copies`` times; the variations come last. ``seed`` is
-    that of the random choices.
+    The variations come last. ``seed`` is that of the random choices.
     """
     rng, variations = np.random.default_rng(seed), []
     small_talk = []  # deleted clauses without object names
@@ -155,7 +152,7 @@ def vary_sentences(
             if len(clause) > 1 and all(is_idle):
                 small_talk.append(tuple(ex.words[i] for i in clause))
     classes = [sorted(verbs) for _, verbs in sorted(load_verbs().items())]
-    for ex in [*examples] * copies:
+    for ex in examples:
         verbs = [i for i, label in enumerate(ex.labels) if label in _SIMPLE_LABELS]
         for index in verbs[:1]:
             alternatives = next((verbs for verbs in classes if ex.words[index] in verbs), [])
@@ -172,7 +169,7 @@ def vary_sentences(
             else:
                 words, labels = (*ex.words, *separator, *chat), ex.labels + deleted
             variations.append(ReaderExample(words, labels, ex.names))
-    return [*examples] * copies + variations
+    return [*examples, *variations]
 
 
 def negative_log_likelihood(weights: ReaderWeights, batch: Batch) -> Array:
@@ -218,11 +215,10 @@ def train_reader(
     kept = [ex for ex in examples if set(ex.labels) <= set(labels)]
     if len(kept) < config.batch:
         raise ValueError(f"{len(kept)} sentences are too few to train on: {config.batch} at least")
-    kept = vary_sentences(kept, config.seed, config.copies)
+    kept = vary_sentences(kept, config.seed)
     feature_names = [featurize(ex.words, ex.names) for ex in kept]
     counts = Counter(name for sentence in feature_names for word in sentence for name in set(word))
-    min_count = config.least_features * config.copies
-    features = tuple(sorted(name for name, n in counts.items() if n >= min_count))
+    features = tuple(sorted(name for name, n in counts.items() if n >= config.least_features))
     batches = _batches(kept, feature_names, features, labels, config)
     weights, loss = _fit(batches, len(features), labels, config)
     emission = np.where(np.abs(weights.emission[1:]) < config.smallest, 0.0, weights.emission[1:])
