@@ -15,12 +15,12 @@ import numpy as np
 
 from jaxlangnav.language.lexicon import WORDS, load_lexicon
 from jaxlangnav.language.nouns import singular
+from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.reader.features import (
     MOTION,
     NAME,
     PATH_WORD,
     PREPOSITION,
-    SPEAKER,
     ReaderSentence,
 )
 from jaxlangnav.language.reader.model import (
@@ -42,7 +42,10 @@ _MAX_VERBATIM = 0.9
 """Limit on the probability of the unparsable verbatim sentence, in renormalising the others."""
 _MAX_PROPOSALS = 8
 """Maximum number of proposed sentences; each takes a parse."""
-_COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at"})
+_MIN_REJECT = 0.9
+"""Minimum probability of refusal to refuse a sentence that can be parsed."""
+_CANNOT = "the trained reader takes this for something no robot here can do; say it in other words"
+_COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
 """Replacements of a verb that are allowed without an instance in the training data."""
 
 
@@ -80,9 +83,13 @@ class Labelling:
     def span_key(self, run: range) -> str:
         """Format an edited span as a key: its words, names as ``<N>``, and the replacement."""
         classes, words = self.sentence.classes, self.sentence.words
-        words = ["<N>" if classes[i][0][0] in "N?" else words[i] for i in run]
-        read = [self.labels[i][1:] for i in run if self.labels[i] != DELETE]
-        return " ".join([*words, "=", *read])
+        words = ["<N>" if classes[i][0] == NAME else words[i] for i in run]
+        return " ".join([*words, "=", *self._replacements(run)])
+
+    def _replacements(self, run: range) -> list[str]:
+        """List what replaces a span: its labels, and what is inserted before the next word."""
+        inserted = "".join(self.labels[run.stop : run.stop + 1]).partition(">")[2]
+        return [*(self.labels[i][1:] for i in run if self.labels[i] != DELETE), inserted]
 
     def is_deleted(self, index: int) -> bool:
         """Check whether the whole clause of a word is deleted, without object names."""
@@ -112,6 +119,7 @@ class Labelling:
             all(self._keeps_verb(self.sentence.clauses[k]) for k in touched)
             and all(self._is_converse(i) for i, label in enumerate(self.labels) if label[0] == "=")
             and all(map(self._is_span_safe, unseen))
+            and all(_COMMAND_VERBS.issuperset(self._replacements(run)) for run in unseen)
             and not self._has_dangling_pronoun()
         )
 
@@ -156,9 +164,6 @@ class Labelling:
             return tells and self.is_deleted(index)
         if is_undone:
             return True
-        if SPEAKER in classes and self.labels[index] != DELETE and index + 1 < len(self.labels):
-            # "my car" is a car; "my left" is not an object.
-            return not self.kept[index + 1] or any(self.sentence.is_name[index + 1 : index + 3])
         if {PREPOSITION, PATH_WORD} & set(classes) and self._is_object_kept(index):
             # A neighbour's label may replace the expression: "one of the".
             before = next((tag for tag in self.labels[index::-1] if tag != DELETE), KEEP)
@@ -280,16 +285,25 @@ def propose_readings(
     Returns:
         The likeliest rewritings, best first, conditioned on not being verbatim unless
         ``is_readable``. The remaining probability is that of refusal or unlikely rewritings.
+
+    Raises:
+        LanguageError: it can be parsed, but refusal has at least 0.9 (``_MIN_REJECT``).
     """
     model = load_reader()
     sentence = ReaderSentence(tuple(token.text for token in tokens), frozenset(labels))
     scores = model.scores(sentence.words, sentence.labels)
     log_total = log_partition(scores, model.transition)
-    kept = model.labels.index(KEEP)
-    moves = (len(scores) - 1) * model.transition[kept, kept]
-    p_verbatim = math.exp(scores[:, kept].sum() + moves - log_total)
+    kept, rejected = (model.labels.index(label) for label in (KEEP, REJECT))
+    p_verbatim, p_reject = (
+        math.exp(scores[:, i].sum() + (len(scores) - 1) * model.transition[i, i] - log_total)
+        for i in (kept, rejected)
+    )
     proposals: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
+        if p_reject >= _MIN_REJECT:
+            # The word that speaks most for refusal is named.
+            blamed = tokens[int(np.argmax(scores[:, rejected] - scores[:, kept]))]
+            raise LanguageError.at(blamed.text, blamed.position, _CANNOT)
         verbatim = Proposal(probability=p_verbatim, tokens=tuple(tokens), left_out=(), changes=())
         proposals[sentence.words] = verbatim
         if p_verbatim >= 0.5:
