@@ -5,6 +5,7 @@
 (``dialogue``), and the state is updated by the functions of ``speech_acts``.
 """
 
+import contextlib
 import dataclasses
 import logging
 from collections.abc import Sequence
@@ -75,6 +76,10 @@ class Listener:
         except ValueError as refusal:
             if opening is not None:
                 return self._process_opening(state, text, *opening)
+            if utterance.kind == Kind.CORRECTION:  # "no rush just go to the bench"
+                with contextlib.suppress(ValueError):
+                    whole = Utterance(kind=None, rest=text)
+                    return self._process_sentence(state, text, whole, is_asked=is_asked)
             return self._halt_on_alarm(state, text, refusal)
         if opening is not None and outcome.kind in _INFORMING:
             return _apply_act(after, outcome, opening[0])

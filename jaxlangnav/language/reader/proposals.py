@@ -15,7 +15,6 @@ import numpy as np
 
 from jaxlangnav.language.lexicon import WORDS, load_lexicon
 from jaxlangnav.language.nouns import singular
-from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.reader.features import (
     MOTION,
     NAME,
@@ -42,9 +41,6 @@ _MAX_VERBATIM = 0.9
 """Limit on the probability of the unparsable verbatim sentence, in renormalising the others."""
 _MAX_PROPOSALS = 8
 """Maximum number of proposed sentences; each takes a parse."""
-_MIN_REJECT = 0.9
-"""Minimum probability of refusal to refuse a sentence that can be parsed."""
-_CANNOT = "the trained reader takes this for something no robot here can do; say it in other words"
 _COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
 """Replacements of a verb that are allowed without an instance in the training data."""
 
@@ -87,9 +83,10 @@ class Labelling:
         return " ".join([*words, "=", *self._replacements(run)])
 
     def _replacements(self, run: range) -> list[str]:
-        """List what replaces a span: its labels, and what is inserted before the next word."""
-        inserted = "".join(self.labels[run.stop : run.stop + 1]).partition(">")[2]
-        return [*(self.labels[i][1:] for i in run if self.labels[i] != DELETE), inserted]
+        """List what replaces a span: its labels, and insertions at the words beside it."""
+        beside = (*self.labels[max(run.start - 1, 0) : run.start], *self.labels[run.stop :][:1])
+        inserted = [label.partition(">")[2] for label in beside]
+        return [*(self.labels[i][1:] for i in run if self.labels[i] != DELETE), *inserted]
 
     def is_deleted(self, index: int) -> bool:
         """Check whether the whole clause of a word is deleted, without object names."""
@@ -285,25 +282,16 @@ def propose_readings(
     Returns:
         The likeliest rewritings, best first, conditioned on not being verbatim unless
         ``is_readable``. The remaining probability is that of refusal or unlikely rewritings.
-
-    Raises:
-        LanguageError: it can be parsed, but refusal has at least 0.9 (``_MIN_REJECT``).
     """
     model = load_reader()
     sentence = ReaderSentence(tuple(token.text for token in tokens), frozenset(labels))
     scores = model.scores(sentence.words, sentence.labels)
     log_total = log_partition(scores, model.transition)
-    kept, rejected = (model.labels.index(label) for label in (KEEP, REJECT))
-    p_verbatim, p_reject = (
-        math.exp(scores[:, i].sum() + (len(scores) - 1) * model.transition[i, i] - log_total)
-        for i in (kept, rejected)
-    )
+    kept = model.labels.index(KEEP)
+    moves = (len(scores) - 1) * model.transition[kept, kept]
+    p_verbatim = math.exp(scores[:, kept].sum() + moves - log_total)
     proposals: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
-        if p_reject >= _MIN_REJECT:
-            # The word that speaks most for refusal is named.
-            blamed = tokens[int(np.argmax(scores[:, rejected] - scores[:, kept]))]
-            raise LanguageError.at(blamed.text, blamed.position, _CANNOT)
         verbatim = Proposal(probability=p_verbatim, tokens=tuple(tokens), left_out=(), changes=())
         proposals[sentence.words] = verbatim
         if p_verbatim >= 0.5:
