@@ -77,8 +77,8 @@ class Listener:
             if opening is not None:
                 return self._process_opening(state, text, *opening)
             if utterance.kind == Kind.CORRECTION:  # "no rush just go to the bench"
+                whole = Utterance(kind=None, rest=text)
                 with contextlib.suppress(ValueError):
-                    whole = Utterance(kind=None, rest=text)
                     return self._process_sentence(state, text, whole, is_asked=is_asked)
             return self._halt_on_alarm(state, text, refusal)
         if opening is not None and outcome.kind in _INFORMING:

@@ -45,7 +45,7 @@ _PADDING = 8  # lengths are rounded up to a multiple of this, to limit compilati
 class ReaderConfig:
     """Hyperparameters of the training of a reader."""
 
-    epochs: int = 5
+    epochs: int = 9
     batch: int = 256  # sentences
     rate: float = 0.08  # of Adam, with cosine decay to 0
     l2: float = 2e-5

@@ -162,10 +162,9 @@ class Labelling:
         if is_undone:
             return True
         if {PREPOSITION, PATH_WORD} & set(classes) and self._is_object_kept(index):
-            # A neighbour's label may replace the expression: "one of the".
+            # A verb before it may replace the expression: "over to the".
             before = next((tag for tag in self.labels[index::-1] if tag != DELETE), KEEP)
-            after = next((tag for tag in self.labels[index:] if tag != DELETE), KEEP)
-            return PATH_WORD not in classes and (before[0] != KEEP or ">" in after)
+            return PATH_WORD not in classes and before[0] != KEEP
         if self.labels[index] != DELETE:
             return True
         is_choosing = not WORDS["choosing"].isdisjoint(classes) or word in WORDS["degrees"]
