@@ -132,8 +132,7 @@ class Labelling:
                 return False
         if run.start > 0 and run.stop < len(words) and not is_undone:
             # Without the words between, two names would be read as one.
-            is_joined = is_name[run.start - 1] and is_name[run.stop]
-            if is_joined and self.labels[run.start] == DELETE:
+            if is_name[run.start - 1] and is_name[run.stop] and self.labels[run.start] == DELETE:
                 return False
         is_refused = any(
             words[i : min(i + len(key), run.stop)] == key and not (is_undone or self.is_deleted(i))
@@ -301,8 +300,7 @@ def propose_readings(
     for score, path in best:
         names = tuple(model.labels[i] for i in path)
         labelled = Labelling(sentence, names, model.left_out, model.met)
-        is_allowed = labelled.is_seen() if is_readable else labelled.is_safe()
-        if labelled.labels[0] == REJECT or not is_allowed:
+        if names[0] == REJECT or not (labelled.is_seen() if is_readable else labelled.is_safe()):
             continue
         proposal = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in proposal.tokens)
