@@ -130,10 +130,10 @@ class Labelling:
             is_chosen = any(not WORDS["choosing"].isdisjoint(classes[i]) for i in run)
             if is_chosen or not kept.issuperset(singular(words[i]) for i in named):
                 return False
-        if run.start > 0 and run.stop < len(words) and not is_undone:
-            # Without the words between, two names would be read as one.
-            if is_name[run.start - 1] and is_name[run.stop] and self.labels[run.start] == DELETE:
-                return False
+        # Without the words between, two names would be read as one.
+        beside = is_name[run.start - 1 : run.start] + is_name[run.stop : run.stop + 1]
+        if beside == (True, True) and self.labels[run.start] == DELETE and not is_undone:
+            return False
         is_refused = any(
             words[i : min(i + len(key), run.stop)] == key and not (is_undone or self.is_deleted(i))
             for i in run
