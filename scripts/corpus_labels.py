@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxlangnav.language.corpus import ROBOT_LABEL, Labels
-from jaxlangnav.language.geometry import Geometry, PlacedWorld
+from jaxlangnav.grounding.worlds import Geometry
+from jaxlangnav.language.corpus import ROBOT_LABEL, Labels, PlacedWorld
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations.strength import count_before

@@ -22,8 +22,7 @@ import numpy as np
 from corpus_labels import annotate, behave, rank
 
 import jaxlangnav.language
-from jaxlangnav.language.corpus import parse_labelled
-from jaxlangnav.language.geometry import PlacedWorld
+from jaxlangnav.language.corpus import PlacedWorld, parse_labelled
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Parse
 

@@ -4,8 +4,7 @@ import numpy as np
 from corpus_labels import annotate, behave
 
 from jaxlangnav.grounding.worlds import World
-from jaxlangnav.language.corpus import ClauseLabels, Example, WorldLabels
-from jaxlangnav.language.geometry import PlacedWorld
+from jaxlangnav.language.corpus import ClauseLabels, Example, PlacedWorld, WorldLabels
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import ROBOT

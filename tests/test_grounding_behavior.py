@@ -15,12 +15,14 @@ from grounding_fixture import TYPES, random_topology
 
 from jaxlangnav.grounding import infer_behavior, infer_behaviors, understand
 from jaxlangnav.grounding.behavior import MAX_SLOTS
+from jaxlangnav.grounding.behavior_properties import choice_tables
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.program import CompiledClause, softmax
+from jaxlangnav.grounding.model import senses_of
+from jaxlangnav.grounding.program import CompiledClause
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import CONSTRAINT, GOAL, BehaviorSpace
 from jaxlangnav.grounding.worlds import World, to_device, to_world
-from jaxlangnav.language.geometry import PlacedWorld
+from jaxlangnav.language.corpus import PlacedWorld
 from jaxlangnav.messages import AT, BEHIND, NEAR, ROBOT
 
 BEHIND_CONE = "go to the hydrant behind the cone"
@@ -51,10 +53,12 @@ def world_of(kinds, edges=(), previous=None, extremes=()):
     return dataclasses.replace(world, is_previous=is_previous)
 
 
-def test_one_of_several_is_expressed_by_its_odds():
-    """Actions and modes: odds of 1, 2 and 5 to one another, however large they are."""
-    for shift in (-500.0, 0.0, 500.0):
-        np.testing.assert_allclose(softmax(np.log([1.0, 2.0, 5.0]) + shift), [0.125, 0.25, 0.625])
+def test_action_and_mode_follow_the_odds_of_the_verb_phrase(model):
+    understood = understand("find the other cone quickly", model)
+    (root,), clauses = understood.parse.clauses, understood.instruction.clauses
+    for name, choices in choice_tables(senses_of(root, TYPES)).items():
+        odds = np.exp(choices @ model.behavior.coefficients(root)[name])
+        np.testing.assert_allclose(getattr(clauses, name)[0], odds / odds.sum(), rtol=1e-4)
 
 
 def test_a_model_that_knows_nothing_prefers_no_goal(model):

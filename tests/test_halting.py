@@ -10,8 +10,7 @@ from hand_geometry import SPOKEN
 
 from jaxlangnav import Navigator
 from jaxlangnav.language.halting import Act, act_of, alarm_in, halts_alone, opening_of
-from jaxlangnav.language.lexicon import find_type, read_lexicon
-from jaxlangnav.language.own_words import is_reserved
+from jaxlangnav.language.lexicon import find_type, is_reserved, read_lexicon
 from jaxlangnav.navigator import NavigatorState
 
 TABLE = tomllib.loads(

@@ -10,12 +10,12 @@ from corpus_labels import annotate, behave
 from jaxlangnav.language import corpus
 from jaxlangnav.language.corpus import (
     CorpusError,
+    PlacedWorld,
     load_corpus,
     parse_labelled,
     read_corpus,
     read_example,
 )
-from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import MODES, RELATIONS

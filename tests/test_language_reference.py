@@ -5,7 +5,7 @@ from corpus_labels import behave
 
 from jaxlangnav.experiments.tasks import ground_sentences
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.language.geometry import PlacedWorld
+from jaxlangnav.language.corpus import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError

@@ -9,7 +9,8 @@ import scipy.stats
 from oracles import relations as oracle
 from readings import central
 
-from jaxlangnav.language.geometry import Geometry, PlacedWorld
+from jaxlangnav.grounding.worlds import Geometry
+from jaxlangnav.language.corpus import PlacedWorld
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import (

@@ -25,16 +25,18 @@ from jaxlangnav.training.examples import (
     tabulate,
 )
 from jaxlangnav.training.fit import (
+    Problem,
     TrainingConfig,
     build_design,
     by_kind,
     fit,
+    gradient,
     l2_vector,
     loss,
+    minimise,
     on_device,
     train_weights,
 )
-from jaxlangnav.training.optimum import Problem, gradient, minimise
 
 SMALL = ("walk to the barrel", "find the car behind the tree", "park near the box")
 
@@ -53,9 +55,7 @@ def all_counts(design: Design) -> np.ndarray:
 def random_weights(design: Design, scale=0.3):
     rng = np.random.default_rng(3)
     return {
-        kind: rng.normal(0, scale, (design.words.shape[1], part.stop - part.start)).astype(
-            np.float32
-        )
+        kind: np.float32(rng.normal(0, scale, (design.words.shape[1], part.stop - part.start)))
         for kind, part in design.columns.items()
     }
 
@@ -111,10 +111,8 @@ def test_equal_factors_are_joined_and_split_by_instruction():
 def test_fit_reaches_the_minimum(small):
     """J is λ-strongly convex: J(W) − min J ≤ ‖∇J(W)‖² / 2 λ."""
     _, _, design = small
-    config = TrainingConfig(l2=0.1)
-    (weights,), measured = fit(
-        design, np.ones((1, design.num_instructions), np.float32), config=config
-    )
+    config, ones = TrainingConfig(l2=0.1), np.ones((1, design.num_instructions), np.float32)
+    (weights,), measured = fit(design, ones, config=config)
     gradient = jax.grad(loss)(weights, design, all_counts(design), 0.1)
     length = np.sqrt(sum(float(jnp.sum(g * g)) for g in gradient.values()))
     # Rounding adds to the length: sums of a few thousand float32 slopes below one.

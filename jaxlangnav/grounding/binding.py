@@ -8,7 +8,7 @@ first, and its results are mapped to codes of label and attributes (``object_typ
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 
 import numpy as np
@@ -25,9 +25,8 @@ from jaxlangnav.inputs.object_types import (
     type_code,
 )
 from jaxlangnav.inputs.sanitize import check_names
-from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import TYPE_CLASS, is_reserved, load_lexicon
 from jaxlangnav.language.nouns import attributes_of, base_adjective, load_nouns, singular
-from jaxlangnav.language.own_words import is_reserved
 from jaxlangnav.language.phrase import LanguageError, Parse, Phrase, Word
 from jaxlangnav.language.reference import SAME, head_of, is_untyped
 from jaxlangnav.language.tokens import normalize
@@ -126,7 +125,8 @@ class Detector:
     def _matching(self, noun: str) -> tuple[int, ...]:
         """List the labels equal to a noun, or else to a synonym, ignoring spaces."""
         spellings = [{n.replace(" ", ""), singular(n).replace(" ", "")} for n in self._names]
-        for names in _synonym_sets(noun):
+        synonyms = load_nouns().synonyms_of(noun)
+        for names in ({noun}, synonyms, _lexicon_names().get(noun, frozenset())):
             variants = {name.replace(" ", "") for name in names}
             if labels := tuple(i for i, forms in enumerate(spellings) if forms & variants):
                 return labels
@@ -139,14 +139,6 @@ class Detector:
                 raise ValueError(f"more than {MAX_LABELS} nouns and labels: start a new navigator")
             self._unlabelled.append(noun)
         return len(self.labels) + self._unlabelled.index(noun)
-
-
-def _synonym_sets(noun: str) -> Iterator[frozenset[str]]:
-    """Yield sets of equivalent names: the noun, then its synonyms, then the lexicon's."""
-    yield frozenset({noun})
-    yield load_nouns().synonyms_of(noun)
-    if noun in _lexicon_names():
-        yield _lexicon_names()[noun]
 
 
 @cache

@@ -11,11 +11,11 @@ first described in these terms.
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.special import logit
 
 from jaxlangnav.grounding.behavior_properties import (
     CONSTRAINT_CONDITIONS,
@@ -198,9 +198,7 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
 
 def _log_odds(probability: float) -> float:
     """Convert a probability to log-odds, at most ``CERTAIN``."""
-    if probability >= 1.0:
-        return CERTAIN
-    return min(CERTAIN, math.log(probability / (1.0 - probability)))
+    return min(CERTAIN, float(logit(probability)))
 
 
 def _object_phrase(target: Descriptor, peak: float, previous: tuple[str, ...] = ANY) -> _Phrase:

@@ -13,6 +13,7 @@ from itertools import accumulate
 
 import numpy as np
 from jax import Array
+from scipy.special import softmax
 
 from jaxlangnav.grounding.behavior_properties import (
     CONSTRAINT_CONDITIONS,
@@ -115,12 +116,6 @@ def _upper_bound(
     bound += np.where(is_in_child, np.maximum(terms["region_in_child"], 0), 0)
     rest = np.maximum(terms.get("neither", 0), 0) + np.maximum(terms.get("unmentioned", 0), 0)
     return np.asarray(bound + rest)
-
-
-def softmax(log_odds: np.ndarray) -> np.ndarray:
-    """Convert log-odds to the distribution given that exactly one symbol is expressed."""
-    weight = np.exp(log_odds - log_odds.max())
-    return (weight / weight.sum()).astype(np.float32)
 
 
 def _slot_of(fields: dict[str, np.ndarray], row: int, relation: int) -> int:

@@ -5,15 +5,13 @@ untrusted input: names, shapes and types are checked before anything large is al
 """
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Annotated, TypeVar
 from zipfile import ZipFile
 
 import numpy as np
-from msgspec import Meta, field, structs
+from msgspec import Meta, field
 
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import (
@@ -111,37 +109,21 @@ def load(path: Path | None) -> GroundingModel:
         return load_shipped()
     weights = [f"{name}/{kind}.npy" for name, kinds in _MODELS.items() for kind in kinds]
     members = ["about.npy", *(f"{name}.json.npy" for name in _MODELS), *weights]
-    with _opened(path) as archive:
+    try:
+        archive = open_arrays(read_file(path, max_bytes=_MAX_BYTES))
         if sorted(archive.namelist()) != sorted(members):
             raise ValueError("its arrays are not those of two models")
         trained = tuple(_document(archive, "about", _Provenance).types)
         annotation, behavior = (_unpack(name, archive) for name in _MODELS)
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        why = why.removeprefix(f"{path}: ")
+        raise ValueError(f"{path}: not a file of weights ({why})") from error
     type_names = load_lexicon().type_names
     if type_names[: len(trained)] != trained:
         listed = str(trained)[:200]
         raise ValueError(f"{path}: trained with types {listed}, but the lexicon has {type_names}")
     return GroundingModel(annotation, behavior, type_names)
-
-
-def read_provenance(path: Path) -> dict[str, object]:
-    """Read the provenance of a weight file: ``command``, ``corpus`` hash, ``types``.
-
-    Raises:
-        ValueError: the file is not readable as weights.
-    """
-    with _opened(path) as archive:
-        return structs.asdict(_document(archive, "about", _Provenance))
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[ZipFile]:
-    """Open a weight file; errors say that it is not a file of weights."""
-    try:
-        yield open_arrays(read_file(path, max_bytes=_MAX_BYTES))
-    except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        why = why.removeprefix(f"{path}: ")
-        raise ValueError(f"{path}: not a file of weights ({why})") from error
 
 
 @cache

@@ -38,7 +38,6 @@ from jaxlangnav.inputs.documents import DocumentError, parse_json, read_lines, s
 from jaxlangnav.inputs.limits import MAX_METRES
 from jaxlangnav.inputs.sanitize import as_text, sanitize, shorten
 from jaxlangnav.inputs.schema import Name, Schema, convert
-from jaxlangnav.language.geometry import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
@@ -81,6 +80,16 @@ class _Line(Schema, forbid_unknown_fields=False):
 
 class CorpusError(ValueError):
     """An invalid corpus; a one-line message with file, line and cause."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedWorld:
+    """Objects at known positions, and the pose of the robot."""
+
+    objects: tuple[tuple[str, float, float], ...]  # type, x, y; map frame, metres
+    robot: tuple[float, float, float]  # x, y, heading; metres, radians
+    previous: int | None = None  # index of the previous command's goal
+    attributes: tuple[int, ...] = ()  # attribute code of each object, or empty
 
 
 @dataclass(frozen=True, kw_only=True)

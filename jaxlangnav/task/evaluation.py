@@ -16,7 +16,7 @@ from jaxlangnav.grounding.rewrites import (
     default_rewrite_params,
     verify_rewrites,
 )
-from jaxlangnav.language.own_words import is_reserved
+from jaxlangnav.language.lexicon import is_reserved
 from jaxlangnav.language.phrase import MIN_PROBABILITY
 from jaxlangnav.task.comparison import difference
 from jaxlangnav.task.labelled import LabelledSentence

@@ -32,7 +32,7 @@ from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.worlds import reading_world
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines
 from jaxlangnav.inputs.schema import Schema, convert
-from jaxlangnav.language.geometry import PlacedWorld
+from jaxlangnav.language.corpus import PlacedWorld
 from jaxlangnav.language.lexicon import find_type
 from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior
 from jaxlangnav.planner.goals import region_offset
