@@ -79,8 +79,12 @@ def test_a_goal_that_is_taken_away_is_never_arrived_at(navigator) -> None:
     robot = put()
 
     def take_away(one: KinematicRobot) -> None:
-        near = goal_distance(one) < 2.6
-        one.move_object(0, np.nan, np.nan) if near else one.at(one.seconds + 0.1, take_away)
+        if goal_distance(one) >= 2.6:
+            one.at(one.seconds + 0.1, take_away)
+            return
+        is_object = np.array(one.scenario.is_object)
+        is_object[0] = False
+        one.scenario = replace(one.scenario, is_object=is_object)
 
     robot.at(0.0, take_away)
     ends(Ending.NOT_FOUND, navigator, robot)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.cli.main import main
+from jaxlangnav.experiments.table import Table
 from jaxlangnav.robots import trials
 from jaxlangnav.robots.table3 import STOP_DISTANCE, TABLE3, draw_environment
 from jaxlangnav.robots.trials import KNOWN_MAP, TrialPlan
@@ -83,7 +84,7 @@ def test_first_trials_and_failures_are_recorded(monkeypatch, tmp_path) -> None:
 def test_the_table_stands_beside_the_papers(ran: list) -> None:
     document = trials.reproduce_table3(TrialPlan(trials=3))
     assert document["success"] == pytest.approx(2 / 3)
-    rows = trials.trials_table(document).rows
+    rows = Table.of(document["rows"], trials.TRIAL_COLUMNS).rows
     assert len(rows) == 7
     for cells, row in zip(rows, TABLE3, strict=True):
         assert cells[0] == row.robot

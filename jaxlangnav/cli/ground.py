@@ -161,39 +161,39 @@ class Ground:
 
         from jaxlangnav.grounding.command_summary import list_commands
 
+        annotations = understood.annotations
+        commands = list_commands(understood.instruction, understood.type_names)
         document: dict[str, Any] = {
             "instruction": self.text,
-            "annotations": understood.annotations,
+            "annotations": annotations,
             "unknown_words": understood.unknown_words,
         }
-        num_objects = PAPER_NUM_OBJECTS
         # Errors come before any output.
-        behaviors_document = {} if self.world is None else self._ground_in(self.world, understood)
-        document |= behaviors_document
-        document["commands"] = list_commands(understood.instruction, understood.type_names)
-        annotations, commands = document["annotations"], document["commands"]
+        if self.world is not None:
+            document |= self._ground_in(self.world, understood)
+        document["commands"] = commands
         title = "Annotations: what it says of the world"
         output.print(Table.of(annotations, _ANNOTATIONS, title=title).text())
         if commands:
             rows = [command | {"number": position} for position, command in enumerate(commands, 1)]
             output.print(Table.of(rows, _COMMANDS, title="Commands: what it asks for").text())
-        if behaviors_document:
-            if behaviors := document["behaviors"]:
-                title = f"Behaviors in world {document['world']}"
-                output.print(Table.of(behaviors, _BEHAVIORS, title=title).text())
-            else:
-                output.note(f"note: {document['unjudged']} in world {document['world']}")
-            num_objects = len(document["objects"])
+        if behaviors := document.get("behaviors"):
+            title = f"Behaviors in world {document['world']}"
+            output.print(Table.of(behaviors, _BEHAVIORS, title=title).text())
+        elif self.world is not None:
+            output.note(f"note: {document['unjudged']} in world {document['world']}")
+        num_objects = PAPER_NUM_OBJECTS if self.world is None else len(document["objects"])
         document["graph"] = understood.graph(num_objects)
         for graph_name, size in document["graph"].items():
             objects = f", {size['objects']} objects" if "objects" in size else ""
             counts = "{phrases} phrases, {factors} factors, {variables} variables".format_map(size)
             output.print(Text(f"{graph_name} graph: {counts}{objects}", style="dim"))
         if self.out is not None:
-            from jaxlangnav.viz.html import write_factor_graph
+            from jaxlangnav.viz.graph import graph_figure
+            from jaxlangnav.viz.style import save
 
             model = dataclasses.replace(model, type_names=understood.names)
-            pictures = write_factor_graph(understood.parse, model, self.out)
+            pictures = save(graph_figure(understood.parse, model), self.out / "graph")
             document["pictures"] = [str(path) for path in pictures]
             output.print(f"Wrote {', '.join(document['pictures'])}")
         return document

@@ -3,6 +3,7 @@
 Errors are one line on standard error.
 """
 
+import contextlib
 import difflib
 import json
 import math
@@ -11,6 +12,7 @@ import re
 import shutil
 import sys
 import textwrap
+import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -120,10 +122,8 @@ def is_user_error(error: BaseException) -> bool:
     """
     if isinstance(error, OSError):
         return True
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    module = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    module = frames[-1].f_globals.get("__name__", "") if frames else ""
     is_ours = module.split(".")[0] == "jaxlangnav"
     return isinstance(error, UsageError) or (isinstance(error, ValueError) and is_ours)
 
@@ -133,12 +133,9 @@ def platform_fault(failure: Exception) -> str | None:
     jax, platforms = sys.modules.get("jax"), os.environ.get(_PLATFORMS)
     if jax is None or not platforms:
         return None
-    try:
-        is_available = _NO_BACKEND not in str(failure) and bool(jax.devices())
-    except (RuntimeError, AssertionError):
-        is_available = False
-    if is_available:
-        return None
+    with contextlib.suppress(RuntimeError, AssertionError):
+        if _NO_BACKEND not in str(failure) and jax.devices():
+            return None
     return (
         f'{_PLATFORMS} is "{shorten(platforms)}", but JAX can compute on no such device here: '
         "unset it, or set it to cpu"

@@ -27,11 +27,12 @@ from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_recording
-from jaxlangnav.experiments.table import Report, Section, write_report
+from jaxlangnav.experiments.table import Report, Section, Table, report_html
 from jaxlangnav.experiments.table1 import evaluate, table_1
 from jaxlangnav.experiments.timing import cycle_parts
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.inputs.atomic_files import write_text
+from jaxlangnav.navigator.api import Navigator
 
 _NUM_SPLITS = 8  # random splits of Table 1, as in the paper
 _TITLE3 = "Table 3 in simulation: ours beside the paper's"
@@ -65,7 +66,7 @@ GRIDS: dict[str, Callable[[Settings], tuple[Experiment, Options]]] = {
     "robustness": lambda settings: (
         robustness.ROBUSTNESS,
         dataclasses.replace(
-            settings.options, params=apply(robustness.default_params(), settings.values, "params")
+            settings.options, params=apply(Navigator.pretrained().params, settings.values, "params")
         ),
     ),
 }
@@ -136,7 +137,7 @@ def _run_conversation(settings: Settings, output: Output) -> StudyResult:
 
 def _run_table3(settings: Settings, output: Output) -> StudyResult:
     """Run the physics simulations of Table 3; trials found in the folder are not repeated."""
-    from jaxlangnav.robots.trials import TABLE3, TrialPlan, reproduce_table3, trials_table
+    from jaxlangnav.robots.trials import TABLE3, TRIAL_COLUMNS, TrialPlan, reproduce_table3
 
     args, policies = settings.args, settings.options.policies
     policy = policies[0] if len(policies) == 1 else "informed"
@@ -145,7 +146,7 @@ def _run_table3(settings: Settings, output: Output) -> StudyResult:
     output.note(f"{total} runs of two robots, two at a time")
     with progress_bar("runs", total) as advance:
         document = reproduce_table3(plan, on_progress=advance)
-    table = trials_table(document, title=_TITLE3, caption=_CAPTION3)
+    table = Table.of(document["rows"], TRIAL_COLUMNS, title=_TITLE3, caption=_CAPTION3)
     output.print(table.text())
     for row in document["rows"]:
         name = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"
@@ -243,7 +244,7 @@ STUDIES = {
 }
 """All other experiments."""
 _DURATIONS = {
-    "table1": (1, 60.0), "table2": (4200, 200.0), "table3": (11, 900.0), "fig1": (1, 40.0),
+    "table1": (1, 60.0), "table2": (4200, 200.0), "table3": (11, 94.0), "fig1": (1, 40.0),
     "fig3": (1, 2.0), "fig4": (1, 40.0), "fig5": (4200, 200.0), "unknowns": (4200, 200.0),
     "conversation": (800, 390.0), "robustness": (10000, 600.0), "time": (1, 60.0),
 }  # fmt: skip
@@ -338,4 +339,5 @@ def _write_page(sections: list[Section], settings: Settings, seconds: float) -> 
         "the paper": _PAPER,
     }
     title = "Following commands in unknown places: ours beside the paper's"
-    return write_report(title, sections, settings.args.out / "report.html", facts=facts)
+    page = report_html(title, sections, facts=facts)
+    return write_text(page, settings.args.out / "report.html")

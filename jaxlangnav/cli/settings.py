@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 OptionPath = tuple[str, ...]  # such as ("params", "planner", "discount")
-GROUPS = ("params", "config", "sensor", "motion")
 HELP_ALL = "--help-params"  # prints the help with all of these options
 
 _UNSET = "\0"  # sentinel: cannot be typed

@@ -22,8 +22,9 @@ from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.task.follow import PreparedEpisode, record_episode
 from jaxlangnav.task.loading import load_task
-from jaxlangnav.viz.html import write_factor_graph, write_html
-from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, select_steps
+from jaxlangnav.viz.graph import graph_figure
+from jaxlangnav.viz.html import write_html
+from jaxlangnav.viz.narrative import MOMENT_COLUMNS, describe_moments, narrate, select_steps
 from jaxlangnav.viz.panels import belief_figure, values_figure
 from jaxlangnav.viz.style import save
 
@@ -130,7 +131,7 @@ def _figure(
         }
 
         def write(out: Path) -> Iterable[Path]:
-            table = moments_table(document["moments"]).markdown()
+            table = Table.of(document["moments"], MOMENT_COLUMNS).markdown()
             summary = {key: value for key, value in document.items() if key != "moments"}
             manifest_, stem = manifest(summary, models=load(None)), out / name
             text = f"# {title}\n\n{paper}\n\n{ours}\n\n{table}"
@@ -147,7 +148,7 @@ def _figure(
         title=title,
         intro=f"{paper} {ours}",
         run=run,
-        tables=lambda document: [moments_table(document["moments"])],
+        tables=lambda document: [Table.of(document["moments"], MOMENT_COLUMNS)],
         notes=lambda _: _FIGURE_NOTES,
         facts=lambda doc: {
             "episode": f"world {doc['world']}, policy {doc['policy']}, seed {doc['seed']}, "
@@ -192,7 +193,7 @@ def _count_factors(_: Settings, output: Output) -> StudyResult:
     }  # fmt: skip
     for row in _factors_table(document).rows:
         output.print(f"{row[0]}: {row[1]} factors (paper {row[2]}), {row[3]} variables ({row[4]})")
-    return document, lambda out: write_factor_graph(parsed, model, out, name="figure3")
+    return document, lambda out: save(graph_figure(parsed, model), out / "figure3")
 
 
 def _factors_table(document: Document) -> Table:

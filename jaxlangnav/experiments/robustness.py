@@ -19,7 +19,6 @@ from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.scenarios import COMMANDS, SCENARIOS, ScenarioSpec
 from jaxlangnav.experiments.table import SUCCESS_FORMAT, Document, Row, Table, TableColumns
 from jaxlangnav.messages import Status
-from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.planner.config import POLICIES
 
@@ -28,11 +27,6 @@ _MAX_STEPS = 400
 ECE_TARGET = 0.05
 """Upper limit of the ECE of "this is the goal", if sensor model and instruction are correct."""
 _EXCLUDED_POLICY = "arc"  # baseline: sweeps by the distribution of Table 2's worlds
-
-
-def default_params() -> NavigatorParams:
-    """Return the default parameters of the navigator for real environments."""
-    return Navigator.pretrained().params
 
 
 def _arms(options: Options) -> list[Arm]:

@@ -16,8 +16,6 @@ from jaxlangnav.experiments.sweep import episode_files, identity, read_manifest
 from jaxlangnav.experiments.table import SUCCESS_FORMAT, Document, Row, Table, TableColumns
 from jaxlangnav.inputs import sanitize
 
-__all__ = ["render", "summarize_directory", "summary_markdown"]
-
 _ARM_COLUMNS = ("policy", "particles")
 _PAIR_COLUMNS = ("seed", "episode")
 _ALL_PAIRS_LIMIT = 6

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.inputs import sanitize
-from jaxlangnav.inputs.atomic_files import write_text
 
 if TYPE_CHECKING:
     import rich.table
@@ -22,7 +21,6 @@ TableColumns = Sequence[tuple[str, str | Callable[[Any], str]]]
 SUCCESS_FORMAT = "{success_rate:.1f} ({success_ci[0]:.1f}-{success_ci[1]:.1f})"
 """Format of a row's success with its 95 % interval, percent."""
 _NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*([\s%*e-]|$)")
-_MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -139,14 +137,15 @@ class Section:
     title: str
     intro: str = ""  # introduction for readers
     pictures: Sequence[tuple[Path, str]] = ()
-    """SVG or PNG files, each with its alternative text."""
+    """SVG files, each with its alternative text."""
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
     facts: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """Provenance: command, episodes, seconds, files."""
 
 
-def _report_html(title: str, sections: Sequence[Section], *, facts: Mapping[str, str]) -> str:
+def report_html(title: str, sections: Sequence[Section], *, facts: Mapping[str, str]) -> str:
+    """Format a report in HTML; ``facts``: its provenance."""
     numbered = list(enumerate(sections, start=1))
     links = [f'<a href="#part{i}">{_html_text(section.title)}</a>' for i, section in numbered]
     template = resources.files("jaxlangnav.experiments") / "report.html"
@@ -161,20 +160,11 @@ def _report_html(title: str, sections: Sequence[Section], *, facts: Mapping[str,
     return re.sub("|".join(fields), lambda match: fields[match[0]], filled)
 
 
-def write_report(
-    title: str, sections: Sequence[Section], path: Path, *, facts: Mapping[str, str]
-) -> Path:
-    """Write the HTML report atomically; ``facts``: its provenance. Pictures are SVG or PNG."""
-    return write_text(_report_html(title, sections, facts=facts), path)
-
-
 def _section(index: int, section: Section) -> str:
     parts = [f'<section id="part{index}">', f"<h2>{_html_text(section.title)}</h2>"]
     parts += [f"<p>{_html_text(section.intro)}</p>"] if section.intro else []
     for path, alt in section.pictures:
-        if path.suffix not in _MEDIA:
-            raise ValueError(f"{path} is no picture: a report takes {' and '.join(_MEDIA)} files")
-        data = f"{_MEDIA[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+        data = f"image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode()}"
         parts.append(f'<figure><img src="data:{data}" alt="{_html_text(alt)}"></figure>')
     parts += [table.html() for table in section.tables]
     if section.notes:

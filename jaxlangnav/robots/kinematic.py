@@ -1,8 +1,8 @@
 """Simulated robots: the base class, and a kinematic unicycle robot.
 
 A backend simulates motion, range scanner and detector. ``true_pose`` and ``travelled`` serve to
-evaluate a run, never the navigator. The kinematic robot executes commands exactly, except on
-slippery discs; its detector is that of the simulated worlds (``world.sensor``).
+evaluate a run, never the navigator. The kinematic robot executes commands exactly; its detector is
+that of the simulated worlds (``world.sensor``).
 """
 
 import abc
@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.messages import SensorParams, default_sensor
-from jaxlangnav.pytree import replace
 from jaxlangnav.robots.motion.mover import TICK, MotionPlanner
 from jaxlangnav.robots.motion.path import to_discs
 from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
@@ -53,15 +52,12 @@ class SimulatedRobot(abc.ABC):
         self.go_to, self.stop = mover.go_to, mover.stop
         self.seconds = self.travelled = 0.0
         self.camera_works = True
-        self.on_tick: Callable[[Self], None] | None = None
         self.on_detection: Callable[[Self], None] | None = None
         """Called after each query of the detector, one without a picture too."""
         self.sensor = sensor
         """Sensor model that the belief assumes."""
         x_min, x_max, y_min, y_max = (float(edge) for edge in scenario.area)
         self.area = (x_min, x_max, y_min, y_max)
-        self.slippery: list[tuple[float, float, float]] = []
-        """Discs x, y, radius, metres, on which wheels turn and the body hardly moves."""
         self._odometry = np.array(scenario.start, float)
         self._random = np.random.default_rng(seed)
         self._scale = 1.0 + scale * self._random.standard_normal()
@@ -100,11 +96,6 @@ class SimulatedRobot(abc.ABC):
             distance=jnp.float32(self.travelled),
         )
 
-    def _is_slipping(self) -> bool:
-        """Tell whether it stands on a slippery disc."""
-        x, y, _ = self.true_pose
-        return any(np.hypot(x - a, y - b) < radius for a, b, radius in self.slippery)
-
     def pose(self) -> np.ndarray:
         """Return x, y, heading by dead reckoning, see ``Robot.pose``."""
         return self._odometry.copy()
@@ -127,8 +118,6 @@ class SimulatedRobot(abc.ABC):
             self.travelled += float(np.hypot(*(self.true_pose - last_pose)[:2]))
             self._odometry += _arc(self._odometry[2], forward, turn)
             self.seconds += TICK
-            if self.on_tick is not None:
-                self.on_tick(self)
         return self.mover.progress
 
 
@@ -204,17 +193,6 @@ class KinematicRobot(SimulatedRobot):
         discs = [*zip(x, y, [OBJECT_RADIUS] * len(x), strict=True), *self.obstacles]
         return np.array(discs, float).reshape(-1, 3)
 
-    def move_object(self, index: int, x: float, y: float) -> None:
-        """Move the object of a slot, metres; remove it where x or y is not finite."""
-        scenario = self.scenario
-        is_there = bool(np.isfinite([x, y]).all())
-        self.scenario = replace(
-            scenario,
-            object_x=jnp.asarray(scenario.object_x).at[index].set(x if is_there else 0.0),
-            object_y=jnp.asarray(scenario.object_y).at[index].set(y if is_there else 0.0),
-            is_object=jnp.asarray(scenario.is_object).at[index].set(is_there),
-        )
-
     def _scan(self) -> np.ndarray:
         cos, sin = np.cos(BEAM_ANGLES + self._true[2]), np.sin(BEAM_ANGLES + self._true[2])
         disc_x, disc_y, radius = self.disc_obstacles().T[..., None]
@@ -226,8 +204,7 @@ class KinematicRobot(SimulatedRobot):
 
     def _move(self, command: WheelCommand) -> np.ndarray:
         forward, turn = command.speed * TICK, command.turn * TICK
-        grip = 0.2 if self._is_slipping() else 1.0
-        self._true += _arc(self._true[2], grip * forward, turn)
+        self._true += _arc(self._true[2], forward, turn)
         noise = self._errors.noise * np.sqrt(abs(forward)) * self._random.standard_normal()
         # While the wheels stand still, the gyro is ignored.
         moves = command.speed != 0.0 or command.turn != 0.0

@@ -20,7 +20,7 @@ import numpy as np
 
 from jaxlangnav import __version__
 from jaxlangnav.experiments.metrics import wilson_interval
-from jaxlangnav.experiments.table import Table, TableColumns
+from jaxlangnav.experiments.table import TableColumns
 from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.robots.libraries import check_libraries
@@ -223,14 +223,6 @@ def _summary(
     }
 
 
-def trials_table(document: dict[str, Any], **rest: Any) -> Table:
-    """Build the table of the document of ``reproduce_table3``, ours beside the paper's results.
-
-    Distances are mean (sd), metres; ``rest`` are the table's title and caption.
-    """
-    return Table.of(document["rows"], _COLUMNS, **rest)
-
-
 def _success(row: dict[str, Any]) -> str:
     """Format a success rate with its interval, percent."""
     low, high = (100 * bound for bound in row["success_interval"])
@@ -244,7 +236,7 @@ def _metres(value: float | None, sd: float | None = None) -> str:
     return f"{value:.2f}" + ("" if sd is None else f" ({sd:.2f})")
 
 
-_COLUMNS: TableColumns = (
+TRIAL_COLUMNS: TableColumns = (
     ("robot", "{robot}"),
     ("world", "{world}"),
     ("range (m)", "{range:g}"),
@@ -261,3 +253,4 @@ _COLUMNS: TableColumns = (
     ("time (s)", lambda row: "–" if row["seconds"] is None else f"{row['seconds']:.0f}"),
     ("endings", lambda row: ", ".join(f"{n} {name}" for name, n in row["endings"].items())),
 )
+"""Columns of the table of the rows of ``reproduce_table3``; distances are mean (sd), metres."""

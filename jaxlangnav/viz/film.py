@@ -52,7 +52,6 @@ def write_film(recording: Recording, path: Path) -> Path:
 
 def _render_step(recording: Recording, step: int) -> np.ndarray:
     """Render one step as an RGB image, u8[H, W, 3]."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from PIL import Image
 
@@ -61,7 +60,6 @@ def _render_step(recording: Recording, step: int) -> np.ndarray:
     with style.house_style():
         width, height = _INCHES
         figure = Figure((width * (1 + len(camera_names)), height), dpi=_DPI, layout="constrained")
-        canvas = FigureCanvasAgg(figure)
         axes, *camera_axes = figure.subplots(1, 1 + len(camera_names), squeeze=False)[0]
         draw_belief(axes, recording, step)
         figure.suptitle(f"“{recording.scene.text}” · step {step} · {float(frame.distance):.1f} m")
@@ -70,5 +68,4 @@ def _render_step(recording: Recording, step: int) -> np.ndarray:
             if jpeg := recording.pictures[step].get(name):
                 axis.imshow(Image.open(io.BytesIO(jpeg)))
                 axis.set_title(name, fontsize=7)
-        canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        return style.rgb_image(figure)

@@ -16,13 +16,10 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.episode.recording import Recording
-from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.sanitize import sanitize
-from jaxlangnav.language.phrase import Parse
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.viz import narrative, panels, sentences, style, summary
-from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.narrative import narrate
 from jaxlangnav.viz.panels import belief_figure, values_figure
 from jaxlangnav.viz.sentences import describe_readings, percent
@@ -82,16 +79,16 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
     scenes = [scene, *(u.scene for u in recording.utterances if u.scene is not None)]
     readings = (describe_readings(current, min_prob=0.005) for current in scenes)
     claims = list(dict.fromkeys(claim for reading in readings for claim, _ in reading))
-    summary = [
+    summary_parts = [
         f"Taken to say that there is {claim} ({percent(p)})."
         for claim, p in describe_readings(scene)[:1]
         if claim != "nothing"
     ]
     if not is_under_way:
-        summary.append(f"The {panels.verdict(recording)}.")
+        summary_parts.append(f"The {panels.verdict(recording)}.")
     return {
         "text": sanitize(scene.text),
-        "summary": " ".join(summary),
+        "summary": " ".join(summary_parts),
         "outcome": "under way" if is_under_way else panels.outcome(recording),
         "is_under_way": is_under_way,
         "num_steps": recording.num_steps,
@@ -240,10 +237,3 @@ def write_report_files(recording: Recording, folder: Path | str) -> list[Path]:
         write_html(recording, folder / "episode.html"),
     ]
     return [*paths, write_text("\n".join(narrate(recording)) + "\n", folder / "story.txt")]
-
-
-def write_factor_graph(
-    parse: Parse, model: GroundingModel, folder: Path | str, *, name: str = "graph"
-) -> list[Path]:
-    """Write the factor graph of a parsed sentence as PNG and SVG."""
-    return [*style.save(graph_figure(parse, model), Path(folder) / name)]

@@ -192,17 +192,18 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
     for type_id in present:
         handles.append(mark("true place", type_id, 8, "none", style.type_color(type_id)))
         handles[-1].set_alpha(0.5)
-    label = f"meant goal, {scene.stop_radius:g} m"
-    goal = handle(label, linestyle=":", color=style.MUTED, linewidth=1.0)
-    return [
-        *handles,
+    handles += [
         handle("robot", marker="^", color=style.INK, markersize=8),
         handle("waypoint", marker="x", color=style.WAYPOINT, markersize=6, markeredgewidth=1.8),
         handle("way gone", linestyle="-", color=style.PATH, linewidth=1.1),
         handle("field of view", linestyle="--", color=style.VIEW, linewidth=0.9),
-        *[goal][: scene.is_scored],
-        *[handle("wall", linestyle="-", color=style.WALL, linewidth=2.4)][: len(scene.walls)],
     ]
+    if scene.is_scored:
+        label = f"meant goal, {scene.stop_radius:g} m"
+        handles.append(handle(label, linestyle=":", color=style.MUTED, linewidth=1.0))
+    if len(scene.walls):
+        handles.append(handle("wall", linestyle="-", color=style.WALL, linewidth=2.4))
+    return handles
 
 
 def render_world(
@@ -214,8 +215,6 @@ def render_world(
     green, blue; the width follows from the area's shape. ``MissingExtraError`` without matplotlib.
     """
     style.require("matplotlib")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     x_min, x_max, y_min, y_max = (float(edge) for edge in scenario.area)
     height = _HEIGHT - _HEAD - _FOOT
     width = max(height * (x_max - x_min) / (y_max - y_min), 2.4)
@@ -223,7 +222,6 @@ def render_world(
         size, margins = (width + 2 * _SIDE, _HEIGHT), (_SIDE, _SIDE, _HEAD, _FOOT)
         figure, ((axes,),) = style.panels(size, 1, 1, margins)
         figure.set_dpi(_DPI)
-        canvas = FigureCanvasAgg(figure)
         set_area_limits(axes, (x_min, x_max, y_min, y_max))
         _draw_world(axes, scenario, SUCCESS_RADIUS)
         draw_walls(axes, walls_of(scenario))
@@ -232,5 +230,4 @@ def render_world(
         draw_robot(axes, world)
         metres = float(np.hypot(*np.diff(path, axis=0).T).sum())
         style.title(figure, f"“{text}”", f"step {len(path) - 1} · {metres:.1f} m")
-        canvas.draw()
-        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        return style.rgb_image(figure)

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.episode.recording import Recording, Remark, Snapshot, StaticScene, StepView, replay
-from jaxlangnav.experiments.table import Table, TableColumns
+from jaxlangnav.experiments.table import TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.terrain.view import Segment
@@ -48,21 +48,22 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
         is_left = np.cos(heading) * dy - np.sin(heading) * dx > 0.0
         total = mass.sum()
         squared = sum((value - (value @ mass) / max(total, 1e-9)) ** 2 for value in (dx, dy))
-        row = {
-            "step": step,
-            "distance": float(frame.distance),
-            "event": headline(recording.steps[step]),
-            "goal_seen": float(frame.goal_mass.sum()),
-            "unseen_left": float(mass[is_left].sum()),
-            "unseen_right": float(mass[~is_left].sum()),
-            "spread": None if total < 0.05 else float(np.sqrt((squared @ mass) / total)),
-            "explored": explored_fraction(frame),
-        }
-        rows.append(row)
+        rows.append(
+            {
+                "step": step,
+                "distance": float(frame.distance),
+                "event": headline(recording.steps[step]),
+                "goal_seen": float(frame.goal_mass.sum()),
+                "unseen_left": float(mass[is_left].sum()),
+                "unseen_right": float(mass[~is_left].sum()),
+                "spread": None if total < 0.05 else float(np.sqrt((squared @ mass) / total)),
+                "explored": explored_fraction(frame),
+            }
+        )
     return rows
 
 
-_MOMENTS: TableColumns = (
+MOMENT_COLUMNS: TableColumns = (
     ("step", "{step}"),
     ("walked m", "{distance:.1f}"),
     ("what happens", "{event}"),
@@ -72,11 +73,7 @@ _MOMENTS: TableColumns = (
     ("its spread m", lambda row: "" if row["spread"] is None else f"{row['spread']:.1f}"),
     ("looked at", lambda row: percent(row["explored"])),
 )
-
-
-def moments_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """Build a table from the rows of ``describe_moments``."""
-    return Table.of(rows, _MOMENTS)
+"""Columns of a table of the rows of ``describe_moments``."""
 
 
 def opening(scene: StaticScene) -> list[str]:

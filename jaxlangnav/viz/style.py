@@ -131,6 +131,15 @@ def panels(
     return figure, grid
 
 
+def rgb_image(figure: "Figure") -> np.ndarray:
+    """Render a figure as an RGB image, u8[H, W, 3]."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
 def value_colormap() -> "LinearSegmentedColormap":
     """Build the colormap of the value function."""
     from matplotlib.colors import LinearSegmentedColormap

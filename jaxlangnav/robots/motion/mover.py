@@ -12,8 +12,8 @@ from jaxlangnav.robots.motion.path import EMPTY_DISCS, find_path, inflate, is_cl
 from jaxlangnav.robots.motion.steering import (
     STOP,
     BodyLimits,
-    DynamicWindow,
     WheelCommand,
+    steer,
     turn_in_place,
     wrap,
 )
@@ -39,7 +39,7 @@ class MotionPlanner:
 
     def __init__(self, body: BodyLimits) -> None:
         """Initialize at rest, without waypoints."""
-        self.body, self.controller = body, DynamicWindow()
+        self.body = body
         self.command, self.progress = STOP, WaypointStatus.STANDING
         self._waypoints = np.zeros((0, 2))
         self._speed, self._clearance = 1.0, 0.0
@@ -109,9 +109,7 @@ class MotionPlanner:
             self.progress = WaypointStatus.FAILED
             return STOP
         speed = min(self.body.speed * self._speed, self.body.top_speed)
-        return self.controller.steer(
-            pose, self.command, self._path, discs, top_speed=speed, body=self.body
-        )
+        return steer(pose, self.command, self._path, discs, top_speed=speed, body=self.body)
 
     def _plan(self, pose: np.ndarray, discs: np.ndarray) -> None:
         """Plan a path if there is none or it is blocked; shorten a free one from time to time."""

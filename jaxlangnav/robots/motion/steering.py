@@ -46,85 +46,71 @@ class WheelCommand(NamedTuple):
 STOP = WheelCommand(0.0, 0.0)
 _NUM_SPEEDS, _NUM_TURNS, _NUM_TIMES = 5, 15, 8
 _REACTION = 0.5  # seconds within which the window's speeds must be reachable
+_LOOKAHEAD, _MIN_LOOKAHEAD = 0.9, 0.15  # metres along the path to the target point
+_MAX_ANGLE = 1.0  # radians off the path beyond which it turns in place
+_HORIZON = 1.6  # seconds for which an arc is simulated
+_MARGIN = 0.02  # metres kept from obstacles by an arc, and by the line to the target point
+_CLEARANCE_WEIGHT, _SPEED_WEIGHT = 0.3, 0.3
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class DynamicWindow:
-    """Dynamic-window controller that follows a path."""
+def steer(
+    pose: np.ndarray,
+    current: WheelCommand,
+    path: np.ndarray,
+    discs: np.ndarray,
+    *,
+    top_speed: float,
+    body: BodyLimits,
+) -> WheelCommand:
+    """Choose a command: turn in place if the path is too far aside, else follow an arc.
 
-    lookahead: float = 0.9
-    """Metres along the path to the target point."""
-    max_angle: float = 1.0
-    """Radians off the path beyond which it turns in place."""
-    horizon: float = 1.6
-    """Seconds for which an arc is simulated."""
-    margin: float = 0.02
-    """Metres that an arc keeps from obstacles."""
-    clearance_weight: float = 0.3
-    speed_weight: float = 0.3
+    ``MotionPlanner`` limits it to the accelerations possible in a tick.
 
-    def steer(
-        self,
-        pose: np.ndarray,
-        current: WheelCommand,
-        path: np.ndarray,
-        discs: np.ndarray,
-        *,
-        top_speed: float,
-        body: BodyLimits,
-    ) -> WheelCommand:
-        """Choose a command: turn in place if the path is too far aside, else follow an arc.
-
-        ``MotionPlanner`` limits it to the accelerations possible in a tick.
-
-        Args:
-            pose: f64[3], x, y, heading.
-            current: the present command.
-            path: f64[V, 2], corners ahead, V ≥ 1, metres; the robot stops at its end.
-            discs: f64[K, 3], obstacles, metres, not inflated.
-            top_speed: metres a second, requested.
-            body: size and limits.
-        """
-        target = _lookahead_point(pose, path, self.lookahead, discs, body)
-        bearing = wrap(math.atan2(*(target - pose[:2])[::-1]) - pose[2])
-        if abs(bearing) > self.max_angle:
-            return turn_in_place(bearing, body)
-        remaining = float(np.hypot(*np.diff(np.vstack([pose[:2], path]), axis=0).T).sum())
-        limit = min(top_speed, math.sqrt(1.6 * body.acceleration * remaining))  # can stop in time
-        low = max(current.speed - body.acceleration * _REACTION, 0.0)
-        high = min(current.speed + body.acceleration * _REACTION, limit)
-        turn_change = body.turn_acceleration * _REACTION
-        min_turn = max(current.turn - turn_change, -body.turn_rate)
-        max_turn = min(current.turn + turn_change, body.turn_rate)
-        speeds = np.linspace(min(low, high), high, _NUM_SPEEDS)
-        turns = np.append(np.linspace(min_turn, max_turn, _NUM_TURNS), 0.0)
-        speed, turn = (grid.ravel() for grid in np.meshgrid(speeds, turns))
-        times = np.linspace(0.0, self.horizon, _NUM_TIMES + 1)[1:]
-        angle = turn[:, None] * times
-        chord = np.sinc(angle / (2.0 * math.pi)) * speed[:, None] * times
-        direction = pose[2] + 0.5 * angle
-        x, y = pose[0] + chord * np.cos(direction), pose[1] + chord * np.sin(direction)
-        gap = disc_distance(x, y, discs) - body.radius
-        gap_now = float(disc_distance(pose[None, 0], pose[None, 1], discs)[0]) - body.radius
-        is_free = gap.min(axis=1) >= self.margin
-        if gap_now < self.margin + CONTACT:  # allow arcs that leave the obstacle
-            is_free |= (gap.min(axis=1) >= gap_now - CONTACT) & (gap[:, -1] >= gap_now - 1e-3)
-        goal_distance = np.hypot(x - target[0], y - target[1]).min(axis=1)
-        clearance = np.minimum(gap.min(axis=1), 0.5)
-        score = -goal_distance + self.clearance_weight * clearance + self.speed_weight * speed
-        best = int(np.argmax(np.where(is_free, score, -np.inf)))
-        arc = WheelCommand(float(speed[best]), float(turn[best])) if is_free[best] else STOP
-        return turn_in_place(bearing, body) if arc.speed < 0.02 and abs(bearing) > 0.05 else arc
-
-
-_MARGIN = 0.02  # metres kept from obstacles by the straight line to the target point
-_MIN_LOOKAHEAD = 0.15  # metres along the path
+    Args:
+        pose: f64[3], x, y, heading.
+        current: the present command.
+        path: f64[V, 2], corners ahead, V ≥ 1, metres; the robot stops at its end.
+        discs: f64[K, 3], obstacles, metres, not inflated.
+        top_speed: metres a second, requested.
+        body: size and limits.
+    """
+    target = _lookahead_point(pose, path, discs, body)
+    bearing = wrap(math.atan2(*(target - pose[:2])[::-1]) - pose[2])
+    if abs(bearing) > _MAX_ANGLE:
+        return turn_in_place(bearing, body)
+    remaining = float(np.hypot(*np.diff(np.vstack([pose[:2], path]), axis=0).T).sum())
+    limit = min(top_speed, math.sqrt(1.6 * body.acceleration * remaining))  # can stop in time
+    low = max(current.speed - body.acceleration * _REACTION, 0.0)
+    high = min(current.speed + body.acceleration * _REACTION, limit)
+    turn_change = body.turn_acceleration * _REACTION
+    min_turn = max(current.turn - turn_change, -body.turn_rate)
+    max_turn = min(current.turn + turn_change, body.turn_rate)
+    speeds = np.linspace(min(low, high), high, _NUM_SPEEDS)
+    turns = np.append(np.linspace(min_turn, max_turn, _NUM_TURNS), 0.0)
+    speed, turn = (grid.ravel() for grid in np.meshgrid(speeds, turns))
+    times = np.linspace(0.0, _HORIZON, _NUM_TIMES + 1)[1:]
+    angle = turn[:, None] * times
+    chord = np.sinc(angle / (2.0 * math.pi)) * speed[:, None] * times
+    direction = pose[2] + 0.5 * angle
+    x, y = pose[0] + chord * np.cos(direction), pose[1] + chord * np.sin(direction)
+    gap = disc_distance(x, y, discs) - body.radius
+    gap_now = float(disc_distance(pose[None, 0], pose[None, 1], discs)[0]) - body.radius
+    is_free = gap.min(axis=1) >= _MARGIN
+    if gap_now < _MARGIN + CONTACT:  # allow arcs that leave the obstacle
+        is_free |= (gap.min(axis=1) >= gap_now - CONTACT) & (gap[:, -1] >= gap_now - 1e-3)
+    goal_distance = np.hypot(x - target[0], y - target[1]).min(axis=1)
+    clearance = np.minimum(gap.min(axis=1), 0.5)
+    score = -goal_distance + _CLEARANCE_WEIGHT * clearance + _SPEED_WEIGHT * speed
+    best = int(np.argmax(np.where(is_free, score, -np.inf)))
+    arc = WheelCommand(float(speed[best]), float(turn[best])) if is_free[best] else STOP
+    return turn_in_place(bearing, body) if arc.speed < 0.02 and abs(bearing) > 0.05 else arc
 
 
 def _lookahead_point(
-    pose: np.ndarray, path: np.ndarray, lookahead: float, discs: np.ndarray, body: BodyLimits
+    pose: np.ndarray, path: np.ndarray, discs: np.ndarray, body: BodyLimits
 ) -> np.ndarray:
     """Choose the target point of a path: at the lookahead, or nearer if an obstacle is between."""
+    lookahead = _LOOKAHEAD
     target = _point_along(pose[:2], path, lookahead)
     margin = body.radius + _MARGIN
     distance = np.hypot(*(discs[:, :2] - pose[:2]).T)

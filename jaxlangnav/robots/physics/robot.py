@@ -13,7 +13,7 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.kinematic import BEAM_ANGLES, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, MotionPlanner
 from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
-from jaxlangnav.robots.physics.scene import HIDDEN_POSITION, compile_scene
+from jaxlangnav.robots.physics.scene import compile_scene
 from jaxlangnav.robots.physics.tags import (
     Camera,
     Gates,
@@ -101,7 +101,6 @@ ROBOT_MODELS = {
 _GYRO_READINGS = 10  # per tick
 _SETTLING_STEPS = 250  # physics steps until the robot rests on its wheels
 _MIN_ROLL = 1e-4  # metres per tick below which a wheel is at rest
-_SLIPPERY_FRICTION = 0.02  # tire friction on a slippery disc
 _SCANNED_GROUPS = np.array([0, 1, 0, 0, 0, 0], np.uint8)
 
 
@@ -147,11 +146,6 @@ class PhysicsRobot(SimulatedRobot):
         self._side = np.array([1.0 if name.startswith("left") else -1.0 for name in names])
         joints = [model.actuator_trnid[index, 0] for index in range(model.nu)]
         self._wheels = np.array([model.jnt_qposadr[joint] for joint in joints])
-        bodies = [model.jnt_bodyid[joint] for joint in joints]
-        self._tire_geoms = np.array(
-            [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] in bodies]
-        )
-        self._tire_friction = model.geom_friction[self._tire_geoms, 0].copy()
         self._scanner = int(model.site("scanner").id)
         self._renderer = libraries.renderer(model, self.camera.height, self.camera.width)
         self._with_robot = self._mujoco.MjvOption()
@@ -174,19 +168,6 @@ class PhysicsRobot(SimulatedRobot):
         """Update the scene after objects were moved, without simulating time."""
         self._mujoco.mj_forward(self.scene.model, self.scene.data)
 
-    def put_person(self, x: float, y: float) -> None:
-        """Put the person at a position, metres, map frame."""
-        self.scene.set_position("person", x, y)
-
-    def move_object(self, slot: int, x: float, y: float) -> None:
-        """Move the object of a slot, metres; out of sight where x or y is not finite."""
-        position = (x, y) if np.isfinite([x, y]).all() else HIDDEN_POSITION
-        self.scene.set_position(f"thing{slot}", *position)
-
-    def picture(self) -> np.ndarray:
-        """Render the robot's camera image, u8[H, W, 3], red, green, blue, without noise."""
-        return self.render("front")
-
     def render(self, camera: str | object) -> np.ndarray:
         """Render the image of a camera, by name or ``MjvCamera``: RGB, u8[H, W, 3]."""
         # The robot's front camera must not see the robot.
@@ -200,7 +181,7 @@ class PhysicsRobot(SimulatedRobot):
         return bool(to_detections([tag], self.camera, self._gates))
 
     def _detect(self) -> list[Detection]:
-        self.last_picture = self.picture()
+        self.last_picture = self.render("front")
         cv2 = libraries.opencv()
         grey = cv2.cvtColor(self.last_picture, cv2.COLOR_RGB2GRAY)
         grey = add_image_noise(grey, self._random, noise=self._errors.grain, blur=self._errors.blur)
@@ -231,9 +212,6 @@ class PhysicsRobot(SimulatedRobot):
         robot, data = self.robot_model, self.scene.data
         side_speed = 0.5 * robot.track * robot.effective_track * command.turn
         data.ctrl[:] = (command.speed - self._side * side_speed) / robot.wheel_radius
-        if self.slippery:
-            friction = _SLIPPERY_FRICTION if self._is_slipping() else self._tire_friction
-            self.scene.model.geom_friction[self._tire_geoms, 0] = friction
         wheel_start, turn = data.qpos[self._wheels].copy(), 0.0
         steps = round(TICK / _GYRO_READINGS / self.scene.model.opt.timestep)
         for _ in range(_GYRO_READINGS):

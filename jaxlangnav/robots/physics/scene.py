@@ -20,7 +20,6 @@ CUBE_CENTER_HEIGHT = 0.45
 HIDDEN_POSITION = (500.0, 500.0)
 _VISUAL_ONLY = {"contype": 0, "conaffinity": 0, "group": 2}  # geoms without collisions
 _COLORS = {HYDRANT: (0.75, 0.1, 0.1, 1.0), CONE: (0.95, 0.45, 0.05, 1.0)}
-_COVER_COLOR = (0.45, 0.45, 0.45, 1.0)
 _SIDES = ("front", "left", "back", "right")
 
 
@@ -44,13 +43,6 @@ class PhysicsScene:
     def set_heading(self, name: str, heading: float) -> None:
         """Set the heading of a mocap body about its vertical axis, radians, map frame."""
         self.data.mocap_quat[self._mocap_id(name)] = _yaw_quaternion(heading)
-
-    def hide_tags(self, slot: int) -> None:
-        """Cover the tags of an object in grey."""
-        for side in _SIDES:
-            geom = int(self.model.geom(f"tag{slot}_{side}").id)
-            self.model.geom_matid[geom] = -1
-            self.model.geom_rgba[geom] = _COVER_COLOR
 
 
 def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:

@@ -27,43 +27,11 @@ from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import DETECTION_TICKS
 
-MESSAGE_DEFINITIONS = {
-    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
-    "vision_msgs/msg/ObjectHypothesisWithPose": (
-        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose"
-    ),
-    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
-    "vision_msgs/msg/Detection3D": (
-        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
-        "vision_msgs/BoundingBox3D bbox\nstring id"
-    ),
-    "vision_msgs/msg/Detection3DArray": (
-        "std_msgs/Header header\nvision_msgs/Detection3D[] detections"
-    ),
-    "apriltag_msgs/msg/Point": "float64 x\nfloat64 y",
-    "apriltag_msgs/msg/AprilTagDetection": (
-        "string family\nint32 id\nint32 hamming\nfloat32 goodness\nfloat32 decision_margin\n"
-        "apriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography"
-    ),
-    "apriltag_msgs/msg/AprilTagDetectionArray": (
-        "std_msgs/Header header\napriltag_msgs/AprilTagDetection[] detections"
-    ),
-    "nav2_msgs/action/NavigateToPose_Goal": (
-        "geometry_msgs/PoseStamped pose\nstring behavior_tree"
-    ),
-}
-"""Message types that ``rosbags`` lacks: vision_msgs 4, apriltag_msgs 2 and nav2_msgs."""
-
 
 def typestore() -> Any:
-    """Build the types of ROS 2 Kilted plus ``MESSAGE_DEFINITIONS``; needs ``rosbags``."""
+    """Load the message types of ROS 2 Kilted; needs ``rosbags``."""
     typesys = load_ros("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_KILTED)
-    types: dict[str, Any] = {}
-    for name, text in MESSAGE_DEFINITIONS.items():
-        types.update(typesys.get_types_from_msg(text, name))
-    store.register(types)
-    return store
+    return typesys.get_typestore(typesys.Stores.ROS2_KILTED)
 
 
 class Loopback:

@@ -18,7 +18,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -114,8 +114,6 @@ class TagReader:
 
 _SPIN_SECONDS = 0.05  # maximum wait for a message before the time is checked
 _WARNING_SECONDS, _WARNING_PREFIX = 5.0, 16  # between warnings with so long a common prefix
-ENCODINGS = ("cloud", "boxes", "tf")
-"""Message formats of detections."""
 
 
 class RosBus:
@@ -126,14 +124,10 @@ class RosBus:
         type_names: Sequence[str],
         say: Callable[[str], None],
         *,
-        look: str = "cloud",
-        tags: TagSetup | None = None,
+        look: Literal["cloud", "boxes", "tf"],
+        tags: TagSetup | None,
     ) -> None:
-        """Open the topics, for one of ``ENCODINGS`` or ``ValueError``, after ``rclpy.init``."""
-        if look not in ENCODINGS:
-            raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(ENCODINGS)}")
-        if look == "tf" and tags is None:
-            raise ValueError("looks come as 'tf', but what the tags are on has not been said")
+        """Open the topics after ``rclpy.init``; ``tags`` with ``look="tf"``, and only with it."""
         self.inbox = Inbox()
         self.say = say
         """Callback for each utterance."""
@@ -162,7 +156,7 @@ class RosBus:
         # Best effort matches publishers of either reliability. Deep, as a decision takes long.
         stream = qos.QoSProfile(depth=100, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
         detections: list[tuple[str, Any, Callable[[Any], None]]]
-        if tags is not None and look == "tf":
+        if tags is not None:
             reader = TagReader(tags)
             tag_array = ros_class("apriltag_msgs/msg/AprilTagDetectionArray")
             detections = [
