@@ -40,8 +40,8 @@ from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params as default_relations
 from jaxlangnav.relations import fit as relation_fitting
-from jaxlangnav.relations import log_density, prepare, viewer_frame
-from jaxlangnav.relations.pairs import FRAMES, make_pairs
+from jaxlangnav.relations import density_of, log_density, prepare, viewer_frame
+from jaxlangnav.relations.fit import FRAMES, make_pairs
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.training import TrainingConfig, scoring
@@ -135,7 +135,8 @@ frame = viewer_frame(0.0, 0.0, 5.0, 0.0)
 for one, (name, relations) in zip(
     axes[1:], (("assumed", assumed), ("fitted", fit.params), ("used", used)), strict=True
 ):
-    density = jnp.exp(log_density(prepare(relations), BEHIND, offset_x, offset_y, frame))
+    behind = density_of(prepare(relations), BEHIND)
+    density = jnp.exp(log_density(behind, offset_x, offset_y, frame))
     one.contourf(span, span, density, levels=8, cmap=style.value_colormap())
     one.plot(0, 0, style.type_marker(1), color=style.type_color(1), markersize=7)
     one.annotate("", (-3.4, 0), (-5.6, 0), arrowprops={"arrowstyle": "->", "color": style.INK})

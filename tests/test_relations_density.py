@@ -17,11 +17,12 @@ from jaxlangnav.relations import (
     RelationParams,
     between,
     default_params,
+    density_of,
     holds,
     log_density,
     prepare,
     robot_frame,
-    sample_polar,
+    sample_pdf,
     to_map,
     viewer_frame,
 )
@@ -36,13 +37,14 @@ VIEWER, LANDMARK = (1.0, -2.0), (4.0, 2.0)
 @jax.jit
 def density_at(params: RelationParams, relation: int, x: jax.Array, y: jax.Array) -> jax.Array:
     frame = viewer_frame(*VIEWER, *LANDMARK)
-    return log_density(prepare(params), relation, x, y, frame)
+    return log_density(density_of(prepare(params), relation), x, y, frame)
 
 
 @jax.jit
 def draw(params: RelationParams, relation: int, key: jax.Array) -> tuple[jax.Array, jax.Array]:
     normal = jax.random.normal(key, (2, 200_000))
-    along, lateral = sample_polar(prepare(params), relation, normal[0], normal[1])
+    model = prepare(params)
+    along, lateral = sample_pdf(density_of(model, relation), model, relation, *normal)
     return to_map(viewer_frame(*VIEWER, *LANDMARK), along, lateral)
 
 
@@ -119,7 +121,9 @@ def test_sides_by_hand(pose: tuple, landmark: tuple | None) -> None:
         values = {}
         for other, angle in angles.items():
             offset = 2.0 * np.array([np.cos(angle), np.sin(angle)])
-            values[other] = float(log_density(model, relation, *jnp.float32(offset), frame))
+            values[other] = float(
+                log_density(density_of(model, relation), *jnp.float32(offset), frame)
+            )
             is_so = bool(holds(relation, where + offset, where, (x, y), *own))
             assert is_so == (other == relation), (RELATIONS[relation], RELATIONS[other])
         second, best = sorted(values.values())[-2:]
@@ -157,7 +161,8 @@ def density_of_all(params: RelationParams) -> jax.Array:
 def draws_of_all(params: RelationParams) -> jax.Array:
     """Draws move smoothly with the parameters (the table is part of the derivative)."""
     normal = jnp.float32(0.4), jnp.float32(0.7)
-    drawn = [sample_polar(prepare(params), relation, *normal) for relation in ALL]
+    model = prepare(params)
+    drawn = [sample_pdf(density_of(model, r), model, r, *normal) for r in ALL]
     return sum(along + 2.0 * lateral for along, lateral in drawn)
 
 

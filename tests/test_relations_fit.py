@@ -8,8 +8,7 @@ from oracles import relations as oracle
 
 from jaxlangnav.messages import BEHIND, FRONT, LEFT, NEAR, RELATIONS
 from jaxlangnav.relations import RelationParams, default_params, fit as fitting
-from jaxlangnav.relations.fit import RelationFit
-from jaxlangnav.relations.pairs import FRAMES, RelationPairs, make_pairs
+from jaxlangnav.relations.fit import FRAMES, RelationFit, RelationPairs, make_pairs
 
 VIEWER, ROBOT, UNDIRECTED = range(3)
 TRUE = {

@@ -11,7 +11,7 @@ from jaxlangnav.relations import (
     default_params,
     density_of,
     is_on_side,
-    log_density_of,
+    log_density,
     prepare,
     robot_frame,
     without_range,
@@ -151,14 +151,14 @@ def test_a_side_is_normalised_over_directions():
         x, y = distance * jnp.cos(angle), distance * jnp.sin(angle)
         for side, ahead in ((FRONT, 0), (LEFT, 180)):
             law = without_range(density_of(MODEL, side), yes, no, jnp.log(50.0))
-            weight = 50.0 * np.exp(np.asarray(log_density_of(law, x, y, frame)))
+            weight = 50.0 * np.exp(np.asarray(log_density(law, x, y, frame)))
             np.testing.assert_allclose(weight.mean(), 1.0, rtol=1e-3)
             ratio = weight[ahead] / weight[ahead + 360]
             np.testing.assert_allclose(np.log(ratio), 2 * SIDE_CONCENTRATION, rtol=1e-3)
     # An order alone says nothing of the side, and what is neither stays as it was.
     for relation in (NEAR, LEFT):
         law = without_range(density_of(MODEL, relation), no, yes, jnp.log(50.0))
-        np.testing.assert_allclose(log_density_of(law, x, y, frame), -np.log(50.0), rtol=1e-5)
+        np.testing.assert_allclose(log_density(law, x, y, frame), -np.log(50.0), rtol=1e-5)
         same = without_range(density_of(MODEL, relation), no, no, jnp.log(50.0))
         jax.tree.map(np.testing.assert_array_equal, same, density_of(MODEL, relation))
 

@@ -132,7 +132,7 @@ def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) ->
 
 
 def _advance(way: Way, *, params: NavigatorParams, config: NavigatorConfig) -> tuple[Way, None]:
-    after, _ = episode.advance(way.progress, params=params, config=config)
+    after, *_ = episode.advance(way.progress, params=params, config=config)
     return Way(after, way.at.at[after.steps].set(after.world.position)), None
 
 

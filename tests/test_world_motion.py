@@ -198,7 +198,7 @@ def test_an_episode_among_walls_on_two_wheels() -> None:
         map=MapConfig(num_particles=32, num_objects=4, num_cells=24),
         planner=PlannerConfig(policy="informed", num_visited=8),
     )
-    cycle = jax.jit(lambda one: episode.cycle(one, params=default_params(), config=config))
+    cycle = jax.jit(lambda one: episode.advance(one, params=default_params(), config=config))
     one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], instruction)
     arrived, ways = 0, []
     for seed in range(6):

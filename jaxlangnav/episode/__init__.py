@@ -56,6 +56,10 @@ class EpisodeResult:
     is_valid: Array  # bool[] the scenario satisfies its template's constraints
 
 
+COUNTS = ("overflow", "degenerate", "contradictions", "faults")
+"""Fields of ``EpisodeResult`` that are counted step by step."""
+
+
 @pytree
 class EpisodeState:
     """State of a running episode: loop carry of ``run``."""
@@ -64,10 +68,7 @@ class EpisodeState:
     navigator: NavigatorState
     world: WorldState
     steps: Array  # i32[] decision cycles so far
-    overflow: Array  # i32[] counters so far, as in ``EpisodeResult``
-    degenerate: Array  # i32[]
-    contradictions: Array  # i32[]
-    faults: Array  # i32[]
+    counts: dict[str, Array]  # i32[] each, ``COUNTS`` so far
     sum_effective_sample_size: Array  # f32[] over the steps so far
 
 
@@ -79,17 +80,14 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
     chex.assert_type([scenario.object_type, scenario.is_object], [int, bool])
     instruction = select_row(instructions, task.instruction_index)
-    pose_and_area, zero = (scenario.start, scenario.area), jnp.int32(0)
+    pose_and_area = scenario.start, scenario.area
     environment = {"terrain": scenario.terrain, "sensor_model": scenario.sensor_model}
     return EpisodeState(
         task=task,
         navigator=navigator.start(instruction, *pose_and_area, config=config, **environment),
         world=simulator.reset(scenario),
-        steps=zero,
-        overflow=zero,
-        degenerate=zero,
-        contradictions=zero,
-        faults=zero,
+        steps=jnp.int32(0),
+        counts=dict.fromkeys(COUNTS, jnp.int32(0)),
         sum_effective_sample_size=jnp.float32(0.0),
     )
 
@@ -107,15 +105,8 @@ def observe(state: EpisodeState) -> Observation:
 
 def advance(
     state: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
-) -> tuple[EpisodeState, NavigatorInfo]:
-    """Run one cycle: sense, decide, move; return the next state and the decision's diagnostics."""
-    return cycle(state, params=params, config=config)[:2]
-
-
-def cycle(
-    state: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[EpisodeState, NavigatorInfo, Observation]:
-    """Run one cycle as ``advance`` does, and return its observation, too."""
+    """Run one cycle: sense, decide, move; also return the decision's diagnostics and input."""
     task, (_, decide_key, move_key) = state.task, _step_keys(state)
     observation = observe(state)
     agent, action, info = navigator.step(
@@ -123,22 +114,26 @@ def cycle(
     )
     proposed = task.body.move(move_key, state.world, action, task.motion)
     world = stop_at_wall(state.world, proposed, task.scenario.terrain)
-    counts = add_counts(state, info)
-    next_state = replace(state, navigator=agent, world=world, steps=state.steps + 1, **counts)
+    next_state = replace(add_counts(state, info), navigator=agent, world=world)
     return next_state, info, observation
 
 
-def add_counts(state: EpisodeState, info: NavigatorInfo) -> dict[str, Array]:
-    """Add the diagnostics of one cycle to the episode's counters, by field name."""
+def add_counts(state: EpisodeState, info: NavigatorInfo) -> EpisodeState:
+    """Count one more step, and add its diagnostics to the episode's counters."""
     filter_info, weights = info.filter, int(Fault.WEIGHTS)
     increments = {
         "overflow": filter_info.overflow,
-        "degenerate": ((info.fault & weights) != 0).astype(jnp.int32),
-        "contradictions": filter_info.is_contradiction.astype(jnp.int32),
-        "faults": ((info.fault & ~weights) != 0).astype(jnp.int32),
-        "sum_effective_sample_size": filter_info.effective_sample_size,
+        "degenerate": (info.fault & weights) != 0,
+        "contradictions": filter_info.is_contradiction,
+        "faults": (info.fault & ~weights) != 0,
     }
-    return {name: getattr(state, name) + value for name, value in increments.items()}
+    return replace(
+        state,
+        steps=state.steps + 1,
+        counts=jax.tree.map(jnp.add, state.counts, increments),
+        sum_effective_sample_size=state.sum_effective_sample_size
+        + filter_info.effective_sample_size,
+    )
 
 
 def finish(state: EpisodeState) -> EpisodeResult:
@@ -153,12 +148,9 @@ def finish(state: EpisodeState) -> EpisodeResult:
         steps=state.steps,
         final=world.position,
         goal_distance=simulator.goal_distance(world, scenario),
-        overflow=state.overflow,
-        degenerate=state.degenerate,
-        contradictions=state.contradictions,
-        faults=state.faults,
         mean_effective_sample_size=state.sum_effective_sample_size / steps,
         is_valid=scenario.is_valid,
+        **state.counts,
     )
 
 

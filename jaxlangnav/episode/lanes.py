@@ -23,7 +23,7 @@ class EpisodeProgram(NamedTuple):
     """The functions that lanes run, by default a plain episode's; static under ``jit``."""
 
     begin: Callable[..., Any]  # as ``begin``: initial state from a task and the instructions
-    advance: Callable[..., Any]  # as ``advance``: next state, and an output that is ignored
+    advance: Callable[..., Any]  # as ``advance``: next state, and outputs that are ignored
     finish: Callable[[Any], Any]  # as ``finish``: result of the final state
     episode_state: Callable[[Any], Any]
     """Selects the ``EpisodeState`` in a state, or another record that counts its ``steps``."""
@@ -84,23 +84,14 @@ def run_batch(
     shape = tasks.instruction_index.shape[:1]
     per_task = {name: getattr(tasks, name) for name in ("sensor", "motion", "assumed_sensor")}
     per_task = jax.tree.map(lambda x: x if x.ndim else jnp.broadcast_to(x, shape), per_task)
-    return _run_batch(
-        replace(tasks, **per_task),
-        instructions,
-        params=params,
-        count=num_tasks,
-        config=config,
-        num_lanes=num_lanes,
-        max_steps=max_steps,
-        program=program,
-    )
+    tasks = replace(tasks, **per_task)
+    return _run_batch(tasks, instructions, params, num_tasks, config, num_lanes, max_steps, program)
 
 
 @functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps", "program"))
 def _run_batch(
     tasks: Task,
     instructions: Any,
-    *,
     params: Any,
     count: Array,
     config: NavigatorConfig,
@@ -118,7 +109,7 @@ def _run_batch(
 
     def body(lanes: _Lanes) -> _Lanes:
         advance = functools.partial(program.advance, params=params, config=config)
-        state, _ = jax.vmap(advance)(lanes.state)
+        state, *_ = jax.vmap(advance)(lanes.state)
         is_finished = program.is_done(state) | (program.episode_state(state).steps >= max_steps)
         is_finished = is_finished & (lanes.episode < num_tasks)
         row = jnp.where(is_finished, lanes.episode, capacity)  # an index of E is dropped

@@ -1,6 +1,6 @@
 """Step-by-step simulation of an episode, for display and recording (section 4).
 
-A Python loop over one compiled cycle, ``episode.cycle``: ``play`` yields each step, ``record``
+A Python loop over one compiled cycle, ``episode.advance``: ``play`` yields each step, ``record``
 stacks them as NumPy arrays.
 """
 
@@ -127,7 +127,7 @@ def _advance(
     state: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[EpisodeState, Snapshot, EpisodeResult]:
     """Run one cycle; return the next state, the frame and the result if it ended here."""
-    next_state, info, observation = episode.cycle(state, params=params, config=config)
+    next_state, info, observation = episode.advance(state, params=params, config=config)
     frame = make_frame(state.world, state.navigator, next_state.navigator, info, observation)
     return next_state, frame, episode.finish(next_state)
 

@@ -14,13 +14,12 @@ The last three ignore the relation; of two hydrants they choose the right one ha
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.episode import EpisodeResult, Task
+from jaxlangnav.episode import COUNTS, EpisodeResult, Task
 from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Observation, Status
@@ -200,9 +199,6 @@ def _advance_known(run: _Run, *, params: object, config: NavigatorConfig) -> tup
 def _finish(run: _Run) -> EpisodeResult:
     """Compute an episode's result; the counters of the filter are zero."""
     world, scenario = run.world, run.task.scenario
-    counts: dict[str, Any] = dict.fromkeys(
-        ("overflow", "degenerate", "contradictions", "faults"), jnp.int32(0)
-    )
     return EpisodeResult(
         is_success=simulator.is_success(world, scenario, run.is_stopped),
         is_stopped=run.is_stopped,
@@ -211,7 +207,7 @@ def _finish(run: _Run) -> EpisodeResult:
         steps=run.steps,
         final=world.position,
         goal_distance=simulator.goal_distance(world, scenario),
-        **counts,
+        **dict.fromkeys(COUNTS, jnp.int32(0)),
         mean_effective_sample_size=jnp.float32(0.0),
         is_valid=scenario.is_valid,
     )

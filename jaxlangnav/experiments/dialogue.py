@@ -137,7 +137,7 @@ def _advance(state: _State, *, params: _Params, config: NavigatorConfig) -> tupl
     distance = jnp.hypot(view.x - scenario.goal[0], view.y - scenario.goal[1])
     has_seen_goal = jnp.any(is_object & (distance <= SUCCESS_RADIUS))
     updated = replace(before, navigator=_apply(navigator, act, slot, params.sentence))
-    after, _ = episode.advance(updated, params=params.navigator, config=config)
+    after, *_ = episode.advance(updated, params=params.navigator, config=config)
     is_waiting = speak(after, person, params=params.person)[0].will_speak
     next_state = _State(
         episode_state=after,

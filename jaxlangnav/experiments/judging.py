@@ -26,7 +26,7 @@ class _State:
 def _advance_and_tally(
     state: _State, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[_State, None]:
-    after, info = advance(state.episode, params=params, config=config)
+    after, info, _ = advance(state.episode, params=params, config=config)
     step = tally_step(state.episode, info, after)
     return _State(episode=after, tally=jax.tree.map(operator.add, state.tally, step)), None
 

@@ -10,10 +10,8 @@ from jaxlangnav.relations.density import (
     density_of as density_of,
     log_density as log_density,
     log_density_in_frame as log_density_in_frame,
-    log_density_of as log_density_of,
     prepare as prepare,
     sample_pdf as sample_pdf,
-    sample_polar as sample_polar,
     without_range as without_range,
 )
 from jaxlangnav.relations.strength import (

@@ -30,29 +30,23 @@ SIDE_CONCENTRATION = 4.0
 
 
 @pytree
-class RelationModel:
-    """``RelationParams`` prepared for the filter: constants and sampling tables."""
-
-    log_distance: Array  # f32[R]
-    log_distance_sd: Array  # f32[R]
-    axis_along: Array  # f32[R] cosine of the axis
-    axis_lateral: Array  # f32[R] sine of the axis
-    concentration: Array  # f32[R]
-    log_constant: Array  # f32[R] log normaliser of the density
-    angle_quantile: Array  # f32[R, Q + 1] radians, |Δ| at equal steps of a normal's quantile
-
-
-@pytree
 class Density:
     """Density parameters of one relation, or of one per particle, looked up in the model."""
 
     log_distance: Array  # f32[...]
     log_distance_sd: Array  # f32[...]
-    axis_along: Array  # f32[...]
-    axis_lateral: Array  # f32[...]
+    axis_along: Array  # f32[...] cosine of the axis
+    axis_lateral: Array  # f32[...] sine of the axis
     concentration: Array  # f32[...]
-    log_constant: Array  # f32[...]
+    log_constant: Array  # f32[...] log normaliser of the density
     has_range: Array  # f32[...] 1, or 0 if distance does not matter: a side, a rank
+
+
+@pytree
+class RelationModel(Density):
+    """``RelationParams`` prepared for the filter: densities, leaves [R], and a sampling table."""
+
+    angle_quantile: Array  # f32[R, Q + 1] radians, |Δ| at equal steps of a normal's quantile
 
 
 def prepare(params: RelationParams) -> RelationModel:
@@ -83,17 +77,17 @@ def prepare(params: RelationParams) -> RelationModel:
         axis_lateral=jnp.sin(params.axis),
         concentration=params.concentration,
         log_constant=log_constant,
+        has_range=jnp.ones_like(log_constant),
         angle_quantile=quantile,
     )
 
 
 def density_of(model: RelationModel, relation: ArrayLike) -> Density:
     """Look up the density parameters f32[...] of relations by index, i32[...]."""
-    names = [field.name for field in dataclasses.fields(Density) if field.name != "has_range"]
+    names = [field.name for field in dataclasses.fields(Density)]
     # A single gather, whose gradient is a single scatter.
-    fields = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(ROW_OF)[relation]]
-    fields = dict(zip(names, jnp.unstack(fields), strict=True))
-    return Density(**fields, has_range=jnp.ones_like(fields["log_distance"]))
+    table = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(ROW_OF)[relation]]
+    return Density(**dict(zip(names, jnp.unstack(table), strict=True)))
 
 
 def without_range(pdf: Density, is_side: Array, is_ordinal: Array, log_area: Array) -> Density:
@@ -120,18 +114,7 @@ def without_range(pdf: Density, is_side: Array, is_ordinal: Array, log_area: Arr
     )
 
 
-def log_density(
-    model: RelationModel,
-    relation: ArrayLike,
-    offset_x: Array,
-    offset_y: Array,
-    frame: ReferenceFrame,
-) -> Array:
-    """Evaluate ``log_density_of`` for a relation by its index, i32[]."""
-    return log_density_of(density_of(model, relation), offset_x, offset_y, frame)
-
-
-def log_density_of(pdf: Density, offset_x: Array, offset_y: Array, frame: ReferenceFrame) -> Array:
+def log_density(pdf: Density, offset_x: Array, offset_y: Array, frame: ReferenceFrame) -> Array:
     """Evaluate a relation's log-density of its figure at an offset from the landmark.
 
         log f = c − 2 log r − (log r − μ)² / 2σ² + κ (cos Δ − 1)
@@ -153,7 +136,7 @@ def log_density_of(pdf: Density, offset_x: Array, offset_y: Array, frame: Refere
 
 
 def log_density_in_frame(pdf: Density, along: Array, lateral: Array) -> Array:
-    """Evaluate ``log_density_of`` at an offset in frame coordinates, f32[...] metres each."""
+    """Evaluate ``log_density`` at an offset in frame coordinates, f32[...] metres each."""
     return _log_density(pdf, along, lateral, along * along + lateral * lateral + 1e-6)
 
 
@@ -166,20 +149,13 @@ def _log_density(pdf: Density, along: Array, lateral: Array, squared: Array) -> 
     return pdf.log_constant + pdf.has_range * log_range + pdf.concentration * (cosine - 1.0)
 
 
-def sample_polar(
-    model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
-) -> tuple[Array, Array]:
-    """Sample offsets of a relation, f32[...] along and lateral, from standard normals f32[...].
-
-    In metres, in the frame of ``log_density``.
-    """
-    return sample_pdf(density_of(model, relation), model, relation, distance_normal, angle_normal)
-
-
 def sample_pdf(
     pdf: Density, model: RelationModel, relation: ArrayLike, normal_r: Array, normal_angle: Array
 ) -> tuple[Array, Array]:
-    """Sample as ``sample_polar`` from given density parameters, which must have a range."""
+    """Sample offsets of a relation with a range from standard normals, f32[...] each.
+
+    f32[...] metres along and lateral, in the frame of ``log_density``; ``pdf`` is the relation's.
+    """
     pdf = jax.tree.map(lambda leaf: prepend_axes(leaf, normal_r.ndim), pdf)
     distance = jnp.exp(pdf.log_distance + pdf.log_distance_sd * normal_r)
     position = jnp.minimum(jnp.abs(normal_angle), MAX_NORMAL) * (NUM_QUANTILES / MAX_NORMAL)

@@ -20,18 +20,115 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from jaxlangnav.messages import RELATIONS
 from jaxlangnav.numerics.descent import descend
 from jaxlangnav.pytree import field, pytree, replace
-from jaxlangnav.relations import REGISTRY, SIDES, RelationParams, default_params
-from jaxlangnav.relations.pairs import FRAMES, RelationPairs, log_frame_densities
+from jaxlangnav.relations import (
+    REGISTRY,
+    SIDES,
+    ReferenceFrame,
+    RelationParams,
+    default_params,
+    density_of,
+    log_density,
+    prepare,
+    robot_frame,
+    viewer_frame,
+)
 from jaxlangnav.relations.table import MODELLED
 
+FRAMES = ("viewer", "robot", "undirected")
+"""Frames of reference of the mixture, in the order of every axis F."""
 _RINGS = [row for row, index in enumerate(MODELLED) if index not in SIDES]
 """Undirected relations: κ stays 0, and all frames are equivalent."""
 _MIN_CONCENTRATION = 1e-3
 _GRADIENT_TOL, _CONVERGED_TOL = 1e-4, 1e-3
 """Norm of the mean gradient that ends the search, and its maximum component at convergence: float32
 has a rounding error of about 1e-4."""
+
+
+@pytree
+class RelationPairs:
+    """Labelled pairs; metres and radians, map frame."""
+
+    relation: Array  # i32[N] index into ``messages.RELATIONS``
+    figure: Array  # f32[N, 2] x, y
+    landmark: Array  # f32[N, 2] ignored where the landmark is the robot
+    is_robot: Array  # bool[N] the landmark is the robot itself ("on your left")
+    viewer: Array  # f32[N, 3] x, y, heading of speaker and robot at the utterance
+    robot: Array  # f32[N, 3] x, y, heading of the robot now
+
+
+def make_pairs(
+    relation: np.ndarray,
+    figure: np.ndarray,
+    landmark: np.ndarray,
+    viewer: np.ndarray,
+    robot: np.ndarray | None = None,
+    is_robot: np.ndarray | None = None,
+) -> RelationPairs:
+    """Validate N labelled pairs and convert them to arrays (host only).
+
+    Args:
+        relation: i[N], index into ``messages.RELATIONS``.
+        figure: f[N, 2], metres, map frame.
+        landmark: f[N, 2], metres.
+        viewer: f[N, 3], x, y, heading at the utterance, metres and radians.
+        robot: f[N, 3], the robot's present pose; the viewer's by default.
+        is_robot: bool[N], the landmark is the robot itself; False by default.
+
+    Raises:
+        ValueError: no pairs, shapes that do not agree, an unknown relation, numbers that are not
+            finite.
+    """
+    index = np.atleast_1d(np.asarray(relation))
+    num_pairs = len(index)
+    if num_pairs == 0:
+        raise ValueError("there are no pairs to fit relations to")
+    if index.ndim > 1:
+        raise ValueError(f"relation has shape {index.shape}, but must have ({num_pairs},)")
+    fields = {
+        "figure": np.asarray(figure, np.float32),
+        "landmark": np.asarray(landmark, np.float32),
+        "viewer": np.asarray(viewer, np.float32),
+        "robot": np.asarray(viewer if robot is None else robot, np.float32),
+        "is_robot": np.zeros(num_pairs, bool) if is_robot is None else np.asarray(is_robot, bool),
+    }
+    sizes = {"figure": (2,), "landmark": (2,), "viewer": (3,), "robot": (3,), "is_robot": ()}
+    for name, values in fields.items():
+        shape = (num_pairs, *sizes[name])
+        if values.shape != shape:
+            raise ValueError(f"{name} has shape {values.shape}, but {num_pairs} pairs need {shape}")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds numbers that are not finite: leave those pairs out")
+    if not np.isin(index, np.arange(len(RELATIONS))).all():
+        raise ValueError(
+            f"relation must be an index from 0 to {len(RELATIONS) - 1} ({', '.join(RELATIONS)})"
+        )
+    arrays = {name: jnp.asarray(values) for name, values in fields.items()}
+    return RelationPairs(relation=jnp.asarray(index, jnp.int32), **arrays)
+
+
+def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, ReferenceFrame]:
+    """Compute offsets and reference frames of the pairs for a pose f32[N, 3]."""
+    x, y = jnp.where(pairs.is_robot[:, None], pose[:, :2], pairs.landmark).T
+    extrinsic, intrinsic = viewer_frame(pose[:, 0], pose[:, 1], x, y), robot_frame(pose[:, 2])
+    frame = jax.tree.map(lambda i, e: jnp.where(pairs.is_robot, i, e), intrinsic, extrinsic)
+    return pairs.figure[:, 0] - x, pairs.figure[:, 1] - y, frame
+
+
+def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Array:
+    """Evaluate the log-density of every pair in every frame, f32[N, F] per square metre.
+
+    Without the mixture weights of the frames. Limits: κ = 0 makes the viewer's frame and
+    "undirected" the same; without motion since the utterance the robot's frame is the viewer's.
+    """
+    by_viewer = _in_frame(pairs, pairs.viewer)
+    by_robot = _in_frame(pairs, pairs.robot)
+    undirected = replace(params, concentration=jnp.zeros_like(params.concentration))
+    directed, ring = (density_of(prepare(each), pairs.relation) for each in (params, undirected))
+    components = ((directed, by_viewer), (directed, by_robot), (ring, by_viewer))
+    return jnp.stack([log_density(pdf, *offset) for pdf, offset in components], axis=1)
 
 
 @pytree
@@ -173,7 +270,7 @@ def fit_relations(
     ``MapParams.relations``.
 
     Args:
-        pairs: N labelled pairs; see ``pairs.make_pairs``.
+        pairs: N labelled pairs, of ``make_pairs``.
         init: start of the fit and centre of the prior; the defaults if None.
         prior: standard deviations; worth about one pair if None.
         max_iterations: of L-BFGS.
@@ -204,25 +301,19 @@ def describe(fit: RelationFit) -> list[dict[str, float | str]]:
     ``relation``, ``pairs``, ``distance`` (median, metres), ``spread``, ``axis`` (degrees),
     ``concentration``, each with its standard error ``…_se``, and the shares of the frames.
     """
-    rows: list[dict[str, float | str]] = []
     params, error = fit.params, fit.standard_error
-    for index in np.flatnonzero(fit.num_pairs):
-        median = jnp.exp(params.log_distance[index])
-        values = {
-            "distance": median,
-            "distance_se": median * error.log_distance[index],
-            "spread": params.log_distance_sd[index],
-            "spread_se": error.log_distance_sd[index],
-            "axis": jnp.rad2deg(params.axis[index]),
-            "axis_se": jnp.rad2deg(error.axis[index]),
-            "concentration": params.concentration[index],
-            "concentration_se": error.concentration[index],
-        }
-        for end, shares in (("", fit.frame_share), ("_se", fit.frame_share_error)):
-            items = zip(FRAMES, shares[index], strict=True)
-            values |= {f"share_{frame}{end}": share for frame, share in items}
-        rows.append(
-            {"relation": REGISTRY[MODELLED[index]].name, "pairs": int(fit.num_pairs[index])}
-            | {name: float(value) for name, value in values.items()}
-        )
-    return rows
+    median = jnp.exp(params.log_distance)
+    columns = {
+        "distance": (median, median * error.log_distance),
+        "spread": (params.log_distance_sd, error.log_distance_sd),
+        "axis": (jnp.rad2deg(params.axis), jnp.rad2deg(error.axis)),
+        "concentration": (params.concentration, error.concentration),
+    }
+    for frame, *shares in zip(FRAMES, fit.frame_share.T, fit.frame_share_error.T, strict=True):
+        columns[f"share_{frame}"] = shares[0], shares[1]
+    return [
+        {"relation": REGISTRY[MODELLED[index]].name, "pairs": int(fit.num_pairs[index])}
+        | {name: float(value[index]) for name, (value, _) in columns.items()}
+        | {f"{name}_se": float(error[index]) for name, (_, error) in columns.items()}
+        for index in np.flatnonzero(fit.num_pairs)
+    ]

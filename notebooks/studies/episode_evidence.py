@@ -30,7 +30,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.relations import RelationParams, log_density, prepare, viewer_frame
+from jaxlangnav.relations import RelationParams, density_of, log_density, prepare, viewer_frame
 from jaxlangnav.relations.strength import degree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import area_size, cell_centres
@@ -130,7 +130,7 @@ def _log_told(
     frame = viewer_frame(one.viewer[0], one.viewer[1], *landmarks)
     frame = jax.tree.map(lambda leaf: leaf[None, :], frame)
     x, y = (f[:, None] - k[None, :] for f, k in zip(figures, landmarks, strict=True))
-    told = log_density(params.relations, jnp.maximum(relation, 0), x, y, frame)
+    told = log_density(density_of(params.relations, jnp.maximum(relation, 0)), x, y, frame)
     told = told + _log_superlative(one, reading, _distance(figures, landmarks), landmarks, params)
     return jnp.logaddexp(
         jnp.log1p(-params.misleading) + told, jnp.log(params.misleading) - jnp.log(one.area)

@@ -32,8 +32,9 @@ from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.relations import (
     SIDE_CONCENTRATION,
     SIDES,
+    density_of,
     robot_frame,
-    sample_polar,
+    sample_pdf,
     to_map,
     viewer_frame,
 )
@@ -106,9 +107,8 @@ def _place_mentions(
         is_robot = readings.mention_type[reading, landmark] == ROBOT
         from_x = jnp.where(is_robot, start[0], x[landmark])
         from_y = jnp.where(is_robot, start[1], y[landmark])
-        along, lateral = sample_polar(
-            params.relations, jnp.maximum(relation, 0), normals[index, 0], normals[index, 1]
-        )
+        model, used = params.relations, jnp.maximum(relation, 0)
+        along, lateral = sample_pdf(density_of(model, used), model, used, *normals[index])
         frame = viewer_frame(start[0], start[1], from_x, from_y)
         offset_x, offset_y = to_map(frame, along, lateral)
         # A side of the robot is any place of the area, weighed by its direction later.

@@ -111,19 +111,14 @@ def run_provoked(
         state, action, info = navigator.step(
             keys[1], state, observation, params=params, config=config
         )
-        after = replace(
-            progress,
-            navigator=state,
-            world=task.body.move(keys[2], progress.world, action, task.motion),
-            steps=step + 1,
-            **add_counts(progress, info),
-        )
+        world = task.body.move(keys[2], progress.world, action, task.motion)
+        after = replace(add_counts(progress, info), navigator=state, world=world)
         belief = state.belief
         status = (
-            1 * (after.degenerate > progress.degenerate)
-            + 2 * (after.overflow > progress.overflow)
-            + 4 * (after.contradictions > progress.contradictions)
-            + 8 * (after.faults > progress.faults)
+            1 * (after.counts["degenerate"] > progress.counts["degenerate"])
+            + 2 * (after.counts["overflow"] > progress.counts["overflow"])
+            + 4 * (after.counts["contradictions"] > progress.counts["contradictions"])
+            + 8 * (after.counts["faults"] > progress.counts["faults"])
         )
         floats = (belief.log_weight, belief.particles.mean_x, belief.particles.mean_y, action.step)
         is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in floats]))

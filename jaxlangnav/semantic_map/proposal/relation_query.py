@@ -25,8 +25,8 @@ from jaxlangnav.relations import (
     between,
     density_of,
     holds_at,
+    log_density,
     log_density_in_frame,
-    log_density_of,
     robot_frame,
     sample_pdf,
     to_frame,
@@ -88,7 +88,7 @@ class Query(NamedTuple):
         Positions are f32[n, ...] metres, map frame; f32[n, ...], log-density per square metre.
         """
         frame = self.frame(landmark_x, landmark_y)
-        log_single = log_density_of(self.pdf, x - landmark_x, y - landmark_y, frame)
+        log_single = log_density(self.pdf, x - landmark_x, y - landmark_y, frame)
 
         def log_between(positions: tuple[Array, ...]) -> Array:
             x, y, landmark_x, landmark_y = positions
