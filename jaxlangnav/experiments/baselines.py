@@ -207,7 +207,7 @@ def _finish(run: _Run) -> EpisodeResult:
         steps=run.steps,
         final=world.position,
         goal_distance=simulator.goal_distance(world, scenario),
-        **dict.fromkeys(COUNTS, jnp.int32(0)),
+        **{name: jnp.int32(0) for name in COUNTS},
         mean_effective_sample_size=jnp.float32(0.0),
         is_valid=scenario.is_valid,
     )
