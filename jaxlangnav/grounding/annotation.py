@@ -94,8 +94,7 @@ def _likeliest_ranks(paths: list[Path], rank: Mapping[Path, np.ndarray]) -> list
     if not paths:
         return [(0, 0.0)]
     log_probs = min((rank[path] for path in paths), key=lambda values: values[0])
-    order = np.argsort(-log_probs, kind="stable")[:2]
-    return [(int(i), float(log_probs[i])) for i in order]
+    return [(int(i), float(log_probs[i])) for i in np.argsort(-log_probs, kind="stable")[:2]]
 
 
 def _split_by_rank(paths: list[Path], rank: Mapping[Path, np.ndarray]) -> list[list[Path]]:

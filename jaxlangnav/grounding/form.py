@@ -13,7 +13,7 @@ from typing import Any
 
 from jaxlangnav.grounding.readings import Relation
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_shipped
-from jaxlangnav.inputs.sanitize import shorten
+from jaxlangnav.inputs.sanitize import quote
 from jaxlangnav.messages import ACTIONS, AT, BETWEEN, MODES, REGIONS, ROBOT
 from jaxlangnav.relations.table import ORDERS, REGISTRY
 
@@ -22,11 +22,6 @@ MAX_FORM_CHARACTERS = 65_536
 ROBOT_ID = "robot"
 _TOLERANCE = 0.01
 """Allowed deviation of the sum of probabilities from 1, as people and models round them."""
-
-
-def quote(value: Any) -> str:
-    """Format a value for an error message: on one line, shortened."""
-    return shorten(repr(value), 40)
 
 
 def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str = "$") -> None:

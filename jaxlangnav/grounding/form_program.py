@@ -88,15 +88,15 @@ def _destination(reading: FormReading, index: int) -> Destination:
 
 def _satisfies(target: Descriptor, reading: FormReading, index: int) -> bool:
     """Check whether an object of a reading satisfies a description."""
-    relations = [r for r in reading.relations if r.figure == index]
 
     def is_stated(relation: int, rank: int, landmark: Descriptor) -> bool:
         # The nearest is near, too; particles do not distinguish ranks beyond the first.
         return any(
-            SYMBOL_OF[r.relation] == relation
+            r.figure == index
+            and SYMBOL_OF[r.relation] == relation
             and (rank == 0 or min(rank, 2) == min(r.rank, 2))
             and _satisfies(landmark, reading, r.landmark)
-            for r in relations
+            for r in reading.relations
         )
 
     return reading.type_of(index) == target.type and all(is_stated(*r) for r in target.relations)

@@ -20,11 +20,11 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.command_summary import CommandSummary, summarize_commands
-from jaxlangnav.grounding.form import quote
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, WrappedGrounder
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
 from jaxlangnav.grounding.search import sum_by_key
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines
+from jaxlangnav.inputs.sanitize import quote
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.pytree import pytree, replace

@@ -102,10 +102,9 @@ def to_world(
     ``side_range``: maximum distance in metres of "on the left" of the robot; as in the corpus.
     """
     count = len(placed.objects)
-    codes = placed.attributes or [0] * count
     types = [
         type_code(type_names.index(name), code)
-        for (name, _, _), code in zip(placed.objects, codes, strict=True)
+        for (name, _, _), code in zip(placed.objects, placed.attributes or [0] * count, strict=True)
     ]
     world = World.of_edges([*types, ROBOT], ())
     if count:

@@ -96,11 +96,6 @@ def is_anything(code: Any) -> Any:
     return (code & (_SIGN | ANYTHING)) == ANYTHING
 
 
-def attribute_bits(code: int) -> int:
-    """Extract the attribute code of a type code, on the host."""
-    return code >> LABEL_BITS if code >= 0 else 0
-
-
 def noun_of(code: int, names: Sequence[str]) -> str:
     """Return the noun of a type code's label; "thing" if it has no name."""
     label = int(label_of(code))
@@ -109,7 +104,8 @@ def noun_of(code: int, names: Sequence[str]) -> str:
 
 def name_of(code: int, names: Sequence[str]) -> str:
     """Format a type code, its attributes and its label among ``names``: "red ball"."""
-    return " ".join([*attribute_words(attribute_bits(code)), noun_of(code, names)])
+    attributes = code >> LABEL_BITS if code >= 0 else 0
+    return " ".join([*attribute_words(attributes), noun_of(code, names)])
 
 
 def is_type(detected: Any, described: Any) -> Any:

@@ -63,8 +63,7 @@ def singular(noun: str) -> str:
 @cache
 def words_in_classes(*classes: str) -> frozenset[str]:
     """Collect the first words of all expressions of the given classes."""
-    entries = load_lexicon().entries
-    return frozenset(key[0] for name in classes for key in entries.get(name, {}))
+    return frozenset(key[0] for name in classes for key in load_lexicon().entries.get(name, {}))
 
 
 @cache

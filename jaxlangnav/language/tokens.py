@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 TOKEN = re.compile(
-    r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)\b|\d+(?:\.\d+)?[^\W\d_]*|[.!?;]+|[,:]|\S"
+    r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)\b|(?:(?<!\S)[-–])?\d+(?:\.\d+)?[^\W\d_]*"
+    r"|[.!?;]+|[,:]|\S"
 )
 """One token: a word (with hyphens and apostrophes inside), a number, a run of marks, a sign."""
 

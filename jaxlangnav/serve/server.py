@@ -10,7 +10,7 @@ import contextlib
 import json
 import secrets
 import tempfile
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -78,6 +78,24 @@ class Guard:
         return ""
 
 
+Endpoint = Callable[["Server", HttpRequest], Awaitable[Response]]
+
+
+def _refusing(endpoint: Endpoint) -> Endpoint:
+    """Answer a request for which the endpoint raises a ``ValueError`` by 400 and the reason."""
+
+    async def respond(server: "Server", request: HttpRequest) -> Response:
+        try:
+            return await endpoint(server, request)
+        except RecursionError:
+            reason = "the document is nested too deeply: make it flat"
+        except ValueError as error:
+            reason = sanitize(" ".join(str(error).split()))
+        return _json_response({"refusal": reason}, 400)
+
+    return respond
+
+
 class Server:
     """Registry of the open episodes, and the HTTP routes to them."""
 
@@ -115,30 +133,25 @@ class Server:
         page = fill_page("jaxlangnav", None, controls=html, connect="'self'")
         return HTMLResponse(page, headers=_HEADERS)
 
+    @_refusing
     async def _read_world(self, request: HttpRequest) -> Response:
         """Parse a world file for the page's map editor."""
-        with _error_response() as refusal:
-            text = (await _read_body(request, MAX_FILE_BYTES)).decode(errors="replace")
-            return _json_response(await run_in_threadpool(read_world, text))
-        return refusal()
+        text = (await _read_body(request, MAX_FILE_BYTES)).decode(errors="replace")
+        return _json_response(await run_in_threadpool(read_world, text))
 
+    @_refusing
     async def _open(self, request: HttpRequest) -> Response:
         """Create and start an episode."""
-        with _error_response() as refusal:
-            document = json.loads(await _read_body(request, MAX_BODY_SIZE))
-            name = secrets.token_hex(8)
-            episode = await run_in_threadpool(self._make_episode, document, name)
-            while len(self._episodes) >= MAX_EPISODES:
-                self._episodes.pop(next(iter(self._episodes))).close()
-            self._episodes[name] = episode
-            self.num_opened += 1
-            episode.start()
-            return _json_response({"name": name})
-        return refusal()
-
-    def _make_episode(self, document: Any, name: str) -> LiveEpisode:
-        query, folder = convert(document, Request), self._folder / name
-        return LiveEpisode(query, model=self._model, folder=folder, pace=self._pace)
+        query = convert(json.loads(await _read_body(request, MAX_BODY_SIZE)), Request)
+        name = secrets.token_hex(8)
+        settings = {"model": self._model, "folder": self._folder / name, "pace": self._pace}
+        episode = await run_in_threadpool(LiveEpisode, query, **settings)
+        while len(self._episodes) >= MAX_EPISODES:
+            self._episodes.pop(next(iter(self._episodes))).close()
+        self._episodes[name] = episode
+        self.num_opened += 1
+        episode.start()
+        return _json_response({"name": name})
 
     async def _world(self, request: HttpRequest) -> Response:
         episode = self._episodes.get(request.path_params["name"])
@@ -187,27 +200,14 @@ async def _listen(socket: WebSocket, episode: LiveEpisode) -> None:
     """Receive messages of a page until it is closed."""
     with contextlib.suppress(WebSocketDisconnect):
         while True:
-            text = await socket.receive_text()
             try:
-                message = convert(json.loads(text), Message)
+                message = convert(json.loads(await socket.receive_text()), Message)
                 if message.close:
                     episode.close()
                 else:
                     episode.say(message.say)
             except (ValueError, RecursionError) as error:
                 await socket.send_text(page_json({"refusal": sanitize(str(error))}))
-
-
-@contextlib.contextmanager
-def _error_response() -> Iterator[Callable[[], Response]]:
-    """Convert a ``ValueError`` into a 400 response, returned by the yielded function."""
-    line: list[str] = []
-    try:
-        yield lambda: _json_response({"refusal": line[0]}, 400)
-    except RecursionError:
-        line.append("the document is nested too deeply: make it flat")
-    except ValueError as error:
-        line.append(sanitize(" ".join(str(error).split())))
 
 
 async def _read_body(request: HttpRequest, limit: int) -> bytes:

@@ -27,10 +27,11 @@ from msgspec import Meta
 from jaxlangnav.dialogue import compose_poses
 from jaxlangnav.grounding.annotated import reading_of_form
 from jaxlangnav.grounding.command_summary import infer_commands
-from jaxlangnav.grounding.form import FormReading, quote, read_meaning
+from jaxlangnav.grounding.form import FormReading, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.worlds import reading_world
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines
+from jaxlangnav.inputs.sanitize import quote
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.language.corpus import PlacedWorld
 from jaxlangnav.language.lexicon import find_type
@@ -61,10 +62,12 @@ def intended_goals(understood: Understanding, scenario: Scenario) -> tuple[list[
 
     The second value tells whether the last command is to find, not to navigate.
     """
+    instruction = understood.instruction
     placed = placed_world(scenario, understood.type_names)
-    behaviors = _infer_behaviors(understood.instruction, placed, understood.type_names)
+    world = reading_world(placed, understood.type_names, instruction.readings)
+    behaviors = infer_commands(instruction, world)
     goals = [
-        _best_goals(understood.instruction, clause, behavior, placed, scenario)
+        _best_goals(instruction, clause, behavior, placed, scenario)
         for clause, behavior in enumerate(behaviors)
     ]
     is_find_task = bool(behaviors) and bool(goals[-1]) and bool(behaviors[-1].action.argmax() == 1)
@@ -215,12 +218,6 @@ def placed_world(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     )
 
 
-def _infer_behaviors(
-    instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
-) -> list[Behavior]:
-    return infer_commands(instruction, reading_world(placed, names, instruction.readings))
-
-
 def list_behaviors(
     instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
 ) -> list[dict[str, Any]]:
@@ -240,7 +237,8 @@ def list_behaviors(
         ``probability``.
     """
     rows: list[dict[str, Any]] = []
-    for clause, behavior in enumerate(_infer_behaviors(instruction, placed, names)):
+    world = reading_world(placed, names, instruction.readings)
+    for clause, behavior in enumerate(infer_commands(instruction, world)):
         joint = np.einsum("a,m,rs->amrs", behavior.action, behavior.mode, behavior.goal)
         for index in map(tuple, np.argwhere(joint >= _MIN_LISTED_PROB).tolist()):
             action, mode, region, slot = index
