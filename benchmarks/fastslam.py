@@ -30,7 +30,7 @@ from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, systematic
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import association, motion, particle, update
+from jaxlangnav.semantic_map import association, motion, observe, particle
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig, default_map_params
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -66,7 +66,7 @@ def core_step(
     )
     uniform = jax.random.uniform(associate_key, (NUM_LANDMARKS, num_particles))
     grounded = association.associate(particles, detections, uniform, sensor)
-    particles = update.condition(particles, grounded, sensor)
+    particles = observe.condition(particles, grounded, sensor)
     weight, _, _ = categorical.log_normalize(log_weight + grounded.log_weight)
     is_resampled = effective_sample_size(weight) < 0.5 * num_particles
     ancestors = systematic(weight, jax.random.uniform(resample_key))

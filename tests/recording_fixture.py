@@ -10,7 +10,7 @@ from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene, stack
 from jaxlangnav.messages import AT, BEHIND, NONE, Readings, Status, default_sensor
 from jaxlangnav.planner.config import as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
-from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.semantic_map.unreferenced_objects import no_bystanders
 from jaxlangnav.world.state import CONE, HYDRANT
 
@@ -38,7 +38,7 @@ def make_scene(*, policy: str = "faithful", text: str = TEXT) -> StaticScene:
         scenario=scenario,
         sensor=default_sensor(3.0),
         readings=make_readings(),
-        planner=default_planner_params(),
+        planner=PlannerParams(),
         num_clauses=1,
         known_distance=9.06,
     )

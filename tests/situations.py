@@ -9,7 +9,7 @@ from jaxlangnav.planner import policy
 from jaxlangnav.planner.blocked import init_progress
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
-from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.policy import Situation
 from jaxlangnav.semantic_map.params import default_map_params
 from jaxlangnav.terrain import Eye
@@ -62,7 +62,7 @@ def situation(
     is_still=False, forbidden: float = 0.0,
 ) -> Situation:  # fmt: skip
     x, y = jnp.float32(robot[0]), jnp.float32(robot[1])
-    params, find, reach = default_planner_params(), jnp.float32(is_find), jnp.float32(RANGE)
+    params, find, reach = PlannerParams(), jnp.float32(is_find), jnp.float32(RANGE)
     may_stop = policy.may_stop(goals, Eye(x, y, reach), find, params=params)
     return Situation(
         belief=belief,

@@ -13,7 +13,7 @@ from jaxlangnav.experiments import baselines
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.rows import RowSpec, bound_rows
 from jaxlangnav.experiments.tasks import BLOCK, SENTENCES, cell, ground_sentences, make_tasks
-from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
@@ -134,7 +134,7 @@ def test_a_noiseless_walk_by_hand(instructions: Any) -> None:
     sensor = replace(tasks.sensor, detection_probability=sure, noise=none)
     motion = replace(tasks.motion, odometry_noise=none)
     tasks = replace(tasks, scenario=worlds, sensor=sensor, motion=motion)
-    reach = float(default_planner_params().reach)
+    reach = float(PlannerParams().reach)
     for policy in SEARCHES:
         result = run(policy, tasks, instructions)
         assert np.all(result.is_success)

@@ -14,7 +14,7 @@ from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED, Nodes
 from jaxlangnav.planner.informed import decide_tour
 from jaxlangnav.planner.latency import Tour
-from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.policy import Decision, Waypoint
 from jaxlangnav.planner.search import CELLS, LATTICE, grid, search_map, visibility
 from jaxlangnav.planner.termination import Presence, presence, prob_exists
@@ -133,7 +133,7 @@ def under_way(x: float, y: float, kind: int) -> Waypoint:
 
 
 def test_faithful_takes_the_node_of_highest_value() -> None:
-    gamma = float(default_planner_params().discount)
+    gamma = float(PlannerParams().discount)
     choice = choose(goals(0.6, hypothesis=0.3))
     x, y = [FRONT[0], 1.0, 6.0], [FRONT[1], 0.0, 0.0]
     way = np.hypot(np.subtract.outer(x, [6.0, 4.0]), np.subtract.outer(y, [0.0, 3.5]))
@@ -174,7 +174,7 @@ def test_stop_needs_enough_mass_within_reach(mass: float, robot: tuple, stops: b
 
 def test_nothing_stops_at_random_goals_out_of_reach() -> None:
     """Some are no numbers, and what is unseen is underfoot: it stops for what is seen and near."""
-    draw, reaches, stops = np.random.default_rng(0), (default_planner_params().reach, RANGE), 0
+    draw, reaches, stops = np.random.default_rng(0), (PlannerParams().reach, RANGE), 0
     for _ in range(120):
         values = draw.choice([0.0, 0.005, 0.3, 1.0, np.nan, np.inf], 3)
         robot, is_find = draw.uniform([3.0, -2.0], [7.0, 4.0]), int(draw.integers(2))

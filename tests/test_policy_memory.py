@@ -13,6 +13,7 @@ from situations import CHOOSE, nodes_at, seen_goal, situation
 from test_planner_policy import CONFIG, under_way
 
 from jaxlangnav import Navigator
+from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
@@ -264,3 +265,15 @@ def test_a_policy_may_hold_arrays_which_are_traced() -> None:
     look = near.observation((0.0, 0.0, 0.0), [("hydrant", 2.0, 0.5), ("hydrant", 2.5, -2.0)])
     ways = [one.step(jax.random.key(0), state, look)[1].waypoint for one in (near, far)]
     assert float(jnp.linalg.norm(ways[0])) < float(jnp.linalg.norm(ways[1]))
+
+
+@pytest.mark.slow
+def test_a_policy_is_shown_the_sensor_of_the_observation() -> None:
+    def detecting(situation: Situation) -> Valuation:
+        probability = situation.sensor.detection_probability
+        return dataclasses.replace(nearest(situation), stop_mass=probability)
+
+    robot = Navigator.pretrained(detecting)
+    look = robot.observation((0.0, 0.0, 0.0), (), default_sensor(detection_probability=0.5))
+    _, _, info = robot.step(jax.random.key(0), robot.start("go to the hydrant"), look)
+    assert float(info.choice.stop_mass) == 0.5

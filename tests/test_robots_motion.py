@@ -11,14 +11,14 @@ from jaxlangnav.robots.motion.mover import TICK, MotionPlanner
 from jaxlangnav.robots.motion.path import disc_distance, find_path, inflate, is_clear, to_discs
 from jaxlangnav.robots.physics.robot import ROBOT_MODELS
 from jaxlangnav.robots.robot import Robot, WaypointStatus, wrap_heading
-from jaxlangnav.world.state import empty_scenario
+from jaxlangnav.world.state import make_scenario
 
 SURE = OdometryErrors(scale=0.0, noise=0.0, drift=0.0)
 
 
 def put(discs=(), *, start=(0.0, 0.0, 0.0)) -> KinematicRobot:
     area, pose = np.array([-2.0, 10.0, -6.0, 6.0]), np.array(start)
-    scenario = replace(empty_scenario(), area=area, start=pose)
+    scenario = replace(make_scenario(), area=area, start=pose)
     robot = KinematicRobot(scenario, seed=0, errors=SURE)
     robot.obstacles = [tuple(disc) for disc in discs]
     return robot
@@ -142,7 +142,7 @@ def test_odometry_goes_wrong_as_it_is_said_to() -> None:
     """Over many robots, the length that a way seems to have spreads by scale and noise."""
     ends = []
     errors = OdometryErrors(scale=0.02, noise=0.02, drift=0.002)
-    scenario = replace(empty_scenario(), area=np.array([-1.0, 9.0, -5.0, 5.0]))
+    scenario = replace(make_scenario(), area=np.array([-1.0, 9.0, -5.0, 5.0]))
     for seed in range(40):
         robot = KinematicRobot(scenario, seed=seed, errors=errors)
         go(robot, (4.0, 0.0))

@@ -8,7 +8,7 @@ import readings as by_hand
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import association, counts, particle, update
+from jaxlangnav.semantic_map import association, counts, observe, particle
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, prune_objects, surprise
 from jaxlangnav.terrain import OPEN, RANGING
 
@@ -32,8 +32,8 @@ def look(one, kind, x, is_detection, specification, growth, exposure):
         kind[None], x[None], jnp.zeros(1), jnp.full(1, LOG_THING), is_detection[None]
     )
     grounded = association.associate(one, seen, jnp.full(1, 0.5), specification, growth, doubt)
-    after = update.condition(one, grounded, specification)
-    log_missed, _, existence = update.log_absence(
+    after = observe.condition(one, grounded, specification)
+    log_missed, _, existence = observe.log_absence(
         after, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.1), specification, OPEN.view
     )
     log_exposed, existence = counts.lower_existence(existence, exposure)
@@ -172,8 +172,8 @@ def look_at_hydrant(belief, types, x, y, log_missed, is_detection):
         jnp.full((D, P), 0.5),
         SENSOR,
     )
-    particles = update.condition(belief.particles, grounded, SENSOR)
-    log_objects, _, _ = update.log_absence(
+    particles = observe.condition(belief.particles, grounded, SENSOR)
+    log_objects, _, _ = observe.log_absence(
         particles, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.25), by_hand.sensor(), OPEN.view
     )
     log_map = grounded.log_weight + log_objects

@@ -9,7 +9,7 @@ from oracles.kalman import Kalman
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import association, motion, update
+from jaxlangnav.semantic_map import association, motion, observe
 from jaxlangnav.semantic_map.particle import START_VARIANCE, SemanticMap, empty
 
 OBJECTS = [(0, 3.0, 3.0), (0, 7.0, -3.0), (1, 3.0, -3.0), (1, 7.0, 3.0), (2, 5.0, 0.0)]
@@ -105,7 +105,7 @@ def test_hypotheses_move_with_what_they_hang_on() -> None:
     )
     sensor = by_hand.sensor(noise=0.01)
     grounded = association.associate(one, seen_at(4.5, 0.8), jnp.array([0.5]), sensor)
-    after = update.condition(one, grounded, sensor)
+    after = observe.condition(one, grounded, sensor)
     np.testing.assert_allclose(after.mean_x, [4.5, 7.0, 0.0], atol=1e-4)
     np.testing.assert_allclose(after.hypothesis_x, [6.5, 5.0, 9.0], atol=1e-4)
     np.testing.assert_allclose(after.hypothesis_y, [1.3, 3.0, -2.0], atol=1e-4)
@@ -150,7 +150,7 @@ def follow(steps: jax.Array, offsets: jax.Array, is_seen: jax.Array, spread, noi
         )
         uniform, sensor = jnp.full(number, 0.5), replace(by_hand.sensor(), noise=noise)
         grounded = association.associate(one, detections, uniform, sensor)
-        return update.condition(one, grounded, sensor), None
+        return observe.condition(one, grounded, sensor), None
 
     start = empty(number, 1, jnp.float32(0.0), jnp.float32(0.0))
     return jax.lax.scan(body, start, (steps, offsets, is_seen))[0]

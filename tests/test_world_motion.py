@@ -18,18 +18,12 @@ from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.terrain.geodesic import among_walls, geodesic
 from jaxlangnav.terrain.walls import walls
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import (
-    BODY_RADIUS,
-    HOLONOMIC,
-    Unicycle,
-    move_body as move_eagerly,
-    stop_at_wall,
-)
+from jaxlangnav.world.motion import BODY_RADIUS, HOLONOMIC, Unicycle, stop_at_wall
 from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import WorldState
 
 KEY = jax.random.key(0)
-move = jax.jit(move_eagerly)
+move = jax.jit(HOLONOMIC.move)
 
 
 def action(x: float, y: float, *, is_stop: bool = False, speed: float = 1.0) -> Action:

@@ -73,13 +73,20 @@ def begin_conversation(
         context=current_context(instruction.readings, pose),
         viewer=compose_poses(pose, instruction.frame),  # frame: commands' poses, robot frame
         home=pose,
-        approached=jnp.int32(NONE),
-        ruled_out=jnp.int32(0),
-        chosen=jnp.int32(NONE),
-        candidate=jnp.zeros(num_objects, jnp.float32),
-        closeness=jnp.float32(1.0),
-        may_ask=jnp.asarray(True),
+        **new_task_fields(num_objects),
     )
+
+
+def new_task_fields(num_objects: int) -> dict[str, Array]:
+    """Initialize the fields of ``Conversation`` that a new task resets, by name; O objects."""
+    return {
+        "approached": jnp.int32(NONE),
+        "ruled_out": jnp.int32(0),
+        "chosen": jnp.int32(NONE),
+        "candidate": jnp.zeros(num_objects, jnp.float32),
+        "closeness": jnp.float32(1.0),
+        "may_ask": jnp.asarray(True),
+    }
 
 
 def compose_poses(pose: _Floats, relative: _Floats) -> _Floats:

@@ -55,7 +55,7 @@ from jaxlangnav.task.loading import detector_of, load_task
 from jaxlangnav.terrain.view import eye_of, rotate
 from jaxlangnav.world import simulator
 from jaxlangnav.world.files import WorldFile, open_world
-from jaxlangnav.world.motion import move_body, move_or_stop, stop_at_wall
+from jaxlangnav.world.motion import HOLONOMIC, move_or_stop, stop_at_wall
 from jaxlangnav.world.scenario import ScenarioParams, scenario_params
 from jaxlangnav.world.sensor import NUM_DETECTIONS, sense
 from jaxlangnav.world.state import Scenario, WorldState
@@ -267,7 +267,7 @@ def _transition(
     is_stopped = action[2] > STOP_THRESHOLD
     displacement = action[:2] * params.motion.step_length
     motion_command = move_or_stop(state.world.odometry[:2] + displacement, displacement, is_stopped)
-    target = move_body(key, state.world, motion_command, params.motion)
+    target = HOLONOMIC.move(key, state.world, motion_command, params.motion)
     world = stop_at_wall(state.world, target, state.scenario.terrain)
     next_state = replace(state, world=world, steps=state.steps + 1)
     previous_distance = simulator.goal_distance(state.world, state.scenario)

@@ -114,8 +114,7 @@ def advance(
     )
     proposed = task.body.move(move_key, state.world, action, task.motion)
     world = stop_at_wall(state.world, proposed, task.scenario.terrain)
-    next_state = replace(add_counts(state, info), navigator=agent, world=world)
-    return next_state, info, observation
+    return replace(add_counts(state, info), navigator=agent, world=world), info, observation
 
 
 def add_counts(state: EpisodeState, info: NavigatorInfo) -> EpisodeState:

@@ -25,7 +25,7 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Observation, Status
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.graph import frontiers
-from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.coverage import Coverage, add_view, empty_coverage, log_miss_at
 from jaxlangnav.terrain import OPEN
@@ -182,7 +182,7 @@ def _advance(
     # It drives to the target if there is one, and stops where the navigator would.
     goal = jnp.where(run.has_target, run.target, run.waypoint)
     offset = goal - observation.pose[:2]
-    is_near = jnp.hypot(offset[0], offset[1]) <= default_planner_params().reach
+    is_near = jnp.hypot(offset[0], offset[1]) <= PlannerParams().reach
     action = move_or_stop(goal, offset, run.has_target & is_near)
     world = task.body.move(move_key, run.world, action, task.motion)
     return replace(run, world=world, steps=run.steps + 1, is_stopped=action.is_stop), None

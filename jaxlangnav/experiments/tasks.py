@@ -24,7 +24,7 @@ from jaxlangnav.messages import MotionParams, SensorParams, default_motion, defa
 from jaxlangnav.world.places import WorldParams, draw_world
 from jaxlangnav.world.scenario import draw_scenario, scenario_params
 from jaxlangnav.world.simulator import known_distance
-from jaxlangnav.world.state import Scenario, empty_scenario
+from jaxlangnav.world.state import Scenario, make_scenario
 
 SENTENCES = {
     "null": "go to the hydrant",
@@ -187,7 +187,7 @@ def _shared_fields(cell: Cell) -> dict[str, Any]:
     return common | {
         "params": scenario_params(template=template[0], relation=template[1]),
         "is_custom": np.asarray(cell.scenario is not None),
-        "scenario": empty_scenario() if cell.scenario is None else cell.scenario,
+        "scenario": make_scenario() if cell.scenario is None else cell.scenario,
     }
 
 

@@ -4,6 +4,8 @@
 particle, choose a waypoint.
 """
 
+import functools
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -23,7 +25,6 @@ from jaxlangnav.messages import (
     Observation,
     SensorParams,
     Status,
-    assert_observation,
     default_sensor,
 )
 from jaxlangnav.navigator.records import (
@@ -137,7 +138,6 @@ def step(
     Returns:
         The new state, the action, and diagnostics.
     """
-    assert_observation(observation)
     chex.assert_rank([state.clause, state.status, state.is_halted, state.previous_goal], 0)
     chex.assert_type([state.clause, state.status, state.is_halted], [int, int, bool])
     chex.assert_equal_shape([params.mode_speed, params.mode_clearance])
@@ -148,13 +148,11 @@ def step(
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
-    actual, sensor = observation.sensor, default_sensor()
-    range_max = jnp.where(fault == 0, actual.range_max, sensor.range_max)
-    field_of_view = jnp.where(fault == 0, actual.field_of_view, sensor.field_of_view)
-    sensor = replace(sensor, range_max=range_max, field_of_view=field_of_view)
+    select = functools.partial(jnp.where, fault == 0)
+    sensor = jax.tree.map(select, observation.sensor, default_sensor())
     task = _infer(state, fault, params)
     state, choice = _decide(key, state, task, sensor, filter_info.is_news, params, config)
-    after = update_task_state(state, task, choice, params=params, config=config)
+    after = update_task_state(state, task, choice, params=params)
     action = make_action(after, task, choice, sensor, params=params)
     info = NavigatorInfo(
         filter=filter_info,
@@ -291,7 +289,6 @@ def _decide(
         task.robot,
         is_moving,
         may_sidestep=~jnp.any(situation.forbidden.cost > 0.0),
-        patience=config.patience,
     )
     x_min, x_max, y_min, y_max = task.belief.coverage.area
     side_x, side_y = sidestep(progress)

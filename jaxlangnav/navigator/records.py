@@ -11,11 +11,11 @@ from jaxlangnav.dialogue import Conversation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import NONE, Action, Behavior, SensorParams, Status
 from jaxlangnav.planner import graph, policy
-from jaxlangnav.planner.blocked import ProgressMonitor
+from jaxlangnav.planner.blocked import NUM_DETOURS, ProgressMonitor
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.constraints import safe_fraction
 from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.params import PlannerParams, default_planner_params
+from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.policy import Policy
 from jaxlangnav.pytree import field, pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
@@ -46,10 +46,6 @@ class NavigatorConfig:
 
     map: MapConfig = dataclasses.field(default_factory=MapConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
-    patience: int = field("cycles without progress after which the robot steps aside", default=5)
-    num_detours: int = field(
-        "stalls at one obstacle after which the robot counts as blocked", default=8
-    )
 
     def __post_init__(self) -> None:
         """Raise a ValueError for inconsistent sizes."""
@@ -93,7 +89,7 @@ def default_params() -> NavigatorParams:
     """Build the default parameters, those of the results tables."""
     return NavigatorParams(
         map=default_map_params(),
-        planner=default_planner_params(),
+        planner=PlannerParams(),
         mode_speed=jnp.array([1.0, 1.5, 0.6], jnp.float32),
         mode_clearance=jnp.array([0.3, 0.2, 0.6], jnp.float32),
     )
@@ -145,25 +141,6 @@ class InferredTask(NamedTuple):
     goals: Goals
 
 
-def _is_last_clause(state: NavigatorState) -> Array:
-    """Test whether the current command is the last one, bool[]."""
-    return state.clause + 1 >= state.instruction.num_clauses
-
-
-def _status(
-    state: NavigatorState, task: InferredTask, choice: policy.Decision, config: NavigatorConfig
-) -> Array:
-    """Compute the status of the task, i32[]; unchanged while the robot is stationary."""
-    active = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
-    is_arrived = choice.is_stop & _is_last_clause(state)
-    status = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), active)
-    status = jnp.where(is_arrived, int(Status.ARRIVED), status)
-    status = jnp.where(choice.question.asks, int(Status.WHICH_ONE), status)
-    is_blocked = state.progress.num_stalls > config.num_detours
-    status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
-    return jnp.where(task.is_still, state.status, status)
-
-
 def make_action(
     state: NavigatorState,
     task: InferredTask,
@@ -209,15 +186,19 @@ def make_action(
 
 
 def update_task_state(
-    state: NavigatorState,
-    task: InferredTask,
-    choice: policy.Decision,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
+    state: NavigatorState, task: InferredTask, choice: policy.Decision, *, params: NavigatorParams
 ) -> NavigatorState:
-    """Update status, dialogue state and command index after a decision."""
-    is_last = _is_last_clause(state)
+    """Update status, dialogue state and command index after a decision.
+
+    The status is unchanged while the robot is stationary.
+    """
+    is_last = state.clause + 1 >= state.instruction.num_clauses
+    status = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
+    status = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), status)
+    status = jnp.where(choice.is_stop & is_last, int(Status.ARRIVED), status)
+    status = jnp.where(choice.question.asks, int(Status.WHICH_ONE), status)
+    is_blocked = state.progress.num_stalls > NUM_DETOURS
+    status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
     # The goal of an ended command is the acceptable object of highest discounted probability.
     goals, travel = task.goals, state.belief.terrain.travel
     distance = travel.metres(*task.robot, goals.object_x, goals.object_y)[:-1]
@@ -242,7 +223,7 @@ def update_task_state(
         state,
         clause=state.clause + is_advanced.astype(jnp.int32),
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
-        status=_status(state, task, choice, config),
+        status=jnp.where(task.is_still, state.status, status),
         talk=talk,
         progress=replace(progress, num_stalls=jnp.where(is_advanced, 0, progress.num_stalls)),
     )

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.dialogue import Merged, compose_poses, exclude_slots
+from jaxlangnav.dialogue import Merged, compose_poses, exclude_slots, new_task_fields
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import NONE, Status, UtteranceContext
 from jaxlangnav.navigator import NavigatorState
@@ -89,15 +89,7 @@ def tell(state: NavigatorState, merged: Merged, pose: Array, *, effect: Effect) 
         # The object being approached becomes the previous goal.
         previous, talk = after.previous_goal, after.talk
         previous = jnp.where(talk.approached != NONE, talk.approached, previous)
-        talk = replace(
-            talk,
-            approached=jnp.int32(NONE),
-            ruled_out=jnp.int32(0),
-            chosen=jnp.int32(NONE),
-            candidate=jnp.zeros_like(talk.candidate),
-            closeness=jnp.float32(1.0),
-            may_ask=jnp.asarray(True),
-        )
+        talk = replace(talk, **new_task_fields(talk.candidate.size))
         return _resume_search(replace(after, previous_goal=previous, talk=talk))
     if effect is Effect.APPEND:
         num_old = state.instruction.num_clauses - state.clause

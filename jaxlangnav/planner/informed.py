@@ -6,7 +6,6 @@ observed object; if no observed object fits, the episode ends as not found.
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -102,15 +101,9 @@ def decide_tour(situation: Situation, plan: tours.Plan, probs: Presence) -> Deci
     return replace(decision, is_stop=decision.is_stop & is_sure, is_not_found=is_not_found)
 
 
-class Assessment(NamedTuple):
-    """The policy's assessment of a situation."""
-
-    valuation: Valuation
-    is_sure: Array  # bool[] no unseen rival prevents a stop
-    is_not_found: Array  # bool[] the search is exhausted, and there is no goal
-
-
-def assess(situation: Situation, plan: tours.Plan, probs: Presence) -> Assessment:
+def assess(
+    situation: Situation, plan: tours.Plan, probs: Presence
+) -> tuple[Valuation, Array, Array]:
     """Value the first stops of tours by their information rate, until the goal is settled.
 
     The information value of a tour is the mass still to be found divided by the metres until it
@@ -119,6 +112,9 @@ def assess(situation: Situation, plan: tours.Plan, probs: Presence) -> Assessmen
     value. Unsettled goals break ties. If hardly any mass is left to be found and several objects
     may still be meant, the likeliest is accepted, unless it has an unseen landmark: that is
     searched for. First stops of the plan's tours lead the situation's nodes.
+
+    Also bool[], no unseen rival prevents a stop; and bool[], the search has failed: it is
+    exhausted, and there is no goal.
     """
     params, goals, nodes = situation.params, situation.goals, situation.nodes
     robot = situation.robot_x, situation.robot_y
@@ -156,4 +152,4 @@ def assess(situation: Situation, plan: tours.Plan, probs: Presence) -> Assessmen
         information_value=jnp.concatenate([plan.mass / (1.0 + metres), zeros]),
         stop_mass=jnp.where(is_enough, jnp.maximum(mass_here, params.stop_probability), mass_here),
     )
-    return Assessment(valuation, is_sure, is_finished & has_no_fit)
+    return valuation, is_sure, is_finished & has_no_fit

@@ -9,7 +9,7 @@ from jaxlangnav.pytree import field, pytree
 
 @pytree
 class PlannerParams:
-    """Parameters of the planner, scalars f32[]; traced."""
+    """Parameters of the planner, scalars f32[]; traced. The defaults are those of the results."""
 
     discount: Array = field("γ per metre (eq. 12)", default=0.8)
     stop_probability: Array = field(
@@ -59,8 +59,3 @@ class PlannerParams:
         "cost of a metre of search where questions are allowed, in probability of success",
         default=0.001,
     )
-
-
-def default_planner_params() -> PlannerParams:
-    """Build the default parameters, those of the results tables."""
-    return PlannerParams()

@@ -26,7 +26,7 @@ class Situation:
     is_relevant: Array  # bool[M, P] mentions that bear on the current goal (``relevance``)
     robot_x: Array  # f32[] believed position
     robot_y: Array  # f32[]
-    sensor: SensorParams  # sensing range and field of view
+    sensor: SensorParams  # of the last observation; the default one at a fault
     progress: ProgressMonitor  # waypoints abandoned as unreachable
     may_ask: Array  # bool[] the user has not asked it to choose by itself
     has_chosen: Array  # bool[] it has approached an object for this task, or is approaching one

@@ -22,7 +22,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.numerics.descent import descend
-from jaxlangnav.pytree import field, pytree, replace
+from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
     REGISTRY,
     SIDES,
@@ -42,6 +42,12 @@ FRAMES = ("viewer", "robot", "undirected")
 _RINGS = [row for row, index in enumerate(MODELLED) if index not in SIDES]
 """Undirected relations: κ stays 0, and all frames are equivalent."""
 _MIN_CONCENTRATION = 1e-3
+_PRIOR_SD = {"log_distance": 1.0, "log_distance_sd": 1.0, "axis": 1.5, "concentration": 1.5}
+"""Standard deviations of the Gaussian prior about the start of the fit, of log σ and log κ in place
+of σ and κ: it is worth about one pair, so that it matters only without data."""
+_PRIOR_FRAME_PAIRS = 1.0
+"""Number of pairs that the uniform prior on frames is worth."""
+_MAX_STEPS = 200.0
 _GRADIENT_TOL, _CONVERGED_TOL = 1e-4, 1e-3
 """Norm of the mean gradient that ends the search, and its maximum component at convergence: float32
 has a rounding error of about 1e-4."""
@@ -132,20 +138,6 @@ def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Arra
 
 
 @pytree
-class RelationPrior:
-    """Gaussian prior on parameters about the start of the fit: standard deviations.
-
-    The default is worth about one pair, so that it matters only without data.
-    """
-
-    log_distance: Array = field("log metres", default=1.0)
-    log_distance_sd: Array = field("of its logarithm", default=1.0)
-    axis: Array = field("radians", default=1.5)
-    log_concentration: Array = field("nats", default=1.5)
-    frame_pairs: Array = field("pairs that the uniform prior on frames is worth", default=1.0)
-
-
-@pytree
 class RelationFit:
     """Fitted relations with standard errors and diagnostics."""
 
@@ -189,30 +181,22 @@ def _log_joint(free: _Free, pairs: RelationPairs) -> Array:
     return log_frame_densities(pairs, params=params) + log_weight[pairs.relation]
 
 
-def _log_prior(free: _Free, start: _Free, prior: RelationPrior) -> Array:
+def _log_prior(free: _Free, start: _Free) -> Array:
     """Compute the log-prior of the unconstrained parameters, up to a constant."""
-    deviations = RelationParams(
-        log_distance=prior.log_distance,
-        log_distance_sd=prior.log_distance_sd,
-        axis=prior.axis,
-        concentration=prior.log_concentration,
-    )
     log_probs = jax.tree.map(
         lambda value, centre, deviation: -0.5 * jnp.sum(((value - centre) / deviation) ** 2),
         free[0],
         start[0],
-        deviations,
+        replace(start[0], **_PRIOR_SD),
     )
-    frames = prior.frame_pairs / len(FRAMES) * jnp.sum(jax.nn.log_softmax(free[1], axis=1))
+    frames = _PRIOR_FRAME_PAIRS / len(FRAMES) * jnp.sum(jax.nn.log_softmax(free[1], axis=1))
     # The softmax is invariant to the sum of the logits: regularise it to zero.
     anchor = -0.5 * jnp.sum(jnp.sum(free[1], axis=1) ** 2)
     return sum(jax.tree.leaves(log_probs)) + frames + anchor
 
 
 @jax.jit
-def _maximise(
-    pairs: RelationPairs, start: _Free, prior: RelationPrior, max_steps: Array
-) -> tuple[_Free, Array, Array]:
+def _maximise(pairs: RelationPairs, start: _Free) -> tuple[_Free, Array, Array]:
     """Minimise the mean loss over pairs by L-BFGS, from the centre of the prior.
 
     Also f32[n, n], the curvature at the optimum, and bool[], whether the search has converged.
@@ -222,9 +206,9 @@ def _maximise(
     def loss(vector: Array) -> Array:
         free = unravel(vector)
         total = jnp.sum(jax.nn.logsumexp(_log_joint(free, pairs), axis=1))
-        return -(total + _log_prior(free, start, prior)) / num_pairs
+        return -(total + _log_prior(free, start)) / num_pairs
 
-    optimum = descend(loss, init, gradient_norm=_GRADIENT_TOL, max_steps=max_steps)
+    optimum = descend(loss, init, gradient_norm=_GRADIENT_TOL, max_steps=_MAX_STEPS)
     # Row by row: a third of the compilation time of ``jax.hessian``.
     curvature = jax.lax.map(
         lambda unit: jax.jvp(jax.grad(loss), (optimum.point,), (unit,))[1], jnp.eye(len(init))
@@ -256,13 +240,7 @@ def _standard_errors(
     return jax.tree.map(error, params), error(weight)
 
 
-def fit_relations(
-    pairs: RelationPairs,
-    init: RelationParams | None = None,
-    *,
-    prior: RelationPrior | None = None,
-    max_iterations: int = 200,
-) -> RelationFit:
+def fit_relations(pairs: RelationPairs, init: RelationParams | None = None) -> RelationFit:
     """Fit relations and the mixture weights of their frames to labelled pairs.
 
     Relations without pairs keep their initial parameters. "Near" and "far" have no direction: only
@@ -272,12 +250,9 @@ def fit_relations(
     Args:
         pairs: N labelled pairs, of ``make_pairs``.
         init: start of the fit and centre of the prior; the defaults if None.
-        prior: standard deviations; worth about one pair if None.
-        max_iterations: of L-BFGS.
     """
     start = _encode(default_params() if init is None else init)
-    prior = RelationPrior() if prior is None else prior
-    free, curvature, is_converged = _maximise(pairs, start, prior, jnp.float32(max_iterations))
+    free, curvature, is_converged = _maximise(pairs, start)
     num_pairs = jnp.bincount(pairs.relation, length=len(MODELLED))
     params, log_weight = _decode(free)
     standard_error, weight_error = _standard_errors(free, curvature, num_pairs)

@@ -1,7 +1,5 @@
 """Inputs of the behavior model: a particle's objects and relations, and distinct topologies."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -29,7 +27,6 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
     reading = select_row(readings, particle.reading)
     mention_type, robot = reading.mention_type, jnp.full(1, ROBOT, jnp.int32)
     hypothesised = jnp.where(particle.is_hypothesised, mention_type, NONE)
-    object_type = jnp.concatenate([particle.object_type, hypothesised, robot])
     is_object = jnp.concatenate([particle.is_observed, particle.is_hypothesised, jnp.ones(1, bool)])
     slot = jnp.where(particle.referent == NONE, num_objects + mentions, particle.referent)
     slot = jnp.where(mention_type == ROBOT, num_slots - 1, slot)
@@ -43,24 +40,13 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         & (landmark[:, None] == slots[None])[:, None, None, :]
     )
     return BehaviorWorld(
-        object_type=object_type,
+        object_type=jnp.concatenate([particle.object_type, hypothesised, robot]),
         is_object=is_object,
         is_related=jnp.any(edge, axis=0),
         is_superlative=jnp.any(edge & (reading.rank == 1)[:, None, None, None], axis=0),
         is_ordinal=jnp.any(edge & (reading.rank > 1)[:, None, None, None], axis=0),
         is_previous=(slots == previous) & (previous != NONE),
     )
-
-
-def _pack(fields: Array, base: int) -> Array:
-    """Pack small integers ≥ −2 into 31-bit words, i32[words, P]."""
-    per_word = max(1, int(31 / math.log2(base)))
-    words = []
-    for start in range(0, fields.shape[0], per_word):
-        digits = fields[start : start + per_word] + 2
-        powers = jnp.asarray([base**k for k in range(digits.shape[0])], jnp.int32)
-        words.append(jnp.sum(digits * powers[:, None], axis=0))
-    return jnp.stack(words)
 
 
 def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
@@ -73,10 +59,16 @@ def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
         i32[P], the first particle of topology u at index u (P beyond the last one); and i32[], the
         number of topologies.
     """
-    num_objects, num_particles = particles.object_type.shape[0], particles.reading.shape[-1]
-    flags = jnp.concatenate([particles.is_mentioned.astype(jnp.int32), particles.reading[None]])
-    packed = _pack(particles.referent, num_objects + 3), _pack(flags, 8)
-    words, index = jnp.concatenate([particles.object_type, *packed]), jnp.arange(num_particles)
+    words = jnp.concatenate(
+        [
+            particles.object_type,
+            particles.referent,
+            particles.is_mentioned.astype(jnp.int32),
+            particles.reading[None],
+        ]
+    )
+    num_particles = words.shape[1]
+    index = jnp.arange(num_particles)
 
     def is_unfinished(carry: tuple[Array, Array, Array]) -> Array:
         return jnp.any(carry[0] < 0)

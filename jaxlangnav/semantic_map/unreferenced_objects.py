@@ -121,7 +121,6 @@ def exchange(
         log_weight: f32[P].
         is_new: bool[], there is a new sentence that has not been grounded yet.
     """
-    num_objects = particles.object_type.shape[0]
     likeliest = jnp.argmax(log_weight)
 
     def list_slot(slot: Array, state: _State) -> _State:
@@ -146,7 +145,7 @@ def exchange(
         return _insert(maps, select_row(listed, chosen), is_possible), remaining
 
     # In most steps neither loop has an iteration.
-    rounds = jnp.where(is_new, num_objects, 0)
+    rounds = jnp.where(is_new, particles.object_type.shape[0], 0)
     state = jax.lax.fori_loop(0, rounds, list_slot, (particles, listed))
     state = jax.lax.fori_loop(0, jnp.where(is_new, 1, 0), clear_slots, state)
     rounds = jnp.where(is_new, jnp.sum(is_named_type(listed.object_type, named)), 0)

@@ -40,43 +40,42 @@ class Body(Protocol):
     def move(
         self, key: Array, state: WorldState, action: Action, motion: MotionParams
     ) -> WorldState:
-        """Execute one decision cycle's step; see ``move_body`` for the holonomic one."""
+        """Execute one decision cycle's step; see ``Holonomic.move``."""
         ...
-
-
-def move_body(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
-    """Execute one decision cycle's step with a holonomic body.
-
-        x' = x + R(e) u + N(0, (ε |u|)²) per axis,   odometry' = odometry + u
-
-    with e the error of odometry's heading, true minus odometry (see ``_propagate``).
-    Limits: no noise keeps odometry and truth together; a stop or a zero step changes nothing. A
-    robot goes no further in a cycle than ``step_length`` times the action's speed.
-
-    Args:
-        key: random key.
-        state: the robot.
-        action: ``step`` f32[2] metres, map axes; ``is_stop`` keeps the robot where it is.
-        motion: step length and odometry noise; traced.
-
-    Returns:
-        The robot after the step, heading along it.
-    """
-    step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)
-    demand = jnp.hypot(step[0], step[1])
-    limit = motion.step_length * action.speed
-    is_long = demand > limit
-    step = jnp.where(is_long, step * (limit / jnp.where(is_long, demand, 1.0)), step)
-    length = jnp.minimum(demand, limit)
-    heading = jnp.where(length > 0.0, jnp.arctan2(step[1], step[0]), state.odometry[2])
-    return _propagate(key, state, step, length, heading, motion)
 
 
 @pytree
 class Holonomic:
-    """Holonomic body that moves in any direction and faces it: see ``move_body``."""
+    """Holonomic body that moves in any direction and faces it."""
 
-    move = staticmethod(move_body)
+    def move(
+        self, key: Array, state: WorldState, action: Action, motion: MotionParams
+    ) -> WorldState:
+        """Execute one decision cycle's step.
+
+            x' = x + R(e) u + N(0, (ε |u|)²) per axis,   odometry' = odometry + u
+
+        with e the error of odometry's heading, true minus odometry (see ``_propagate``).
+        Limits: no noise keeps odometry and truth together; a stop or a zero step changes nothing. A
+        robot goes no further in a cycle than ``step_length`` times the action's speed.
+
+        Args:
+            key: random key.
+            state: the robot.
+            action: ``step`` f32[2] metres, map axes; ``is_stop`` keeps the robot where it is.
+            motion: step length and odometry noise; traced.
+
+        Returns:
+            The robot after the step, heading along it.
+        """
+        step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)
+        demand = jnp.hypot(step[0], step[1])
+        limit = motion.step_length * action.speed
+        is_long = demand > limit
+        step = jnp.where(is_long, step * (limit / jnp.where(is_long, demand, 1.0)), step)
+        length = jnp.minimum(demand, limit)
+        heading = jnp.where(length > 0.0, jnp.arctan2(step[1], step[0]), state.odometry[2])
+        return _propagate(key, state, step, length, heading, motion)
 
 
 HOLONOMIC = Holonomic()
@@ -140,7 +139,7 @@ class Unicycle:
             θ' = θ + clip(∠u − θ, ±ω),   s = min(|u|, L v (1 − |θ' − θ| / ω))
             u' = s (cos θ', sin θ')
 
-        of odometry; for the true pose see ``_propagate``. Arguments as of ``move_body``.
+        of odometry; for the true pose see ``_propagate``. Arguments as of ``Holonomic.move``.
         Limits: ω → ∞ equals a holonomic body; a stop or a zero step changes nothing.
         """
         step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)

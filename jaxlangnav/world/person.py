@@ -123,8 +123,7 @@ def utter(
     nearest = jnp.argmin(jnp.where(scenario.is_object[None], distances, jnp.inf), axis=1)
     is_right = nearest == scenario.goal_index
     errors = jax.random.bernoulli(key_judgement, params.error_rate, view.x.shape)
-    is_same = view.target == person.target
-    cycles = jnp.where(is_same, person.cycles + 1, 0)
+    cycles = jnp.where(view.target == person.target, person.cycles + 1, 0)
     index = jnp.clip(view.target, 0, view.x.size - 1)
     is_wrong = (view.target != NONE) & (is_right[index] == errors[index])
     may_correct = is_wrong & ~view.is_asking & (person.num_corrections < params.num_corrections)

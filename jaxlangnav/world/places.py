@@ -54,7 +54,6 @@ class WorldParams:
     gap: Array = field("metres between objects", default=GOAL_GAP)
     num_clutter: Array = field("fixed clutter, at most NUM_FIXED_CLUTTER", default=0)
     clutter_probability: Array = field("of fixed clutter in view, in one scan", default=0.0)
-    is_clutter: Array  # bool[T] types of false detections
 
 
 def draw_world(key: Array, spec: WorldParams) -> Scenario:
@@ -157,7 +156,7 @@ def _errors(key: Array, spec: WorldParams) -> Errors:
     is_used = jnp.arange(NUM_FIXED_CLUTTER) < spec.num_clutter
     return Errors(
         is_type=jnp.ones(NUM_TYPES, bool),
-        is_clutter=spec.is_clutter,
+        is_clutter=jnp.isin(jnp.arange(NUM_TYPES), jnp.array([HYDRANT, CONE])),
         clutter_type=jnp.where(is_used, types, NONE).astype(jnp.int32),
         clutter_x=position[0],
         clutter_y=position[1],
@@ -188,8 +187,7 @@ def world_params(*, area: tuple[float, float, float, float], **fields: Any) -> W
     Raises:
         ValueError: more objects or more fixed clutter than there are slots.
     """
-    is_clutter = jnp.isin(jnp.arange(NUM_TYPES), jnp.array([HYDRANT, CONE]))
-    spec = WorldParams(area=jnp.array(area, jnp.float32), is_clutter=is_clutter, **fields)
+    spec = WorldParams(area=jnp.array(area, jnp.float32), **fields)
     count = 2 + 2 * int(spec.num_pairs) + int(spec.num_bystanders)
     if count > WORLD_SLOTS or int(spec.num_clutter) > NUM_FIXED_CLUTTER:
         raise ValueError(

@@ -188,8 +188,7 @@ def _are_apart(point: Array, placed: Array) -> Array:
 
 def _has_behind(cone: Array, hydrant: Array, is_hydrant: Array) -> Array:
     """Test which cones have a hydrant behind: f32[2, K], f32[2, B], bool[B] to bool[K]."""
-    is_related = is_behind(hydrant[:, :, None], cone[:, None, :])
-    return jnp.any(is_related & is_hydrant[:, None], axis=0)
+    return jnp.any(is_behind(hydrant[:, :, None], cone[:, None, :]) & is_hydrant[:, None], axis=0)
 
 
 def is_behind(figure: Array, landmark: Array) -> Array:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import MotionParams
-from jaxlangnav.world.motion import move_body, move_or_stop, stop_at_wall
+from jaxlangnav.world.motion import HOLONOMIC, move_or_stop, stop_at_wall
 from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
@@ -66,7 +66,7 @@ def drive_known_map(
         (state, num_steps), terrain = drive, scenario.terrain
         waypoint = jnp.stack(terrain.travel.next_place(*state.position, *scenario.goal))
         action = move_or_stop(scenario.goal, waypoint - state.position, jnp.array(False))
-        moved = move_body(jax.random.fold_in(key, num_steps), state, action, motion)
+        moved = HOLONOMIC.move(jax.random.fold_in(key, num_steps), state, action, motion)
         return stop_at_wall(state, moved, terrain), num_steps + 1
 
     state, _ = jax.lax.while_loop(is_driving, advance, (reset(scenario), jnp.int32(0)))

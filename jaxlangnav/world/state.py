@@ -98,11 +98,6 @@ def make_scenario(
     return Scenario(**(columns | fields))
 
 
-def empty_scenario(num_slots: int = NUM_SLOTS) -> Scenario:
-    """Build a world without objects, on the host, with ``num_slots`` slots."""
-    return make_scenario(slots=num_slots)
-
-
 def walls_of(scenario: Scenario) -> np.ndarray:
     """List the distinct walls of a world, f32[W, 4], x, y of both ends, metres (host)."""
     ends = np.asarray(getattr(scenario.terrain.view, "ends", np.zeros((0, 4), np.float32)))
