@@ -77,7 +77,7 @@ def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * n
 def check_first_sight(lines: Tour, places: np.ndarray, *numbers: float) -> tuple:
     """Hold first sights, from (1, 0) within a radius and a view, against brute force."""
     x, y = jnp.asarray(places.T)
-    first, length = FIRST_SIGHT(lines, x, y, *jnp.array([1.0, 0.0, *numbers]))
+    first, length = FIRST_SIGHT(lines, x, y, HERE, *jnp.array(numbers))
     first = np.where(np.asarray(first) >= 1e8, np.inf, first)
     for index, found in enumerate(first):
         expected = [brute_force(lines.x[index], lines.y[index], *one, *numbers) for one in places]
@@ -111,31 +111,31 @@ def test_what_a_narrow_view_passes_by_is_driven_up_to() -> None:
     past = Tour(x=jnp.full((1, K), 9.0), y=jnp.zeros((1, K)))
     up_to = Tour(x=jnp.full((1, K), 1.7), y=jnp.full((1, K), 0.8))
     here = jnp.float32(1.4), jnp.float32(0.0)
-    by, at = (float(LATENCY(one, search, *here, narrow, AREA)[0]) for one in (past, up_to))
+    by, at = (float(LATENCY(one, search, here, narrow, AREA)[0]) for one in (past, up_to))
     assert at == pytest.approx(0.0, abs=1e-3)
     assert by > 9.0
-    assert float(LATENCY(past, search, *here, SENSOR, AREA)[0]) == pytest.approx(0.0, abs=1e-3)
+    assert float(LATENCY(past, search, here, SENSOR, AREA)[0]) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_latency_is_the_mean_way_until_found() -> None:
     """Masses on cells that the tour sees: the mean of first sights; the rest lies beyond."""
     search = search_of(np.random.default_rng(2).dirichlet(np.ones(CELLS**2)))
     line = Tour(x=jnp.full((1, K), 6.0), y=jnp.zeros((1, K)))
-    zero = jnp.float32(0.0)
-    first, _ = FIRST_SIGHT(line, search.x, search.y, zero, zero, jnp.float32(RANGE) - SIGHT_MARGIN)
+    zero = jnp.float32(0.0), jnp.float32(0.0)
+    first, _ = FIRST_SIGHT(line, search.x, search.y, zero, jnp.float32(RANGE) - SIGHT_MARGIN)
     first, mass = np.asarray(first)[0], np.asarray(search.mass)
     is_seen = first < 1e8
     away = np.hypot(np.asarray(search.x) - 6.0, np.asarray(search.y))
     sweep = (~is_seen & (mass > 0.1 * mass.mean())).sum() * 100.0 / CELLS**2 / (4 * RANGE)
     expected = (mass * np.where(is_seen, first, 6.0 + sweep + away)).sum()
-    found = LATENCY(line, search, zero, zero, SENSOR, AREA)
+    found = LATENCY(line, search, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [expected], rtol=1e-4)
     # It may be nowhere: the way until all has been looked at counts as much as that is likely.
     is_missed = ~is_seen & (mass > 0.1 * mass.mean())
     whole = 6.0 + away[is_missed].mean() + is_missed.sum() * 100.0 / CELLS**2 / (2 * RANGE)
     whole += float(_patch_travel(jnp.asarray(is_missed)[None], AREA)[0])
     search = replace(search, prob_absent=jnp.float32(0.3))
-    found = LATENCY(line, search, zero, zero, SENSOR, AREA)
+    found = LATENCY(line, search, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [0.7 * expected + 0.3 * whole], rtol=1e-4)
 
 
@@ -166,14 +166,14 @@ HERE = jnp.float32(1.0), jnp.float32(0.0)
 
 
 def plan(search: SearchMap, tour: Tour, seed: int = 0) -> tours.Plan:
-    return PLAN(jax.random.key(seed), tour, search, *HERE, SENSOR, AREA)
+    return PLAN(jax.random.key(seed), tour, search, HERE, SENSOR, AREA)
 
 
 def exact(lines: Tour, search, cells: np.ndarray) -> np.ndarray:
     """Enumerate what may be true: the metres until either is seen, or until all has been."""
     x, y = search.x[cells], search.y[cells]
     radius = jnp.float32(RANGE - SIGHT_MARGIN)
-    own, other = (np.asarray(FIRST_SIGHT(lines, at, y, *HERE, radius)[0]) for at in (x, x - 2.0))
+    own, other = (np.asarray(FIRST_SIGHT(lines, at, y, HERE, radius)[0]) for at in (x, x - 2.0))
     there = np.minimum(own, other) @ np.asarray(search.mass)[cells]
     return (1.0 - float(search.prob_absent)) * there + float(search.prob_absent) * own.max(axis=1)
 
@@ -207,7 +207,7 @@ def test_tours_against_all_orders_of_viewpoints(nowhere: float) -> None:
         search = replace(search, partner_x=search.x - 2.0)
         lines = touching(search, cells)
         expected = exact(lines, search, cells)
-        found = np.asarray(LATENCY(lines, search, *HERE, SENSOR, AREA))
+        found = np.asarray(LATENCY(lines, search, HERE, SENSOR, AREA))
         is_exact = (expected < 1e3) & (found < 1e3)
         np.testing.assert_allclose(found[is_exact], expected[is_exact], rtol=1e-3)
         tour = tours.start_tour(*HERE)

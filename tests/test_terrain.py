@@ -11,7 +11,7 @@ from situations import seen_goal
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.latency import Tour, first_sight
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import update
+from jaxlangnav.semantic_map import observe
 from jaxlangnav.semantic_map.coverage import add_view, cell_centres, empty_coverage
 from jaxlangnav.terrain import OPEN, Eye, OpenField, StraightLines, Terrain
 from jaxlangnav.terrain.geodesic import CLEARANCE, Geodesic, geodesic
@@ -29,7 +29,7 @@ SEES = jax.jit(lambda view, eye, x, y: view.sees(eye, x, y))
 SHARE = jax.jit(lambda view, eye, x, y, softness: view.share(eye, x, y, softness))
 METRES = jax.jit(lambda ways, *places: ways.metres(*places))
 VALUES, WITHIN = jax.jit(qmdp.values), jax.jit(qmdp.mass_within)
-FIRST_SIGHT, ABSENCE = jax.jit(first_sight), jax.jit(update.log_absence)
+FIRST_SIGHT, ABSENCE = jax.jit(first_sight), jax.jit(observe.log_absence)
 LOOK, NEXT_PLACE = jax.jit(add_view), jax.jit(lambda ways, *places: ways.next_place(*places))
 ALONG = jax.jit(lambda view, *stretch: view.first_sight(*stretch))
 
@@ -234,14 +234,14 @@ def test_a_tour_sees_behind_a_wall_once_it_is_past_its_end(ways: Geodesic) -> No
     """Two stops, beside the wall's end and behind it; what is looked for lies behind the middle."""
     tour = Tour(x=jnp.array([[4.0, 6.0]]), y=jnp.array([[3.0, 2.0]]))
     place, radius = (jnp.array([5.0]), jnp.array([0.0])), jnp.float32(6.0)
-    free, length = FIRST_SIGHT(tour, *place, HERE, HERE, radius)
+    free, length = FIRST_SIGHT(tour, *place, (HERE, HERE), radius)
     assert float(free[0, 0]) == 0.0
     there = Terrain(view=ways.walls, travel=ways)
-    hidden, same = FIRST_SIGHT(tour, *place, HERE, HERE, radius, terrain=there)
+    hidden, same = FIRST_SIGHT(tour, *place, (HERE, HERE), radius, terrain=there)
     np.testing.assert_allclose(same, length, rtol=1e-6)
     assert 4.9 < float(hidden[0, 0]) < float(length[0])
     straight_through = Tour(x=jnp.array([[8.0]]), y=jnp.array([[0.0]]))
-    late, way = FIRST_SIGHT(straight_through, *place, HERE, HERE, radius, terrain=there)
+    late, way = FIRST_SIGHT(straight_through, *place, (HERE, HERE), radius, terrain=there)
     np.testing.assert_allclose(late[0], way)  # around the wall: what its end shows counts alone
     assert float(way[0]) > 8.5
 

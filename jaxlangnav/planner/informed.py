@@ -74,7 +74,7 @@ class Informed(Policy):
         target = target.relocated(elsewhere, jnp.where(has_no_fit, probs.prob_fitting, 0.0))
         target = replace(target, prob_absent=probs.prob_absent, forbidden=situation.forbidden)
         robot, area = (situation.robot_x, situation.robot_y), belief.coverage.area
-        plan = tours.plan(key, memory, target, *robot, situation.sensor, area)
+        plan = tours.plan(key, memory, target, robot, situation.sensor, area)
         decision = decide_tour(situation, plan, probs)
         return tours.best_tour(plan, decision.value), decision
 

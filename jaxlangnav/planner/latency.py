@@ -35,6 +35,8 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.terrain.view import LARGE, Segment
 
+Position = tuple[Array, Array]
+"""x and y of one robot, f32[] each, metres, map frame."""
 NUM_STOPS = 6
 """K, stops of a tour."""
 _ARRIVAL = 0.5  # metres from a stop within which it counts as reached
@@ -50,17 +52,16 @@ class Tour:
     y: Array  # f32[..., K]
 
 
-def is_reached(x: Array, y: Array, robot_x: Array, robot_y: Array) -> Array:
+def is_reached(x: Array, y: Array, robot: Position) -> Array:
     """Test which positions count as reached by the robot."""
-    return (x - robot_x) ** 2 + (y - robot_y) ** 2 < _ARRIVAL * _ARRIVAL
+    return (x - robot[0]) ** 2 + (y - robot[1]) ** 2 < _ARRIVAL * _ARRIVAL
 
 
 def first_sight(
     tours: Tour,
     x: Array,
     y: Array,
-    robot_x: Array,
-    robot_y: Array,
+    robot: Position,
     radius: Array,
     opening: Array | None = None,
     *,
@@ -75,15 +76,14 @@ def first_sight(
         tours: leaves [T, K].
         x: f32[C], positions, metres, map frame.
         y: f32[C].
-        robot_x: f32[], start of the tours.
-        robot_y: f32[].
+        robot: start of the tours.
         radius: f32[], metres, sensing range.
         opening: f32[], radians, field of view about the direction of travel; None: all round.
         terrain: lines of sight and travel distances.
     """
     start = jnp.ones_like(tours.x[:, :1])
-    from_x = jnp.concatenate([robot_x * start, tours.x[:, :-1]], axis=1)
-    from_y = jnp.concatenate([robot_y * start, tours.y[:, :-1]], axis=1)
+    from_x = jnp.concatenate([robot[0] * start, tours.x[:, :-1]], axis=1)
+    from_y = jnp.concatenate([robot[1] * start, tours.y[:, :-1]], axis=1)
     length = terrain.travel.metres(from_x, from_y, tours.x, tours.y)
     travelled = jnp.cumsum(length, axis=1)
     # All segments of all tours against all positions, [T, K, C].
@@ -117,12 +117,7 @@ def _patch_travel(is_missed: Array, area: Array) -> Array:
 
 
 def latency(
-    tours: Tour,
-    search: SearchMap,
-    robot_x: Array,
-    robot_y: Array,
-    sensor: SensorParams,
-    area: Array,
+    tours: Tour, search: SearchMap, robot: Position, sensor: SensorParams, area: Array
 ) -> Array:
     """Compute the expected latency of tours, times the target's mass, f32[T].
 
@@ -132,8 +127,7 @@ def latency(
     Args:
         tours: leaves [T, K].
         search: search map.
-        robot_x: f32[], metres, map frame.
-        robot_y: f32[], metres.
+        robot: start of the tours.
         sensor: sensing range and field of view.
         area: f32[4], operating area, metres.
     """
@@ -143,7 +137,7 @@ def latency(
     position_x = jnp.concatenate([search.x, search.partner_x])
     position_y = jnp.concatenate([search.y, search.partner_y])
     sight_at, length = first_sight(
-        tours, position_x, position_y, robot_x, robot_y, radius, opening, terrain=search.terrain
+        tours, position_x, position_y, robot, radius, opening, terrain=search.terrain
     )
     anchored, partner = jnp.split(sight_at, 2, axis=1)
     either = jnp.minimum(anchored, partner)
@@ -167,5 +161,5 @@ def latency(
     remaining = length + leg + missed * cell / (2.0 * half_width) + _patch_travel(is_missed, area)
     full = jnp.where(missed > 0, remaining, jnp.max(jnp.where(is_relevant, anchored, 0.0), axis=1))
     total = (1.0 - search.prob_absent) * total + search.prob_absent * jnp.sum(mass) * full
-    is_at_first = is_reached(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y)
+    is_at_first = is_reached(tours.x[:, 0], tours.y[:, 0], robot)
     return total + jnp.where(is_at_first, LARGE, 0.0)

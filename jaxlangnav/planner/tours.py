@@ -16,7 +16,7 @@ from jax import Array
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.planner.constraints import cost_at, keep_out
-from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_reached, latency
+from jaxlangnav.planner.latency import NUM_STOPS, Position, Tour, is_reached, latency
 from jaxlangnav.planner.search import LATTICE, SearchMap, grid, visibility
 from jaxlangnav.pytree import pytree
 
@@ -27,9 +27,7 @@ NUM_CHANGES = 8
 _MOVE, _MOVE_FAR, _INSERT, _REVERSE, _REMOVE = range(5)
 
 
-def greedy(
-    search: SearchMap, robot_x: Array, robot_y: Array, range_max: Array, area: Array
-) -> Tour:
+def greedy(search: SearchMap, robot: Position, range_max: Array, area: Array) -> Tour:
     """Build greedy tours over the lattice of viewpoints, by maximum mass per metre.
 
     Leaves [NUM_GREEDY, K], with different first viewpoints; arguments as for ``plan``.
@@ -38,7 +36,7 @@ def greedy(
     visible = visibility(view_x, view_y, search, range_max, area)
     metres = search.terrain.travel.metres
     between = metres(view_x[:, None], view_y[:, None], view_x[None, :], view_y[None, :])
-    distance = metres(robot_x, robot_y, view_x, view_y)
+    distance = metres(*robot, view_x, view_y)
     # A metre is added to each distance, so that a ratio stays finite at distance 0.
     _, first = jax.lax.top_k((visible @ search.mass) / (distance + 1.0), NUM_GREEDY)
 
@@ -114,9 +112,9 @@ def start_tour(x: Array, y: Array) -> Tour:
     return Tour(x=jnp.full(NUM_STOPS, x), y=jnp.full(NUM_STOPS, y))
 
 
-def _drop_reached(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
+def _drop_reached(tour: Tour, robot: Position) -> Tour:
     """Drop the first stop if it is reached; the last one is repeated."""
-    is_done = is_reached(tour.x[0], tour.y[0], robot_x, robot_y)
+    is_done = is_reached(tour.x[0], tour.y[0], robot)
     later = jax.tree.map(lambda stops: jnp.append(stops[1:], stops[-1]), tour)
     return jax.tree.map(lambda new, old: jnp.where(is_done, new, old), later, tour)
 
@@ -127,13 +125,7 @@ def _prepend(first: Tour, others: Tour) -> Tour:
 
 
 def plan(
-    key: Array,
-    tour: Tour,
-    search: SearchMap,
-    robot_x: Array,
-    robot_y: Array,
-    sensor: SensorParams,
-    area: Array,
+    key: Array, tour: Tour, search: SearchMap, robot: Position, sensor: SensorParams, area: Array
 ) -> Plan:
     """Improve the current tour by local search, or replace it by a better one.
 
@@ -141,17 +133,16 @@ def plan(
         key: random key, consumed.
         tour: leaves [K], the current tour.
         search: search map.
-        robot_x: f32[], metres, map frame.
-        robot_y: f32[], metres.
+        robot: believed position.
         sensor: sensing range and field of view.
         area: f32[4], operating area, metres.
     """
     chex.assert_shape([tour.x, tour.y, area], [(NUM_STOPS,), (NUM_STOPS,), (4,)])
     chex.assert_equal_shape([search.x, search.unanchored, search.anchored, search.partner_x])
-    chex.assert_rank([robot_x, robot_y, sensor.range_max, sensor.field_of_view], 0)
+    chex.assert_rank([*robot, sensor.range_max, sensor.field_of_view], 0)
     chex.assert_type([tour.x, search.unanchored, area], float)
-    start = _drop_reached(_drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
-    first = _prepend(start, greedy(search, robot_x, robot_y, sensor.range_max, area))
+    start = _drop_reached(_drop_reached(tour, robot), robot)
+    first = _prepend(start, greedy(search, robot, sensor.range_max, area))
     keys = jax.random.split(key, NUM_ROUNDS)
     # As many initial tours as moves, so that one program evaluates both.
     first = jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)], first)
@@ -167,7 +158,7 @@ def plan(
             is_out = jnp.where(index == 0, np.arange(NUM_CHANGES) > 0, _IS_KEPT_OUT)[:, None]
             x, y = keep_out(tried.x, tried.y, search.forbidden, sensor.range_max, area)
             tried = Tour(x=jnp.where(is_out, x, tried.x), y=jnp.where(is_out, y, tried.y))
-        new_cost = latency(tried, search, robot_x, robot_y, sensor, area)
+        new_cost = latency(tried, search, robot, sensor, area)
         if search.forbidden is not None:
             stop_cost = jnp.sum(cost_at(tried.x, tried.y, search.forbidden), axis=1)
             new_cost = new_cost + jnp.sum(search.mass) * stop_cost

@@ -72,8 +72,7 @@ class Geodesic:
         line = StraightLines().metres(*segment)[..., None]
         path = self.metres(*segment)[..., None]
         eye = Eye(segment.to_x[..., None], segment.to_y[..., None], radius)
-        axes = (1,) * (path.ndim - 1)
-        at_end = view.sees(eye, x.reshape(*axes, -1), y.reshape(*axes, -1))
+        at_end = view.sees(eye, prepend_axes(x, path.ndim), prepend_axes(y, path.ndim))
         at_end_only = jnp.where(at_end, path, LARGE)
         return jnp.where(
             path > line + _MIN_DETOUR, at_end_only, view.first_sight(segment, x, y, radius, opening)

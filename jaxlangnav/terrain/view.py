@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
+from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
 
 LARGE = 1e9
@@ -123,9 +124,8 @@ class OpenField:
         """
         span_x, span_y = segment.to_x - segment.from_x, segment.to_y - segment.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
-        axes = (1,) * span_x.ndim
-        offset_x = x.reshape(*axes, -1) - segment.from_x[..., None]
-        offset_y = y.reshape(*axes, -1) - segment.from_y[..., None]
+        offset_x = prepend_axes(x, span_x.ndim + 1) - segment.from_x[..., None]
+        offset_y = prepend_axes(y, span_y.ndim + 1) - segment.from_y[..., None]
         unit_x, unit_y = span_x / length, span_y / length
         along = offset_x * unit_x[..., None] + offset_y * unit_y[..., None]
         lateral2 = offset_x * offset_x + offset_y * offset_y - along * along

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.numerics.batching import append_axes
+from jaxlangnav.numerics.batching import append_axes, prepend_axes
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain.view import LARGE, Eye, OpenField, Segment
 
@@ -47,8 +47,7 @@ class Walls:
         """
         first = OpenField().first_sight(segment, x, y, radius, opening)
         segment = Segment(*(end[..., None] for end in segment))
-        axes = (1,) * (first.ndim - 1)
-        x, y = x.reshape(*axes, -1), y.reshape(*axes, -1)
+        x, y = prepend_axes(x, first.ndim), prepend_axes(y, first.ndim)
         span_x, span_y = segment.to_x - segment.from_x, segment.to_y - segment.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
         sight = jnp.full_like(first, LARGE)
