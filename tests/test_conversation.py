@@ -17,7 +17,7 @@ from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import api
 from jaxlangnav.navigator.candidates import Candidate, select_candidate
-from jaxlangnav.planner.blocked import NUM_DETOURS, PATIENCE
+from jaxlangnav.planner.blocked import NUM_DETOURS, STALL_CYCLES
 from jaxlangnav.pytree import replace
 
 CAR = 2
@@ -249,7 +249,7 @@ def test_a_robot_that_makes_no_way_tries_others_and_says_so(robot) -> None:
         if action.is_stop:
             break
     assert statuses[-1] == Status.BLOCKED
-    assert len(statuses) > (NUM_DETOURS + 1) * PATIENCE
+    assert len(statuses) > (NUM_DETOURS + 1) * STALL_CYCLES
     assert len(np.unique(np.round(sent, 1))) > NUM_DETOURS
     np.testing.assert_array_equal(action.step, 0.0)
     free = go(robot, robot.hear(state, NULL), WORLD, start=(1.0, 0.0))

@@ -172,10 +172,7 @@ def _table(rows: Iterable[Sequence[Any]], height: int, width: int, padding: Sequ
 
 
 def to_arrays(
-    ranked: Sequence[History],
-    sizes: tuple[int, int, int, int],
-    instruction: Instruction,
-    utterance: int,
+    ranked: Sequence[History], sizes: Sequence[int], instruction: Instruction, utterance: int
 ) -> Merged:
     """Convert histories, the likeliest first, to arrays of sizes K, M, J and C.
 

@@ -14,8 +14,8 @@ from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.terrain.view import rotate
 
-PATIENCE = 5
-"""Cycles without progress after which the robot steps aside."""
+STALL_CYCLES = 5
+"""Cycles without progress that are a stall, after which the robot steps aside."""
 NUM_DETOURS = 8
 """Stalls at one obstacle after which the robot counts as blocked."""
 NUM_CLOSED = 4
@@ -112,7 +112,7 @@ def update_progress(
     robot_x, robot_y = robot
     has_moved = jnp.hypot(robot_x - monitor.x, robot_y - monitor.y) > _MIN_MOVED
     waited = jnp.where(is_driving & ~has_moved, monitor.waited + 1, 0)
-    is_stalled = waited > PATIENCE
+    is_stalled = waited > STALL_CYCLES
     gone = jnp.hypot(robot_x - monitor.stall_x, robot_y - monitor.stall_y)
     num_before = jnp.where(gone > _PASSED, 0, monitor.num_stalls)
     is_stuck = (num_before == 0) | (gone < _MIN_ASIDE)

@@ -63,7 +63,7 @@ def first_sight(
     y: Array,
     robot: Position,
     radius: Array,
-    opening: Array | None = None,
+    fov: Array | None = None,
     *,
     terrain: Terrain = OPEN,
 ) -> tuple[Array, Array]:
@@ -78,7 +78,7 @@ def first_sight(
         y: f32[C].
         robot: start of the tours.
         radius: f32[], metres, sensing range.
-        opening: f32[], radians, field of view about the direction of travel; None: all round.
+        fov: f32[], radians, field of view about the direction of travel; None: all round.
         terrain: lines of sight and travel distances.
     """
     start = jnp.ones_like(tours.x[:, :1])
@@ -88,7 +88,7 @@ def first_sight(
     travelled = jnp.cumsum(length, axis=1)
     # All segments of all tours against all positions, [T, K, C].
     segment = Segment(from_x, from_y, tours.x, tours.y)
-    offset = terrain.travel.first_sight(terrain.view, segment, x, y, radius, opening)
+    offset = terrain.travel.first_sight(terrain.view, segment, x, y, radius, fov)
     sight_at = (travelled - length)[:, :, None] + offset
     first = sight_at[:, 0]
     for stop in range(1, sight_at.shape[1]):  # a reduction over a middle axis is not vectorised
@@ -132,12 +132,12 @@ def latency(
         area: f32[4], operating area, metres.
     """
     radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
-    opening = sensor.field_of_view
-    half_width = sensor.range_max * jnp.sin(jnp.minimum(0.5 * opening, 0.5 * jnp.pi))
+    fov = sensor.field_of_view
+    half_width = sensor.range_max * jnp.sin(jnp.minimum(0.5 * fov, 0.5 * jnp.pi))
     position_x = jnp.concatenate([search.x, search.partner_x])
     position_y = jnp.concatenate([search.y, search.partner_y])
     sight_at, length = first_sight(
-        tours, position_x, position_y, robot, radius, opening, terrain=search.terrain
+        tours, position_x, position_y, robot, radius, fov, terrain=search.terrain
     )
     anchored, partner = jnp.split(sight_at, 2, axis=1)
     either = jnp.minimum(anchored, partner)

@@ -155,10 +155,7 @@ def _update_counts(
 
 
 def condition(
-    particle: SemanticMap,
-    association: Association,
-    sensor: SensorParams,
-    model: SensorModel = RANGING,
+    particle: SemanticMap, assoc: Association, sensor: SensorParams, model: SensorModel = RANGING
 ) -> SemanticMap:
     """Condition the Gaussian on the associated detections: exact, one scalar update for each.
 
@@ -170,33 +167,33 @@ def condition(
 
     Args:
         particle: one particle.
-        association: from ``associate``.
+        assoc: from ``associate``.
         sensor: the detector's specification.
         model: observation model.
     """
     num_objects = particle.object_type.shape[0]
-    is_new = _append_robot(association.is_new)
-    offset_x, offset_y = association.offset_x, association.offset_y
+    is_new = _append_robot(assoc.is_new)
+    offset_x, offset_y = assoc.offset_x, assoc.offset_y
     variance = model.variance(offset_x, offset_y, sensor)
     variance = _append_robot(jnp.broadcast_to(variance, offset_x.shape))
     joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
     joint = gaussian.add_coordinates(
         joint, num_objects, is_new, _append_robot(offset_x), _append_robot(offset_y), variance
     )
-    offset_pairs, is_known = [(o, num_objects) for o in range(num_objects)], ~association.is_new
+    offset_pairs, is_known = [(o, num_objects) for o in range(num_objects)], ~assoc.is_new
     joint = gaussian.condition_offsets(
-        joint, offset_pairs, association.is_hit & is_known, offset_x, offset_y, variance
+        joint, offset_pairs, assoc.is_hit & is_known, offset_x, offset_y, variance
     )
     # A root of NONE is no slot: a hypothesis without an anchor does not move.
     shift_x = lookup((joint.mean_x - particle.mean_x)[:num_objects], particle.root)
     shift_y = lookup((joint.mean_y - particle.mean_y)[:num_objects], particle.root)
     return replace(
         particle,
-        object_type=association.object_type,
+        object_type=assoc.object_type,
         covariance=joint.covariance,
         mean_x=joint.mean_x,
         mean_y=joint.mean_y,
-        existence=association.existence,
+        existence=assoc.existence,
         hypothesis_x=particle.hypothesis_x + shift_x,
         hypothesis_y=particle.hypothesis_y + shift_y,
     )

@@ -59,15 +59,9 @@ def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
         i32[P], the first particle of topology u at index u (P beyond the last one); and i32[], the
         number of topologies.
     """
-    words = jnp.concatenate(
-        [
-            particles.object_type,
-            particles.referent,
-            particles.is_mentioned.astype(jnp.int32),
-            particles.reading[None],
-        ]
-    )
-    num_particles = words.shape[1]
+    fields = particles.object_type, particles.referent, particles.is_mentioned
+    columns = jnp.concatenate([*fields, particles.reading[None]])
+    num_particles = columns.shape[1]
     index = jnp.arange(num_particles)
 
     def is_unfinished(carry: tuple[Array, Array, Array]) -> Array:
@@ -76,7 +70,7 @@ def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
     def assign_next(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         topology, representative, count = carry
         first = jnp.argmax(topology < 0)
-        is_same = jnp.all(words == words[:, first, None], axis=0)
+        is_same = jnp.all(columns == columns[:, first, None], axis=0)
         return (
             jnp.where(is_same, count, topology),
             jnp.where(index == count, first, representative),

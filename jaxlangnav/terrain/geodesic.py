@@ -60,13 +60,7 @@ class Geodesic:
         return jnp.where(is_turn, x[best], to_x), jnp.where(is_turn, y[best], to_y)
 
     def first_sight(
-        self,
-        view: View,
-        segment: Segment,
-        x: Array,
-        y: Array,
-        radius: Array,
-        opening: Array | None = None,
+        self, view: View, segment: Segment, x: Array, y: Array, radius: Array, fov: Array | None
     ) -> Array:
         """See ``View.first_sight``; for a path around walls only the view from its end counts."""
         line = StraightLines().metres(*segment)[..., None]
@@ -75,7 +69,7 @@ class Geodesic:
         at_end = view.sees(eye, prepend_axes(x, path.ndim), prepend_axes(y, path.ndim))
         at_end_only = jnp.where(at_end, path, LARGE)
         return jnp.where(
-            path > line + _MIN_DETOUR, at_end_only, view.first_sight(segment, x, y, radius, opening)
+            path > line + _MIN_DETOUR, at_end_only, view.first_sight(segment, x, y, radius, fov)
         )
 
     def _to_turns(self, x: Array, y: Array) -> Array:

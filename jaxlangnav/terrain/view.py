@@ -58,11 +58,11 @@ class View(Protocol):
         ...
 
     def first_sight(
-        self, segment: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, segment: Segment, x: Array, y: Array, radius: Array, fov: Array | None = None
     ) -> Array:
         """Compute the distance along straight segments [...] after which points [C] are in view.
 
-        The robot faces its motion, with field of view ``opening``, f32[] radians; None: all round.
+        The robot faces its motion, with field of view ``fov``, f32[] radians; None: all round.
         f32[..., C] metres; ``LARGE`` where they do not.
         """
         ...
@@ -106,7 +106,7 @@ class OpenField:
         return out_of_view(distance, bearing, eye.range_max, eye.field_of_view) <= 1e-6 * distance
 
     def first_sight(
-        self, segment: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, segment: Segment, x: Array, y: Array, radius: Array, fov: Array | None = None
     ) -> Array:
         """Compute the distance along segments after which points are within a radius and in view.
 
@@ -120,7 +120,7 @@ class OpenField:
             x: f32[C], points, metres, map frame.
             y: f32[C], metres.
             radius: f32[], metres.
-            opening: f32[], radians, full opening angle about the motion; None: all round.
+            fov: f32[], radians, full opening angle about the motion; None: all round.
         """
         span_x, span_y = segment.to_x - segment.from_x, segment.to_y - segment.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
@@ -132,8 +132,8 @@ class OpenField:
         half = jnp.sqrt(jnp.maximum(radius * radius - lateral2, 0.0))
         enter = jnp.maximum(along - half, 0.0)
         is_seen = (lateral2 < radius * radius) & (along + half > 0.0) & (enter < length[..., None])
-        if opening is not None:
-            angle = 0.5 * opening
+        if fov is not None:
+            angle = 0.5 * fov
             cotangent = jnp.cos(angle) / jnp.maximum(jnp.sin(angle), 1e-6)
             leave = along - jnp.sqrt(jnp.maximum(lateral2, 0.0)) * cotangent
             is_seen &= (enter + MIN_SIGHT <= leave) | (angle >= jnp.pi - 1e-3)
@@ -186,13 +186,7 @@ class Travel(Protocol):
         ...
 
     def first_sight(
-        self,
-        view: View,
-        segment: Segment,
-        x: Array,
-        y: Array,
-        radius: Array,
-        opening: Array | None = None,
+        self, view: View, segment: Segment, x: Array, y: Array, radius: Array, fov: Array | None
     ) -> Array:
         """Compute the distance along paths [...] until points [C] are in view, f32[..., C]."""
         ...
@@ -214,13 +208,7 @@ class StraightLines:
         return to_x, to_y
 
     def first_sight(
-        self,
-        view: View,
-        segment: Segment,
-        x: Array,
-        y: Array,
-        radius: Array,
-        opening: Array | None = None,
+        self, view: View, segment: Segment, x: Array, y: Array, radius: Array, fov: Array | None
     ) -> Array:
         """See ``View.first_sight``."""
-        return view.first_sight(segment, x, y, radius, opening)
+        return view.first_sight(segment, x, y, radius, fov)

@@ -37,7 +37,7 @@ class Walls:
         return OpenField().sees(eye, x, y) & (self._past_shadows(eye, x, y) >= 0.0)
 
     def first_sight(
-        self, segment: Segment, x: Array, y: Array, radius: Array, opening: Array | None = None
+        self, segment: Segment, x: Array, y: Array, radius: Array, fov: Array | None = None
     ) -> Array:
         """Compute the distance along segments after which points are in view past the walls.
 
@@ -45,13 +45,13 @@ class Walls:
         missed, and the distance may be too large by the spacing of the points. Arguments are those
         of ``OpenField.first_sight``.
         """
-        first = OpenField().first_sight(segment, x, y, radius, opening)
+        first = OpenField().first_sight(segment, x, y, radius, fov)
         segment = Segment(*(end[..., None] for end in segment))
         x, y = prepend_axes(x, first.ndim), prepend_axes(y, first.ndim)
         span_x, span_y = segment.to_x - segment.from_x, segment.to_y - segment.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
         sight = jnp.full_like(first, LARGE)
-        angles = (None, None) if opening is None else (jnp.arctan2(span_y, span_x), opening)
+        angles = (None, None) if fov is None else (jnp.arctan2(span_y, span_x), fov)
         for t in np.linspace(1.0, 0.0, NUM_SAMPLES):
             eye = Eye(segment.from_x + t * span_x, segment.from_y + t * span_y, radius, *angles)
             sight = jnp.where(self.sees(eye, x, y), t * length, sight)
