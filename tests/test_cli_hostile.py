@@ -16,6 +16,7 @@ from jaxlangnav.cli import main as cli, settings
 from jaxlangnav.cli.follow import Follow
 from jaxlangnav.cli.main import parse_arguments
 from jaxlangnav.cli.output import Output, platform_fault, write_document
+from jaxlangnav.cli.reproduce import Reproduce
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
@@ -300,3 +301,8 @@ def test_plain_help_is_short_and_the_long_one_has_everything(capsys):
     told = capsys.readouterr().out
     assert all(one.flag in told for one in settings.options(Follow.SETTINGS))
     assert "metres between visited nodes" in told
+
+
+def test_the_command_that_repeats_an_experiment_is_quoted() -> None:
+    command = Reproduce(what="table2", policy="informed, known", seed=1).command("table2")
+    assert command == "jaxlangnav reproduce table2 --policy 'informed, known' --seed 1"

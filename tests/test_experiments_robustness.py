@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments import conversation, unknowns
 from jaxlangnav.experiments.conversation import CONVERSATION, ROWS, _run_row
-from jaxlangnav.experiments.dialogue import ground_dialogue
+from jaxlangnav.experiments.dialogue import DialogueResult, ground_dialogue
 from jaxlangnav.experiments.experiment import Grid, Options
 from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed_targets
 from jaxlangnav.experiments.rows import TABLE2_ROWS as SPECS, RowSpec, published_rows
@@ -220,6 +221,17 @@ def test_a_row_without_a_cost_weighs_no_questions() -> None:
     assert table.rows[0][3] == table.rows[0][9] == ""
     assert table.rows[0][8] == "1.05 (12)"
     assert "one correction" in table.markdown()
+
+
+def test_a_row_without_a_valid_world_has_zeros_and_no_nan(monkeypatch) -> None:
+    names = [field.name for field in dataclasses.fields(EpisodeResult)]
+    result = EpisodeResult(**{name: np.zeros(1, bool) for name in names})
+    rest = [field.name for field in dataclasses.fields(DialogueResult) if field.name != "result"]
+    dialogues = DialogueResult(result=result, **{name: np.zeros(1, bool) for name in rest})
+    monkeypatch.setattr(conversation, "run_dialogues", lambda *_, **__: dialogues)
+    row = _run_row(ROWS[0], Options(episodes=1))
+    assert row["episodes"] == row["success"] == row["questions"] == row["corrections"] == 0.0
+    assert row["corrected_way_seen"] is None
 
 
 @pytest.mark.slow

@@ -163,10 +163,9 @@ class Follow:
 
         prepared = load_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
-        missing = absent_types(scenario, understood.annotations, names)
         if not prepared.goal_exists and prepared.is_sampled:
             raise UsageError(mismatch_message(prepared.world, count_types(scenario, names), ()))
-        for name in missing:
+        for name in absent_types(scenario, understood.annotations, names):
             output.note(f"note: world {prepared.world} has no {name}")
         if prepared.unscored and not (prepared.goal_exists and self.person):
             output.note(f"note: {prepared.unscored}, so success cannot be judged")
@@ -202,7 +201,8 @@ class Follow:
         program = f"compile {self.policy} {sizes['config'].map}"
         with spinner(message, program, default_seconds=60.0):
             first = next(steps)
-        steps, said = itertools.chain([first], steps), [] if source is None else source.utterances
+        steps = itertools.chain([first], steps)
+        utterances = [] if source is None else source.utterances
         is_typed = self.talk or (self.ask and self.person is None)
         if self.live:
             from rich.console import Console
@@ -210,11 +210,11 @@ class Follow:
             from jaxlangnav.viz.terminal import watch
 
             # Standard output is kept for the document where a script reads it.
-            recording = watch(scene, steps, said=said, console=Console(stderr=self.json))
+            recording = watch(scene, steps, said=utterances, console=Console(stderr=self.json))
         else:
             if is_typed:
                 output.print_wrapped(opening(scene))
-                steps = narrate_live(scene, steps, said, output.print_wrapped)
+                steps = narrate_live(scene, steps, utterances, output.print_wrapped)
             frames, results = zip(*steps, strict=True)
             recording = stack_frames(scene, list(frames), results[-1])
         recording = score(recording, prepared, has_person=self.person is not None)

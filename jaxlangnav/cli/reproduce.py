@@ -1,6 +1,7 @@
 """``jaxlangnav reproduce``: experiments of the paper beside its printed numbers (section 4)."""
 
 import dataclasses
+import shlex
 from typing import Any, ClassVar, Literal
 
 import tyro
@@ -165,7 +166,7 @@ class Reproduce:
             if field.name == "extra" and value:
                 parts.append("--extra")
             elif is_plain and value != field.default:
-                parts.append(f"--{field.name} {value}")
+                parts.append(f"--{field.name} {shlex.quote(str(value))}")
         for path, value in read_options(self.settings, self.SETTINGS).items():
             flag = ".".join(path).replace("_", "-")
             numbers = value if isinstance(value, tuple) else (value,)

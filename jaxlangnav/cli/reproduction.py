@@ -53,24 +53,21 @@ _CURVE_NAMES = {
 }
 
 
-GRIDS: dict[str, Callable[[Settings], tuple[Experiment, Options]]] = {
-    "table2": lambda settings: (
-        paper.table_2(extra=settings.args.extra, ranges=settings.ranges),
-        settings.options,
-    ),
-    "fig5": lambda settings: (paper.figure_5(ranges=settings.ranges), settings.options),
-    "unknowns": lambda settings: (
-        unknowns.UNKNOWNS,
-        dataclasses.replace(settings.options, seed=settings.seed_unknowns),
-    ),
-    "robustness": lambda settings: (
-        robustness.ROBUSTNESS,
-        dataclasses.replace(
-            settings.options, params=apply(Navigator.pretrained().params, settings.values, "params")
-        ),
-    ),
-}
-"""Experiments over episodes: maps settings to the experiment and its options."""
+GRIDS = ("table2", "fig5", "unknowns", "robustness")
+"""Experiments over episodes."""
+
+
+def _experiment(name: str, settings: Settings) -> tuple[Experiment, Options]:
+    """Build an experiment of ``GRIDS`` and its options."""
+    options, ranges = settings.options, settings.ranges
+    if name == "table2":
+        return paper.table_2(extra=settings.args.extra, ranges=ranges), options
+    if name == "fig5":
+        return paper.figure_5(ranges=ranges), options
+    if name == "unknowns":
+        return unknowns.UNKNOWNS, dataclasses.replace(options, seed=settings.seed_unknowns)
+    params = apply(Navigator.pretrained().params, settings.values, "params")
+    return robustness.ROBUSTNESS, dataclasses.replace(options, params=params)
 
 
 def _run_table1(settings: Settings, output: Output) -> StudyResult:
@@ -85,7 +82,7 @@ def _run_table1(settings: Settings, output: Output) -> StudyResult:
 
 def _episode_study(name: str, settings: Settings) -> Study:
     """Build the study of one experiment of ``GRIDS``, all rows and policies."""
-    experiment, options = GRIDS[name](settings)
+    experiment, options = _experiment(name, settings)
 
     def run(settings: Settings, output: Output) -> StudyResult:
         total = experiment.total_episodes(options)
@@ -257,7 +254,7 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
     """Check memory needs and libraries of experiments before the first one runs."""
     for name in names:
         if name in GRIDS:
-            experiment, options = GRIDS[name](settings)
+            experiment, options = _experiment(name, settings)
             experiment.check(options)
         elif name in ("fig1", "fig4"):
             check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
@@ -270,7 +267,7 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
 def _num_items(name: str, settings: Settings) -> int:
     """Count the episodes or trials on which the duration of an experiment depends, else 1."""
     if name in GRIDS:
-        experiment, options = GRIDS[name](settings)
+        experiment, options = _experiment(name, settings)
         return experiment.total_episodes(options)
     counts = {
         "conversation": settings.options.episodes * len(spoken.ROWS),

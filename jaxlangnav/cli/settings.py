@@ -4,6 +4,7 @@ Options are made from the records themselves: names, help (``pytree.field``), de
 limits of a sweep's configuration; only where somebody uses one, so that plain help is instant.
 """
 
+import contextlib
 import dataclasses
 import difflib
 import functools
@@ -58,14 +59,16 @@ class Option:
         return tuple(self._parse(part) for part in parts)
 
     def _parse(self, text: str) -> float | int:
-        value: str | float = text
-        try:
-            value = int(text) if self.is_integer else float(text)
-        except ValueError:
-            if self.is_integer:
+        if self.is_integer:
+            try:
+                return int(text)
+            except ValueError:
                 message = f'{self.flag} is "{text}", but must be a whole number'
                 raise UsageError(message) from None
-        return int(value) if self.is_integer else _quantity(self.path).read(value, self.flag)
+        value: str | float = text
+        with contextlib.suppress(ValueError):
+            value = float(text)
+        return _quantity(self.path).read(value, self.flag)
 
     def metavar(self) -> str:
         """Return the placeholder in the help, such as LENGTH or 3xLENGTH."""

@@ -13,11 +13,11 @@ import numpy as np
 
 from jaxlangnav.experiments.dialogue import ground_dialogue, run_dialogues
 from jaxlangnav.experiments.experiment import Options
-from jaxlangnav.experiments.metrics import wilson_interval
+from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Report, Row, Table, TableColumns
-from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.experiments.tasks import cell, known_distances, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import params_of
@@ -73,46 +73,46 @@ ROWS = (
 
 def _run_row(spec: DialogueSpec, options: Options, on_progress: OnProgress | None = None) -> Row:
     cell_args = spec.world, spec.relation, 0, spec.sensing_range, options.episodes, options.seed
+    tasks = make_tasks(cell(*cell_args))
     params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(spec.cost))
     dialogues = run_dialogues(
-        make_tasks(cell(*cell_args)),
+        tasks,
         ground_dialogue(spec.text, _TRUE_TEXT, _FALSE_TEXT),
         params_of(**spec.person),
         params=replace(params, planner=planner),
         config=navigator_config("informed", options.num_particles),
         on_progress=on_progress,
     )
+    metrics = summarize(dialogues.result, known_distances(tasks))
     dialogues = jax.tree.map(lambda leaf: leaf[dialogues.result.is_valid], dialogues)
-    is_success, distance = map(np.asarray, (dialogues.result.is_success, dialogues.result.distance))
-    count, questions = len(is_success), float(np.mean(dialogues.num_questions))
-    lower, upper = (100.0 * end for end in wilson_interval(int(is_success.sum()), count))
+    is_success, distance = dialogues.result.is_success, dialogues.result.distance
+    count = max(1, metrics.episodes)
+    questions = float(dialogues.num_questions.sum()) / count
     cost = spec.cost if math.isfinite(spec.cost) else None
-    is_corrected = (np.asarray(dialogues.num_corrections) > 0) & is_success
+    is_corrected = (dialogues.num_corrections > 0) & is_success
     ratios: Row = {}
-    has_seen_goal = dialogues.has_seen_goal
-    for name, group in (("seen", has_seen_goal), ("unseen", ~has_seen_goal)):
+    for name, group in (("seen", dialogues.has_seen_goal), ("unseen", ~dialogues.has_seen_goal)):
         selected = is_corrected & group
         shortest = float(np.sum(dialogues.shortest[selected]))
         ratio = float(np.sum(dialogues.walked[selected])) / shortest if shortest else None
         ratios |= {f"corrected_way_{name}": ratio, f"corrected_{name}": int(np.sum(selected))}
-    success_rate = 100.0 * float(np.mean(is_success))
     return {
         "world": spec.world,
         "relation": spec.relation,
         "said": spec.name,
         "question_cost": cost,
-        "episodes": count,
-        "success": success_rate,
-        "success_low": lower,
-        "success_high": upper,
-        "distance": float(np.mean(distance)),
+        "episodes": metrics.episodes,
+        "success": metrics.success_rate,
+        "success_low": metrics.success_ci[0],
+        "success_high": metrics.success_ci[1],
+        "distance": metrics.distance_mean,
         "distance_of_successes": float(np.mean(distance[is_success])) if is_success.any() else None,
         "questions": questions,
-        "corrections": float(np.mean(dialogues.num_corrections)),
+        "corrections": float(dialogues.num_corrections.sum()) / count,
         **ratios,
-        "weighted": success_rate if cost is None else success_rate - 100.0 * cost * questions,
-        "time_outs": int(np.sum(~np.asarray(dialogues.result.is_stopped))),
+        "weighted": metrics.success_rate - 100.0 * (cost or 0.0) * questions,
+        "time_outs": metrics.timeouts,
     }
 
 

@@ -112,8 +112,7 @@ class ArmResults:
     def of_setting(self, i: int) -> tuple[EpisodeResult, np.ndarray]:
         """Select the results of one setting, and its distances in the known map."""
         span = slice(i * self.grid.episodes, (i + 1) * self.grid.episodes)
-        part = jax.tree.map(lambda leaf: np.asarray(leaf)[span], self.results)
-        return part, self.known_distances[span]
+        return jax.tree.map(lambda leaf: leaf[span], (self.results, self.known_distances))
 
 
 def run_grid(
@@ -287,7 +286,7 @@ class Experiment(Report):
         for i, spec in enumerate(self.specs):
             labels = {**run.grid.settings[i].labels, **run.arm.labels}
             episodes, distances = run.of_setting(i)
-            row = labels | summarize(episodes, distances).row()
+            row = labels | dataclasses.asdict(summarize(episodes, distances))
             # None where calibration was not measured.
             calibration: Row = dict.fromkeys(("ece", "brier", "coverage90", "reliability"))
             if run.tally is not None:

@@ -37,10 +37,6 @@ class RowMetrics:
     not_found: int  # episodes that ended as "not found"
     invalid_worlds: int  # excluded episodes
 
-    def row(self) -> dict[str, Any]:
-        """Convert to JSON types."""
-        return dataclasses.asdict(self) | {"success_ci": [*self.success_ci]}
-
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """Compute the 95 % Wilson score interval of a rate, in [0, 1]; (0, 1) without trials."""

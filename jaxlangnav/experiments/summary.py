@@ -82,7 +82,8 @@ def _metrics(table: pa.Table) -> dict[str, Any]:
     names = [field.name for field in dataclasses.fields(EpisodeResult) if field.name != "final"]
     leaves: dict[str, Any] = {name: table[name].to_numpy() for name in names}
     leaves["final"] = np.stack([table[f"final_{axis}"].to_numpy() for axis in "xy"], axis=1)
-    return summarize(EpisodeResult(**leaves), table["known_distance"].to_numpy()).row()
+    metrics = summarize(EpisodeResult(**leaves), table["known_distance"].to_numpy())
+    return dataclasses.asdict(metrics)
 
 
 def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, Any]]:

@@ -167,16 +167,15 @@ _navigator_of = functools.cache(navigator_of)
 
 def _run_one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]:
     """Run one trial in a worker process; an exception becomes a failed result."""
-    seed = plan.seed
     try:
         if isinstance(trial, str):
-            return run_known(row, seed=seed)
+            return run_known(row, seed=plan.seed)
         navigator, page = _navigator_of(row.robot, plan.policy), plan.page(row, trial)
         first = page if trial == 0 else None
-        result = run_trial(row, trial, navigator=navigator, seed=seed, page=first)
+        result = run_trial(row, trial, navigator=navigator, seed=plan.seed, page=first)
         if not result["success"] and page != first:
             # Repeat the same run, to record its page.
-            run_trial(row, trial, navigator=navigator, seed=seed, page=page)
+            run_trial(row, trial, navigator=navigator, seed=plan.seed, page=page)
         return result
     except Exception as error:  # a lost trial must not lose the others
         if os.environ.get("JAXLANGNAV_DEBUG"):
@@ -184,7 +183,7 @@ def _run_one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         missing = {"distance": None, "goal_distance": None, "seconds": None}
         failed = {"ending": "crashed", "why": reason, "success": False, **missing}
-        return {"row": row.name, "trial": trial, "seed": seed, **failed}
+        return {"row": row.name, "trial": trial, "seed": plan.seed, **failed}
 
 
 def _summary(

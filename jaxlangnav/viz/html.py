@@ -109,7 +109,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
             }
             for slot in np.flatnonzero(world.is_object)
         ],
-        "value_colormap": [[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in style.VALUE_STOPS],
+        "value_colormap": [[*bytes.fromhex(color[1:])] for color in style.VALUE_STOPS],
         "types": [
             {"name": name, "color": style.type_color(type_id), "shape": style.type_marker(type_id)}
             for type_id, name in enumerate(scene.type_names)

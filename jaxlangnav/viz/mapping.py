@@ -173,10 +173,10 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
     def handle(label: str, **props: Any) -> Line2D:
         return Line2D([], [], label=label, **{"linestyle": "none", **props})
 
-    def mark(label: str, type_id: int, size: float, face: str, edge: str) -> Line2D:
-        marker = style.type_marker(type_id)
-        props = {"markersize": size, "markerfacecolor": face, "markeredgecolor": edge}
-        return handle(f"{scene.type_name(type_id)}, {label}", marker=marker, **props)
+    def mark(label: str, type_id: int, size: float, face: str, edge: str, **props: Any) -> Line2D:
+        props |= {"markersize": size, "markerfacecolor": face, "markeredgecolor": edge}
+        props["marker"] = style.type_marker(type_id)
+        return handle(f"{scene.type_name(type_id)}, {label}", **props)
 
     frames, scene = recording.frames, recording.scene
     seen = {obj.object_type for step in recording.steps for obj in observed_objects(step.frame)}
@@ -189,9 +189,7 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
             mark("hypothesised", type_id, 4 if filled else 5, color if filled else "none", color)
         )
     handles += [mark("observed", t, 7, style.type_color(t), style.INK) for t in sorted(seen)]
-    for type_id in present:
-        handles.append(mark("true place", type_id, 8, "none", style.type_color(type_id)))
-        handles[-1].set_alpha(0.5)
+    handles += [mark("true place", t, 8, "none", style.type_color(t), alpha=0.5) for t in present]
     handles += [
         handle("robot", marker="^", color=style.INK, markersize=8),
         handle("waypoint", marker="x", color=style.WAYPOINT, markersize=6, markeredgewidth=1.8),

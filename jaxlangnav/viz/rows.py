@@ -28,19 +28,13 @@ Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 def table_figure(document: Mapping[str, Any]) -> "Figure":
     """Draw success and distance of ``paper.table_2`` beside the paper's printed values."""
-    rows = rows_of(document)
-    names = {_row_name(row) for row in rows}
-    paper_rows = [row for row in document.get("paper", ()) if _row_name(row) in names]
-    episodes = document.get("episodes", "?")
+    rows = [*rows_of(document), *document["paper"]]
     return _rows_figure(
-        [(_row_name(row), row["policy"], row) for row in [*rows, *paper_rows]],
+        [(_row_name(row), row["policy"], row) for row in rows],
         title="Table 2: ours beside the paper's",
-        subtitle=f"{episodes} episodes a row; bars: 95 % interval of the mean; {PAPER_BARS}.",
-        bounds={
-            _row_name(bound): bound
-            for bound in document.get("bounds", ())
-            if _row_name(bound) in names
-        },
+        subtitle=f"{document['episodes']} episodes a row; bars: 95 % interval of the mean; "
+        f"{PAPER_BARS}.",
+        bounds={_row_name(bound): bound for bound in document["bounds"]},
     )
 
 
@@ -99,15 +93,14 @@ def summary_lines(document: Mapping[str, Any]) -> list[tuple[str, str, Row]]:
     sizes = {row["particles"] for row in document["rows"] if row.get("particles") is not None}
     lines = []
     for row in rows_of(document):
-        names = [name for name in varied if isinstance(row[name], float) and name != "range"]
-        labels: dict[bool, list[str]] = {False: [], True: []}
-        for name in names:
-            text = f"{name.rpartition('.')[2].replace('_', ' ')} {row[name]:g}"
-            labels[name.startswith(("map.", "planner."))].append(text)
+        setting, series = [_row_name(row)], [row["policy"]]
+        for name in varied:
+            if isinstance(row[name], float) and name != "range":
+                labels = series if name.startswith(("map.", "planner.")) else setting
+                labels.append(f"{name.rpartition('.')[2].replace('_', ' ')} {row[name]:g}")
         if len(sizes) > 1 and row["particles"] is not None:
-            labels[True].append(f"{row['particles']} particles")
-        setting = ", ".join([_row_name(row), *labels[False]])
-        lines.append((setting, ", ".join([row["policy"], *labels[True]]), row))
+            series.append(f"{row['particles']} particles")
+        lines.append((", ".join(setting), ", ".join(series), row))
     return lines
 
 

@@ -54,8 +54,7 @@ def _to_3d(x: Any, y: Any, z: float = 0.0) -> np.ndarray:
 def _rgba(color: str, alpha: Any = 1.0) -> np.ndarray:
     """Convert "#rrggbb" and opacities in [0, 1] to RGBA, u8[n, 4]."""
     alpha = np.clip(np.atleast_1d(alpha), 0.0, 1.0)
-    red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
-    colors = np.tile(np.array([red, green, blue, 0], np.uint8), (alpha.size, 1))
+    colors = np.tile(np.array([*bytes.fromhex(color[1:]), 0], np.uint8), (alpha.size, 1))
     colors[:, 3] = np.round(255 * alpha)
     return colors
 

@@ -225,9 +225,9 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     band spans two standard errors of the printed figure, a bar two of ours; filled points agree
     with it.
     """
-    paper, fits, all_rows = document["paper"], document["variations"], rows_of(document)
+    paper, variations, all_rows = document["paper"], document["variations"], rows_of(document)
     with style.house_style():
-        height = _STRIP * len(fits)
+        height = _STRIP * len(variations)
         size = _LABEL_MARGIN + _COLUMN * len(paper) + 0.1, 2 * height + 1.95
         kwargs: dict[str, Any] = {"sharey": True, "wspace": 0.1, "hspace": 0.62 / height}
         figure, grid = style.panels(size, 2, len(paper), (_LABEL_MARGIN, 0.1, 0.85, 0.42), **kwargs)
@@ -238,11 +238,10 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
             _draw_panel(below, rows, printed, "distance_mean")
             above.set(title=row_name(printed), xlabel="success (%)")
             below.set_xlabel("distance (m)")
-        grid[0][0].set_yticks(
-            range(len(fits)), [f"{fit['unknown']}  {fit['value']}".strip() for fit in fits]
-        )
-        grid[0][0].set_ylim(len(fits) - 0.4, -0.6)
-        for i, (before, after) in enumerate(itertools.pairwise(fits)):
+        names = [f"{row['unknown']}  {row['value']}".strip() for row in variations]
+        grid[0][0].set_yticks(range(len(variations)), names)
+        grid[0][0].set_ylim(len(variations) - 0.4, -0.6)
+        for i, (before, after) in enumerate(itertools.pairwise(variations)):
             if before["unknown"] != after["unknown"]:
                 for axes in grid.flat:
                     axes.axhline(i + 0.5, color=style.LINE, linewidth=0.6, zorder=0)

@@ -27,10 +27,8 @@ _SIDES = ("front", "left", "back", "right")
 class PhysicsScene:
     """A compiled MuJoCo scene."""
 
-    model: Any
-    """A ``mujoco.MjModel``."""
-    data: Any
-    """A ``mujoco.MjData``."""
+    model: Any  # a ``mujoco.MjModel``
+    data: Any  # a ``mujoco.MjData``
 
     def _mocap_id(self, name: str) -> int:
         """Look up the mocap ID of a movable body."""

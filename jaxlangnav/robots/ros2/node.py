@@ -1,16 +1,7 @@
 """The ROS 2 node (rclpy): topics to the inbox and the session, goals and status back.
 
-Topic names are relative, so that they can be remapped and put in a namespace:
-
-    in   instruction, utterance  std_msgs/String          utterances
-    in   odom                    nav_msgs/Odometry        dead reckoning
-    in   detections              sensor_msgs/PointCloud2  points x, y, z, label in the base frame,
-                                                          or vision_msgs/Detection3DArray
-                                                          or, beside /tf, from apriltag_ros:
-                                                          apriltag_msgs/AprilTagDetectionArray
-    in   /tf                     tf2_msgs/TFMessage       transforms of tags, with ``look="tf"``
-    out  goal_pose               geometry_msgs/PoseStamped  the goal, in the odometry frame
-    out  navigator_status        std_msgs/String          JSON, latched
+``docs/robot.md`` lists the topics. Names are relative, so that they can be remapped and put
+in a namespace.
 """
 
 import dataclasses
@@ -43,16 +34,11 @@ StampedDetections = tuple[float, list[Detection]]
 class TagSetup:
     """Object types of tags, the camera's mount, and gates on detections."""
 
-    types: Mapping[str, int]
-    """Frame of a tag, such as "tag36h11:7", to an index into the navigator's ``type_names``."""
-    range: float
-    """Metres beyond which objects are left out: the range that the belief assumes."""
-    field_of_view: float
-    """Radians, full angle about straight ahead, likewise."""
-    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """x, y, heading of the camera in the base frame, metres and radians."""
-    depth: float = 0.0
-    """Metres from a tag to the center of the object behind it."""
+    types: Mapping[str, int]  # frame of a tag, such as "tag36h11:7", to an index of an object type
+    range: float  # metres beyond which objects are left out: the range that the belief assumes
+    field_of_view: float  # radians, full angle about straight ahead, likewise
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the camera: x, y, heading, base frame
+    depth: float = 0.0  # metres from a tag to the center of the object behind it
 
 
 def read_tag_types(texts: Sequence[str], type_names: Sequence[str]) -> dict[str, int]:

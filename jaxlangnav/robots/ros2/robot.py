@@ -108,8 +108,7 @@ class RosRobot:
     def pose(self) -> np.ndarray:
         """Return x, y, heading, see ``Robot.pose``; the last known pose while it is silent."""
         pose = self._bus.inbox.track.pose
-        if pose is None:
-            raise ValueError("no odometry has come from the robot")
+        assert pose is not None, "the constructor requires odometry"
         return pose
 
     def detections(self) -> list[Detection] | None:
