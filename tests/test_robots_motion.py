@@ -113,15 +113,9 @@ def test_clearance_and_speed_are_those_asked_for() -> None:
 
 def test_waypoints_are_taken_one_after_the_other() -> None:
     robot = put()
-    way = []
-
-    def track(one: KinematicRobot) -> None:
-        way.append(one.true_pose[:2])
-        one.at(one.seconds + 0.1, track)
-
-    robot.at(0.0, track)
-    gets_there(robot, (2.0, 2.0), (4.0, 0.0))
-    assert np.hypot(*(np.array(way) - (2.0, 2.0)).T).min() < 0.2
+    robot.go_to(np.array([(2.0, 2.0), (4.0, 0.0)]), speed=1.0, clearance=0.2)
+    way = np.array([robot.true_pose[:2] for _ in range(300) if robot.wait(0.1)])
+    assert np.hypot(*(way - (2.0, 2.0)).T).min() < 0.2
     assert np.hypot(*(way[-1] - (4.0, 0.0))) < 0.2
 
 

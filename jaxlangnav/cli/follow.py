@@ -198,8 +198,7 @@ class Follow:
         max_steps = self.max_steps or step_limit(task.scenario, task.sensor)
         steps = recorder.play(task, instructions, max_steps=max_steps, speech=source, **sizes)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
-        program = f"compile {self.policy} {sizes['config'].map}"
-        with spinner(message, program, default_seconds=60.0):
+        with spinner(message, f"compile {self.policy} {sizes['config'].map}", default_seconds=60.0):
             first = next(steps)
         steps = itertools.chain([first], steps)
         utterances = [] if source is None else source.utterances

@@ -20,8 +20,7 @@ from jaxlangnav.experiments.table import Document as Document
 from jaxlangnav.inputs.sanitize import Escaped, is_printable, sanitize, shorten
 
 _MAX_TABLE_WIDTH = 240  # columns
-_MAX_LINE_WIDTH = 100
-"""Columns to which narrative lines are wrapped on a terminal."""
+_MAX_LINE_WIDTH = 100  # columns to which narrative lines are wrapped on a terminal
 _PLATFORMS = "JAX_PLATFORMS"  # environment variable of JAX that selects the backend
 _NO_BACKEND = "Unable to initialize backend"
 _MAX_CHARS, _TAIL = 600, 200
@@ -47,7 +46,8 @@ class Output:
             kwargs: dict[str, Any] = dict.fromkeys(("highlight", "markup", "emoji"), False)
             # A table wider than the screen is wrapped by the terminal, not cropped.
             console = Console(file=sys.stdout, width=_MAX_TABLE_WIDTH, soft_wrap=True, **kwargs)
-            console.print(*(sanitize(it) if isinstance(it, str) else Escaped(it) for it in parts))
+            escaped = (sanitize(x) if isinstance(x, str) else Escaped(x) for x in parts)
+            console.print(*escaped)
 
     def print_wrapped(self, lines: Sequence[str]) -> None:
         """Print narrative lines; a terminal wraps them with a hanging indent."""

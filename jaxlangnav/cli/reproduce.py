@@ -127,8 +127,7 @@ class Reproduce:
         return reproduction.run_one(self.what, settings, output)[0]
 
     def _check(self) -> None:
-        minimum = {"trials": 1, "episodes": 1, "particles": 2}
-        for option, limit in minimum.items():
+        for option, limit in {"trials": 1, "episodes": 1, "particles": 2}.items():
             if getattr(self, option) is not None:
                 check_minimum(limit, **{f"--{option}": getattr(self, option)})
         for option, experiments in _EXPERIMENTS_OF_OPTION.items():

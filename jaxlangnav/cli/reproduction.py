@@ -25,6 +25,7 @@ from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments import conversation as spoken, paper, robustness, unknowns
 from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
+from jaxlangnav.experiments.judging import pool_bins, reliability_curve
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.experiments.table import Report, Section, Table, report_html
@@ -53,8 +54,7 @@ _CURVE_NAMES = {
 }
 
 
-GRIDS = ("table2", "fig5", "unknowns", "robustness")
-"""Experiments over episodes."""
+GRIDS = ("table2", "fig5", "unknowns", "robustness")  # experiments over episodes
 
 
 def _experiment(name: str, settings: Settings) -> tuple[Experiment, Options]:
@@ -155,9 +155,8 @@ def _run_table3(settings: Settings, output: Output) -> StudyResult:
         f"{total - document['resumed']} runs in {document['wall_s']:.0f} s, "
         f"{document['resumed']} kept from before."
     )
-    text = f"# {_TITLE3}\n\n{_CAPTION3}\n\n{table.markdown()}"
     return document, lambda out: [
-        write_text(text, out / "table3.md"),
+        write_text(f"# {_TITLE3}\n\n{_CAPTION3}\n\n{table.markdown()}", out / "table3.md"),
         write_text(document_text(document), out / "table3.json"),
     ]
 
@@ -195,8 +194,6 @@ def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
 
     Several hydrants without a relation form their own curve: the command is ambiguous.
     """
-    from jaxlangnav.experiments.judging import pool_bins, reliability_curve
-
     panels: dict[str, dict[str, list[Any]]] = {}
     for row in document["rows"]:
         reliability = row.get("reliability")
@@ -308,8 +305,7 @@ def run_all(settings: Settings, output: Output) -> Document:
         documents[name], study = run_one(name, settings, output)
         sections.append(study.section(documents[name], settings.args.command(name)))
         if settings.args.out is not None:
-            seconds = time.perf_counter() - begin
-            documents["report"] = str(_write_page(sections, settings, seconds))
+            documents["report"] = str(_write_page(sections, settings, time.perf_counter() - begin))
     if documents["report"] is not None:
         output.print(f"Wrote {documents['report']}")
     return documents
@@ -336,5 +332,4 @@ def _write_page(sections: list[Section], settings: Settings, seconds: float) -> 
         "the paper": _PAPER,
     }
     title = "Following commands in unknown places: ours beside the paper's"
-    page = report_html(title, sections, facts=facts)
-    return write_text(page, settings.args.out / "report.html")
+    return write_text(report_html(title, sections, facts=facts), settings.args.out / "report.html")

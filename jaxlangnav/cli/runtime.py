@@ -15,8 +15,7 @@ from jaxlangnav.cli.output import Output, one_line
 Advance = Callable[[int], None]  # called with the number of items just completed
 _INTERVAL = 60.0  # seconds between lines of progress where there is no terminal
 _FIRST_LINE_DELAY = 5.0  # seconds before the first line of a task of unknown duration
-_DURATIONS = "durations.json"
-"""File of the last duration of each task: [number of items, seconds]."""
+_DURATIONS = "durations.json"  # file of the last duration of each task: [number of items, seconds]
 
 
 def _cache_path(name: str) -> Path:

@@ -53,8 +53,7 @@ class Serve:
         from jaxlangnav.serve.server import MAX_MESSAGE_SIZE, serving
 
         keep_compiled_programs()
-        model = load(self.weights)
-        with serving(model, token=token, port=port, pace=self.pace) as (app, server):
+        with serving(load(self.weights), token=token, port=port, pace=self.pace) as (app, server):
             options: dict[str, Any] = {"log_level": "warning", "ws_max_size": MAX_MESSAGE_SIZE}
             options |= {"timeout_graceful_shutdown": 2, "server_header": False}
             output.note(f"jaxlangnav serves on this machine only: {address}")

@@ -63,8 +63,7 @@ class Option:
             try:
                 return int(text)
             except ValueError:
-                message = f'{self.flag} is "{text}", but must be a whole number'
-                raise UsageError(message) from None
+                raise UsageError(f'{self.flag} is "{text}", but must be a whole number') from None
         value: str | float = text
         with contextlib.suppress(ValueError):
             value = float(text)
@@ -153,7 +152,6 @@ def suggestion(flag: str, groups: Sequence[str], undotted: Iterable[str]) -> str
 
 
 def _list_options(record: Any, path: OptionPath) -> list[Option]:
-    """List the options of a record and its nested records."""
     record = _raw_params(record)
     result: list[Option] = []
     for field in dataclasses.fields(record):
@@ -229,7 +227,6 @@ def _options_class(name: str, group: Sequence[Option], *, depth: int) -> type[An
 
 
 def _set_values(record: Any, values: Mapping[OptionPath, Any]) -> Any:
-    """Replace values in a record and its nested records."""
     import jax.numpy as jnp
 
     from jaxlangnav.relations import RelationModel, prepare

@@ -83,8 +83,7 @@ def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw:
     if not (ask or talk):
         return Dialogue(**kw)
     user = TerminalUser(output, is_talking=talk)
-    speakers = {YOU: user.say}
-    return Dialogue(**kw, speakers=speakers, is_present=user.is_present, on_heard=user.reply)
+    return Dialogue(**kw, speakers={YOU: user.say}, is_present=user.is_present, on_heard=user.reply)
 
 
 class TerminalUser:
@@ -123,10 +122,10 @@ class TerminalUser:
 
             self._output.note("Which one? The nearest first:")
             pose = believed_pose(progress.navigator).tolist()
-            for rank, it in enumerate(asked, start=1):
-                where = describe_offset(it.x, it.y, *pose)
-                share = f"{100 * it.probability:.0f} %"
-                self._output.note(f"  {rank}. the {it.type_name} {where}, {share}")
+            for rank, candidate in enumerate(asked, start=1):
+                where = describe_offset(candidate.x, candidate.y, *pose)
+                share = f"{100 * candidate.probability:.0f} %"
+                self._output.note(f"  {rank}. the {candidate.type_name} {where}, {share}")
             self._output.note('Answer "the first", "the left one", "either" …; empty line: none.')
         elif is_waiting:
             self._output.note("It stands still. Say something, or end the input (Ctrl-D).")
@@ -166,6 +165,7 @@ def describe_talk(recording: "Recording") -> dict[str, Any]:
             for remark in recording.utterances
         ],
         "candidates": [
-            {**to_dict(it), "probability": it.probability} for it in recording.candidates
+            {**to_dict(candidate), "probability": candidate.probability}
+            for candidate in recording.candidates
         ],
     }

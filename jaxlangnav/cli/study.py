@@ -36,13 +36,11 @@ StudyResult = tuple[dict[str, Any], Callable[[Path], Iterable[Path]]]
 class Settings:
     """Options of a run of ``reproduce``."""
 
-    options: Options
-    """For experiments over episodes; each row sets its sensing range."""
+    options: Options  # for experiments over episodes; each row sets its sensing range
     params: NavigatorParams
     ranges: tuple[float, ...]
     """Sensing ranges, metres, that replace those of Table 2 and Figure 5; empty: theirs."""
-    values: Mapping[OptionPath, Any]
-    """Changed parameters of navigator, sensor and motion."""
+    values: Mapping[OptionPath, Any]  # changed parameters of navigator, sensor and motion
     args: Reproduce  # the other options, and how to run an experiment again
 
     @property
@@ -61,8 +59,7 @@ class Study(Report):
     """An experiment of ``reproduce``: its function and its section of the report."""
 
     run: Callable[[Settings, Output], StudyResult]  # runs it and prints its results
-    facts: Callable[[Document], Mapping[str, str]] = lambda _: {}
-    """Further facts about the run."""
+    facts: Callable[[Document], Mapping[str, str]] = lambda _: {}  # further facts about the run
 
     def section(self, document: Document, command: str) -> Section:
         """Build the section of the report, with its SVG figures and tables."""
@@ -134,11 +131,10 @@ def _figure(
             table = Table.of(document["moments"], MOMENT_COLUMNS).markdown()
             summary = {key: value for key, value in document.items() if key != "moments"}
             manifest_, stem = manifest(summary, models=load(None)), out / name
-            text = f"# {title}\n\n{paper}\n\n{ours}\n\n{table}"
             return [
                 *save(draw(episode, steps=steps), stem),
                 write_html(episode, stem.with_suffix(".html")),
-                write_text(text, stem.with_suffix(".md")),
+                write_text(f"# {title}\n\n{paper}\n\n{ours}\n\n{table}", stem.with_suffix(".md")),
                 write_manifest(manifest_, out / f"{name}_manifest.json"),
             ]
 

@@ -77,7 +77,6 @@ class Train:
 
     @property
     def _command(self) -> str:
-        """The command that trains this model."""
         corpus = f" --corpus {shlex.quote(self.corpus.name)}" if self.corpus else ""
         return f"jaxlangnav train {self.what}{corpus}"
 
@@ -87,8 +86,7 @@ class Train:
         from jaxlangnav.language.reader.model import save_reader
         from jaxlangnav.training.reader import ReaderConfig, read_reader_corpus, train_reader
 
-        examples = read_reader_corpus(self.corpus)
-        model, report = train_reader(examples, config=ReaderConfig())
+        model, report = train_reader(read_reader_corpus(self.corpus), config=ReaderConfig())
         if self.out is not None:
             save_reader(self.out, model, command=self._command)
         output.print(

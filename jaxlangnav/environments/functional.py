@@ -336,10 +336,9 @@ def _remember(
         y_min + centre * (y_max - y_min), x_min + centre * (x_max - x_min), indexing="ij"
     )
     eye = eye_of(pose[0], pose[1], pose[2], params.sensor)
-    in_view = state.scenario.terrain.view.sees(eye, x, y)
     return replace(
         state,
         is_detected=state.is_detected | is_visible,
         last_position=position,
-        is_covered=state.is_covered | in_view,
+        is_covered=state.is_covered | state.scenario.terrain.view.sees(eye, x, y),
     )

@@ -10,8 +10,7 @@ from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.world.scenario import ScenarioParams, draw_scenario
 from jaxlangnav.world.state import Scenario
 
-NUM_WORLDS = 1024
-"""Default size of a pool: 150 kB, and σ/√N of an average is 3 % of σ."""
+NUM_WORLDS = 1024  # default size of a pool: 150 kB, and σ/√N of an average is 3 % of σ
 _BATCH_SIZE = 64  # worlds sampled together, which bounds the memory of rejection sampling
 
 

@@ -104,7 +104,6 @@ def _figure_type(instruction: Instruction) -> Array:
 
 
 def _update_target(run: _Run, observation: Observation) -> _Run:
-    """Update coverage and target from an observation."""
     # The first object of the type becomes the target, of several the nearest; later detections
     # update its position.
     pose = observation.pose

@@ -28,8 +28,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, cell_size
 
 BANDWIDTH = 1.0  # metres, of the kernel density over the particles' hypotheses
-_MIN_VARIANCE = 1e-4
-"""Square metres; lower bound of the variance of an object's position."""
+_MIN_VARIANCE = 1e-4  # square metres; lower bound of the variance of an object's position
 _LOG_FLOOR = 1e-12  # per square metre
 NUM_BINS = 10
 MATCH_RADIUS = 0.75
@@ -167,12 +166,11 @@ def _reliability(probability: Array, outcome: Array, is_event: Array) -> Reliabi
     bins = jnp.minimum((probability * NUM_BINS).astype(jnp.int32), NUM_BINS - 1)
     is_member = (bins[:, None] == jnp.arange(NUM_BINS)[None, :]) & is_event[:, None]
     member = is_member.astype(jnp.float32)
-    error = jnp.where(is_event, (probability - outcome) ** 2, 0.0)
     return Reliability(
         events=jnp.sum(member, axis=0),
         probability=probability @ member,
         outcome=outcome @ member,
-        squared_error=jnp.sum(error),
+        squared_error=jnp.sum(jnp.where(is_event, (probability - outcome) ** 2, 0.0)),
     )
 
 

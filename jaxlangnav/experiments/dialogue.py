@@ -26,8 +26,7 @@ from jaxlangnav.pytree import pytree, replace, strong_types
 from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, new_person, utter
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
-_KEY_INDEX = 31
-"""Folded twice into an episode's key for the person; steps fold it only once."""
+_KEY_INDEX = 31  # folded twice into an episode's key for the person; steps fold it only once
 MIN_CANDIDATE_MASS = 0.01  # goal probability from which on an object is a candidate
 
 

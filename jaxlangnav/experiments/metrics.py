@@ -119,7 +119,6 @@ def compare(
     # Exact two-sided McNemar test: under the null hypothesis, discordant pairs favour either arm
     # with probability 1/2. Without discordant pairs p = 1.
     discordant = only_first + only_second
-    p_value = float(stats.binomtest(only_first, discordant).pvalue) if discordant else 1.0
     difference = np.asarray(second_distance, np.float64) - np.asarray(first_distance, np.float64)
     mean, count = float(difference.mean()), len(difference)
     half_width = _Z95 * float(difference.std(ddof=1)) / math.sqrt(count) if count > 1 else 0.0
@@ -127,7 +126,7 @@ def compare(
         pairs=count,
         success_only_first=only_first,
         success_only_second=only_second,
-        success_p=p_value,
+        success_p=float(stats.binomtest(only_first, discordant).pvalue) if discordant else 1.0,
         distance_difference=mean,
         distance_ci=(mean - half_width, mean + half_width),
         distance_p=_sign_flip(difference),

@@ -222,8 +222,7 @@ def _success_drops(rows: Sequence[Row]) -> list[Row]:
         curves.setdefault(tuple(row[name] for name in names), []).append(row)
     drops = []
     for curve in curves.values():
-        ordered = sorted(curve, key=lambda row: row["range"])
-        for before, after in itertools.pairwise(ordered):
+        for before, after in itertools.pairwise(sorted(curve, key=lambda row: row["range"])):
             if after["success_ci"][1] < before["success_ci"][0]:
                 rates = {"from": before["success_rate"], "to": after["success_rate"]}
                 drops.append({name: after[name] for name in (*names, "range")} | rates)

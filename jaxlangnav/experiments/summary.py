@@ -67,7 +67,6 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
 
 
 def _is_arm_column(name: str) -> bool:
-    """Test whether a label column belongs to arms rather than to settings."""
     return name in _ARM_COLUMNS or name.startswith(("map.", "planner."))
 
 

@@ -160,7 +160,6 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
 
 
 def _as_list(value: Any) -> list[Any]:
-    """Wrap a single value in a list."""
     return value if isinstance(value, list) else [value]
 
 
@@ -207,8 +206,7 @@ def _open_worlds(
             )
         custom[entry] = opened
         if is_file:
-            content = read_file(path, max_bytes=MAX_FILE_BYTES)
-            hashes[entry] = hashlib.sha256(content).hexdigest()
+            hashes[entry] = hashlib.sha256(read_file(path, max_bytes=MAX_FILE_BYTES)).hexdigest()
     return custom, hashes
 
 

@@ -126,8 +126,7 @@ class Report:
     def render(self, document: Document) -> "rich.table.Table":
         """Render the first table and the notes for the terminal."""
         notes = "\n".join(self.notes(document))
-        first = self.tables(document)[0]
-        return dataclasses.replace(first, title=self.title, caption=notes).text()
+        return dataclasses.replace(self.tables(document)[0], title=self.title, caption=notes).text()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -177,7 +176,6 @@ def _section(index: int, section: Section) -> str:
 
 
 def _definition_list(entries: Mapping[str, str]) -> str:
-    """Format names and values as an HTML definition list."""
     rows = "".join(
         f"<dt>{_html_text(name)}</dt><dd>{_html_text(value)}</dd>"
         for name, value in entries.items()

@@ -44,8 +44,7 @@ PUBLISHED_TABLE: dict[str, dict[str, float]] = {
 """Table 1 of the paper."""
 CORPUS = "corpus39"
 _MAX_WIDTH = 256  # limit of the beam width: candidates of two children are combined pairwise
-_SPLIT_BYTES = 1 + 4
-"""Bytes per split and instruction: whether it is held out, and its weight."""
+_SPLIT_BYTES = 1 + 4  # bytes per split and instruction: whether it is held out, and its weight
 
 
 def draw_splits(count: int, splits: int, seed: int) -> np.ndarray:
@@ -171,8 +170,7 @@ def evaluate(
     document: dict[str, Any] = {}
     for name in MODELS:
         seconds = _inference_seconds(name, fitted, test_sentences, beams[0])
-        first_scores = results[name].by_width[beams[0]]
-        new_words = _oov_accuracy(name, instructions, first_scores, held_out)
+        new_words = _oov_accuracy(name, instructions, results[name].by_width[beams[0]], held_out)
         document[name] = _row(fitted[name], results[name], seconds) | {"new_words": new_words}
     return document | {"paper": PUBLISHED_TABLE, "corpus": CORPUS, "seed": seed}
 

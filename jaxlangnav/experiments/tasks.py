@@ -17,7 +17,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxlangnav.episode import Task
-from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.instruction import Instruction, understand
+from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
@@ -49,9 +50,6 @@ def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
     """Parse and ground sentences with the shipped models; ``ValueError``: none or no command."""
     if not texts:
         raise ValueError("no sentence given")
-    from jaxlangnav.grounding.instruction import understand
-    from jaxlangnav.grounding.weights import load_shipped
-
     models = load_shipped()
     understood = [understand(text, models) for text in texts]
     for sentence in understood:

@@ -56,7 +56,7 @@ def _is_seen(goal: GoalPoint, info: NavigatorInfo, seen: _Detections, pose: np.n
     """Tell whether any detection of an observation is of the goal."""
     object_type, *position = goal
     to_robot = np.asarray(info.robot, float) - position
-    offsets = (it.offset(pose[2]) for it in seen if it.object_type == object_type)
+    offsets = (d.offset(pose[2]) for d in seen if d.object_type == object_type)
     return any(np.hypot(*(to_robot + offset)) <= GOAL_TOLERANCE for offset in offsets)
 
 
@@ -234,12 +234,10 @@ class _DriveLoop:
     ) -> _DriveEnd | None:
         """End the drive where the robot makes no progress any more."""
         if self.faults >= _MAX_FAULTS:
-            names = Fault(int(info.fault)).name
-            return Ending.LOST, f"what the robot reports cannot be: {names}"
+            return Ending.LOST, f"what the robot reports cannot be: {Fault(int(info.fault)).name}"
         if self.facing is not None or self.overshoot is not None:
             limit = _OVERSHOOT_SECONDS if self.facing is None else _TURN_SECONDS
-            is_over = self.seconds - self.turn_start > limit
-            if is_over or progress is not WaypointStatus.UNDER_WAY:
+            if self.seconds - self.turn_start > limit or progress is not WaypointStatus.UNDER_WAY:
                 self.facing = self.overshoot = None
             return None
         position = self.robot.pose()[:2]

@@ -83,12 +83,10 @@ def check_libraries() -> None:
     """
     opencv()
     apriltags()
-    model = mujoco().MjModel.from_xml_string("<mujoco/>")
-    renderer(model, 8, 8).close()
+    renderer(mujoco().MjModel.from_xml_string("<mujoco/>"), 8, 8).close()
 
 
 def _rendering_error(error: BaseException) -> MissingSystemLibraryError:
-    """Build the error that says what offscreen rendering needs."""
     reason = " ".join(str(error).split()) or type(error).__name__
     return MissingSystemLibraryError(
         f"rendering off screen needs EGL, which does not work here ({reason[:120]}): "

@@ -61,7 +61,7 @@ class Views:
             return np.full((*PANEL_SIZE[::-1], 3), BACKGROUND, np.uint8)
         image = np.ascontiguousarray(robot.last_picture[..., ::-1])
         labelled: set[int] = set()
-        for tag in sorted(robot.last_tags, key=lambda it: np.hypot(*it.position[[0, 2]])):
+        for tag in sorted(robot.last_tags, key=lambda tag: np.hypot(*tag.position[[0, 2]])):
             corners = tag.corners.round().astype(np.int32)
             color = _GREEN if robot.is_used(tag) else _ORANGE
             self._cv2.polylines(image, [corners[:, None]], True, color, 5)
@@ -136,14 +136,13 @@ class DriveRecorder:
             # Repeat the last frame without what it observed, at the robot's present pose.
             last_frame, world = self._frames[-1], self._world
             names = ("is_detection", "is_news", "num_regrounded", "fault", "overflow")
-            empty = {name: np.zeros_like(getattr(last_frame, name)) for name in names}
             frame = replace(
                 last_frame,
                 position=world.position,
                 heading=world.heading,
                 odometry=world.odometry[:2],
                 distance=world.distance,
-                **empty,
+                **{name: np.zeros_like(getattr(last_frame, name)) for name in names},
             )
         else:
             clause = np.minimum(self._clause, np.asarray(state.instruction.num_clauses) - 1)

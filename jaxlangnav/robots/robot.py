@@ -155,13 +155,13 @@ def observe(pose: np.ndarray, detections: Sequence[Detection], sensor: SensorPar
         detections: of more than ``NUM_DETECTIONS`` the nearest are kept.
         sensor: the detector's specification.
     """
-    nearest = sorted(detections, key=lambda it: it.range)[:NUM_DETECTIONS]
+    nearest = sorted(detections, key=lambda d: d.range)[:NUM_DETECTIONS]
     pad = NUM_DETECTIONS - len(nearest)
     return Observation(
         pose=jnp.asarray(pose, jnp.float32),
-        detection_type=jnp.array([it.object_type for it in nearest] + [NONE] * pad, jnp.int32),
-        detection_range=jnp.array([it.range for it in nearest] + [0.0] * pad, jnp.float32),
-        detection_bearing=jnp.array([it.bearing for it in nearest] + [0.0] * pad, jnp.float32),
+        detection_type=jnp.array([d.object_type for d in nearest] + [NONE] * pad, jnp.int32),
+        detection_range=jnp.array([d.range for d in nearest] + [0.0] * pad, jnp.float32),
+        detection_bearing=jnp.array([d.bearing for d in nearest] + [0.0] * pad, jnp.float32),
         is_detection=jnp.arange(NUM_DETECTIONS) < len(nearest),
         sensor=sensor,
     )

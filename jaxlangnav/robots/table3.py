@@ -130,7 +130,7 @@ def run_trial(
         recorder = None if page is None else DriveRecorder(robot, navigator, text)
 
         def record(step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
-            truth.append([round(float(one), 3) for one in robot.true_pose])
+            truth.append([round(float(value), 3) for value in robot.true_pose])
             if recorder is not None:
                 recorder.on_step(step, state, info)
 
@@ -167,8 +167,7 @@ def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
 
 def _evaluate(robot: PhysicsRobot, ending: Ending) -> dict[str, Any]:
     """Evaluate a run by the robot's ground-truth position."""
-    goal = np.asarray(robot.scenario.goal, float)
-    distance = float(np.hypot(*(robot.true_pose[:2] - goal)))
+    distance = float(np.hypot(*(robot.true_pose[:2] - np.asarray(robot.scenario.goal, float))))
     off_x, off_y, off_heading = robot.pose() - robot.true_pose
     return {
         "ending": ending.value,

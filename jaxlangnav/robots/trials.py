@@ -189,7 +189,6 @@ def _run_one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]
 def _summary(
     row: TrialRow, known: dict[str, Any], trials: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Summarize the trials of a row."""
     successes = sum(bool(trial["success"]) for trial in trials)
     distances = np.array([trial["distance"] for trial in trials if trial["distance"] is not None])
     seconds = [trial["seconds"] for trial in trials if trial["seconds"] is not None]

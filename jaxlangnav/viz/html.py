@@ -26,8 +26,7 @@ from jaxlangnav.viz.sentences import describe_readings, percent
 
 _ABSENT = 65535  # grid coordinate that marks a missing hypothesis
 _NODE_NAMES = {FRONTIER: "frontier", VISITED: "visited place", OBJECT_NODE: "object"}
-_UNNAMED, _NO_TYPE = 254, 255
-"""Hypothesis type codes, u8: a type without a name, and no type."""
+_UNNAMED, _NO_TYPE = 254, 255  # hypothesis type codes, u8: a type without a name, and no type
 
 
 def write_html(recording: Recording, path: Path | str) -> Path:
@@ -206,8 +205,7 @@ def _quantize(values: np.ndarray, is_valid: np.ndarray) -> tuple[np.ndarray, flo
     high = float(values[is_valid].max()) if is_valid.any() else 1.0
     high = max(high, low + 1e-3)
     scaled = np.clip((values - low) / (high - low), 0.0, 1.0)
-    grid = np.where(is_valid, np.round(scaled * (_ABSENT - 1)), _ABSENT).astype("<u2")
-    return grid, low, high
+    return np.where(is_valid, np.round(scaled * (_ABSENT - 1)), _ABSENT).astype("<u2"), low, high
 
 
 def _encode_array(array: np.ndarray) -> dict[str, str]:

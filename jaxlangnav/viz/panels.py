@@ -56,8 +56,7 @@ def _layout(
 def _title_panel(axes: "Axes", moment: StepView, index: int) -> None:
     """Title a panel with its letter, step, distance so far and headline."""
     letter = chr(ord("a") + index % 26)
-    title = f"({letter}) step {moment.step} · {float(moment.frame.distance):.1f} m"
-    axes.set_title(title, pad=16)
+    axes.set_title(f"({letter}) step {moment.step} · {float(moment.frame.distance):.1f} m", pad=16)
     axes.annotate(
         headline(moment), (0, 1), xytext=(0, 5), xycoords="axes fraction",
         textcoords="offset points", fontsize=8, color=style.MUTED,
@@ -252,7 +251,6 @@ def _draw_value_terms(axes: "Axes", frame: Snapshot, *, with_label: bool = True)
 
 
 def _norm(values: np.ndarray) -> "Normalize":
-    """Build the colour normalization of the values of a step."""
     from matplotlib.colors import PowerNorm
 
     finite = values[np.isfinite(values)]

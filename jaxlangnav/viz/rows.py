@@ -72,8 +72,7 @@ def _rows_figure(
             widths=(1, 1),
         )
         for name, label, row in lines:
-            offset = 0.72 * ((series.index(label) + 0.5) / len(series) - 0.5)
-            y = names.index(name) + offset
+            y = names.index(name) + 0.72 * ((series.index(label) + 0.5) / len(series) - 0.5)
             draw_row((rates, distances), row, styles[label], y, markersize=5.5, capsize=2)
         for name, bound in bounds.items():
             span = [names.index(name) - 0.46, names.index(name) + 0.46]

@@ -117,9 +117,8 @@ def _log_robot_and_plan(rerun: Any, stream: Any, recording: Recording, step: int
     path = rerun.LineStrips3D([_to_3d(xy[:, 0], xy[:, 1])], colors=_rgba(style.PATH), radii=0.03)
     stream.log("world/way", path)
     heading = float(frame.heading)
-    vector = [[0.6 * np.cos(heading), 0.6 * np.sin(heading), 0.0]]
     arrow = rerun.Arrows3D(
-        vectors=vector,
+        vectors=[[0.6 * np.cos(heading), 0.6 * np.sin(heading), 0.0]],
         origins=_to_3d(frame.position[0], frame.position[1], 0.03),
         colors=_rgba(style.INK),
     )

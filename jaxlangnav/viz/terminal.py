@@ -155,13 +155,12 @@ def _shade(
     if not is_in.any():
         return
     x, y = frame.hypothesis_x[is_in], frame.hypothesis_y[is_in]
-    weight = np.broadcast_to(frame.weight, is_in.shape)[is_in]
     types, type_index = np.unique(frame.mention_type[is_in], return_inverse=True)
     mass, _ = np.histogramdd(
         (type_index, y, x),
         bins=(len(types), height, width),
         range=((-0.5, len(types) - 0.5), (y_min, y_max), (x_min, x_max)),
-        weights=weight,
+        weights=np.broadcast_to(frame.weight, is_in.shape)[is_in],
     )
     mass = mass[:, ::-1]
     total = mass.sum(axis=0)

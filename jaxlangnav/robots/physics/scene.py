@@ -15,8 +15,7 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.physics.tags import CUBE_SIDE, TAGS_PER_TYPE, draw_tag
 from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 
-CUBE_CENTER_HEIGHT = 0.45
-"""Metres from the floor to the center of a cube."""
+CUBE_CENTER_HEIGHT = 0.45  # metres from the floor to the center of a cube
 HIDDEN_POSITION = (500.0, 500.0)
 _VISUAL_ONLY = {"contype": 0, "conaffinity": 0, "group": 2}  # geoms without collisions
 _COLORS = {HYDRANT: (0.75, 0.1, 0.1, 1.0), CONE: (0.95, 0.45, 0.05, 1.0)}
@@ -31,7 +30,6 @@ class PhysicsScene:
     data: Any  # a ``mujoco.MjData``
 
     def _mocap_id(self, name: str) -> int:
-        """Look up the mocap ID of a movable body."""
         return int(self.model.body_mocapid[self.model.body(name).id])
 
     def set_position(self, name: str, x: float, y: float) -> None:
@@ -75,7 +73,6 @@ def _yaw_quaternion(heading: float) -> list[float]:
 
 
 def _add_cube(mujoco: Any, body: Any, color: tuple[float, ...]) -> None:
-    """Add a cube on a leg."""
     half = 0.5 * CUBE_SIDE
     cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
     solid = {"contype": 1, "conaffinity": 2, "group": 1}

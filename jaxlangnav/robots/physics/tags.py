@@ -162,7 +162,7 @@ def to_detections(tags: Sequence[Tag], camera: Camera, gates: Gates) -> list[Det
     for tag_id, sides in sides_by_id.items():
         reference = max(sides, key=lambda side: side[1])[0]
         used = [side for side in sides if np.hypot(*(side[0] - reference)) <= _SAME_OBJECT]
-        x, y = np.average([it[0] for it in used], axis=0, weights=[it[1] for it in used])
+        x, y = np.average([xy for xy, _ in used], axis=0, weights=[weight for _, weight in used])
         distance, bearing = float(np.hypot(x, y)), float(np.arctan2(y, x))
         if distance <= gates.range and abs(bearing) <= 0.5 * gates.field_of_view:
             object_type = tag_id // TAGS_PER_TYPE

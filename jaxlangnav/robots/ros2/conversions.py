@@ -110,12 +110,12 @@ def detections_of_cloud(cloud: Any, num_types: int) -> list[Detection]:
             f"the cloud has label {points['label'].max()}, but the last of the navigator's "
             f"type_names is {num_types - 1}"
         )
-    return [_detection_at(int(it["label"]), float(it["x"]), float(it["y"])) for it in points]
+    return [_detection_at(int(p["label"]), float(p["x"]), float(p["y"])) for p in points]
 
 
 def to_cloud(detections: Sequence[Detection]) -> bytes:
     """Pack detections as the data of a cloud of ``POINT``, base frame, 16 bytes each."""
-    return np.array([(*it.offset(), 0.0, it.object_type) for it in detections], POINT).tobytes()
+    return np.array([(*d.offset(), 0.0, d.object_type) for d in detections], POINT).tobytes()
 
 
 class MessageBuilder:
@@ -276,7 +276,7 @@ def inverse(frame: np.ndarray) -> np.ndarray:
 def transformed(seen: Sequence[Detection], then: np.ndarray, now: np.ndarray) -> list[Detection]:
     """Transform detections made at the pose ``then`` to the pose ``now``, f64[3] in one frame."""
     shift = compose(inverse(now), then)
-    points = ((it.object_type, shift[:2] + it.offset(shift[2])) for it in seen)
+    points = ((d.object_type, shift[:2] + d.offset(shift[2])) for d in seen)
     return [_detection_at(object_type, *point.tolist()) for object_type, point in points]
 
 

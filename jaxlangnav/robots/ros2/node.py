@@ -79,9 +79,9 @@ class TagReader:
         if not tags:
             return None
         detections = [
-            it
-            for it in detections_of_tags(tags, setup.types, mount=setup.mount, depth=setup.depth)
-            if it.range <= setup.range and abs(it.bearing) <= 0.5 * setup.field_of_view
+            d
+            for d in detections_of_tags(tags, setup.types, mount=setup.mount, depth=setup.depth)
+            if d.range <= setup.range and abs(d.bearing) <= 0.5 * setup.field_of_view
         ]
         return seconds_of(tags[0].header.stamp), detections
 
@@ -137,7 +137,6 @@ class RosBus:
         self._subscribe_to_robot(look, tags)
 
     def _subscribe_to_robot(self, look: str, tags: TagSetup | None) -> None:
-        """Subscribe to odometry and detections."""
         qos = load_ros("rclpy.qos")
         # Best effort matches publishers of either reliability. Deep, as a decision takes long.
         stream = qos.QoSProfile(depth=100, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
@@ -243,7 +242,7 @@ class RosBus:
         return self._base_stamp(message.header), detections_of_cloud(message, len(self._labels))
 
     def _of_boxes(self, message: Any) -> StampedDetections:
-        hypotheses = [it.hypothesis for box in message.detections for it in box.results]
+        hypotheses = [result.hypothesis for box in message.detections for result in box.results]
         unknown = {hypothesis.class_id for hypothesis in hypotheses} - set(self._labels)
         if unknown:
             self.warn(

@@ -126,7 +126,6 @@ class RosRobot:
                 return detections
 
     def _may_arrive(self, start: float) -> bool:
-        """Tell whether detections may still arrive."""
         now = self._bus.now()
         newest = self._bus.inbox.track.newest
         if newest != self._newest:

@@ -132,8 +132,8 @@ class Session:
         self._tell(
             {
                 "status": step.status.word,
-                "pose": [round(it, 3) for it in step.pose],
-                "target": step.target and [round(it, 3) for it in step.target],
+                "pose": [round(value, 3) for value in step.pose],
+                "target": step.target and [round(value, 3) for value in step.target],
                 "progress": step.progress.value,
                 "detections": None if step.detections is None else len(step.detections),
                 "fault": step.fault.name,

@@ -59,8 +59,7 @@ class LossyChannel:
         return [message for _, message in arrived]
 
 
-DETECTION_TICKS = 4
-"""Ticks of 0.1 s from one detector query to the next."""
+DETECTION_TICKS = 4  # ticks of 0.1 s from one detector query to the next
 _GOAL_TIMEOUT = 5.0  # seconds without a goal: then the robot stops, as the sender may have ended
 _STOP_TOLERANCE, _CLEARANCE = 0.1, 0.3  # metres to a goal that means stop; to obstacles
 
