@@ -31,6 +31,7 @@ def told(text: str) -> list[tuple[str, float]]:
         ("make a right", [(RIGHT, 0.5)]),
         ("turn left, then left again", None),
         ("go forward two metres", [(FRONT, 2.0)]),
+        ("go forward .5 metres", [(FRONT, 0.5)]),
         ("go forward a metre and a half", [(FRONT, 1.5)]),
         ("drive twenty five feet", [(FRONT, 7.62)]),
         ("back up 3 feet", [(BACK, 0.91)]),
@@ -68,9 +69,8 @@ def test_a_manner_said_between_is_kept() -> None:
 
 
 def test_places_follow_one_another() -> None:
-    first, second, third = parse(
-        "turn left, go 2 metres, turn right and go 3 metres, then go to the cone"
-    ).measures
+    text = "turn left, go 2 metres, turn right and go 3 metres, then go to the cone"
+    first, second, third = parse(text).measures
     assert first.end == pytest.approx((0.0, 2.0), abs=1e-6)
     assert second.end == pytest.approx((3.0, 2.0), abs=1e-6)
     np.testing.assert_allclose(second.frame, (0.0, 2.0, math.pi / 2), atol=1e-6)

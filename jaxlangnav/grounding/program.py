@@ -40,7 +40,7 @@ MAX_DEPTH = 6
 """Stack depth: maximum number of phrases whose parent has not been processed."""
 LOG_NEVER = -1e4
 """Log-odds of a symbol that a phrase cannot express."""
-NOTHING = -1
+PADDING = -1
 """Number of children of a padding phrase, which leaves the stack unchanged."""
 AT_TABLE = 3 * NUM_RELATIONS
 
@@ -54,7 +54,7 @@ class CompiledClause:
     """
 
     num_phrases: Array  # i32[]
-    num_children: Array  # i32[H]; NOTHING in padding
+    num_children: Array  # i32[H]; PADDING in padding
     is_verb: Array  # bool[H] expresses goals and constraints, otherwise objects and regions
     is_restrictor: Array  # bool[H, 3] the child states the figure's location
     named_types: Array  # i32[H, 4] object types that the words name; NONE beyond them
@@ -83,7 +83,7 @@ def empty_clause() -> dict[str, np.ndarray]:
     f32, i32 = np.float32, np.int32
     fields: dict[str, np.ndarray] = {
         "num_phrases": np.zeros((), i32),
-        "num_children": np.full(h, NOTHING, i32),
+        "num_children": np.full(h, PADDING, i32),
         "is_verb": np.zeros(h, bool),
         "is_restrictor": np.zeros((h, k), bool),
         "named_types": np.full((h, MAX_NAMED_TYPES), NONE, i32),

@@ -42,6 +42,8 @@ _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
 _REPEATED = re.compile(r"([a-z])\1{2,}")
 """A repeated letter: "pleeease"."""
+_BARE_POINT = re.compile(r"(?<![\w.])\.(?=\d)")
+"""A decimal point without a digit before it: ".5" is 0.5."""
 
 _CARRY_REQUEST = re.compile(
     r"(?:deliver|take|bring|carry|get|run|haul|ferry|transport) "
@@ -59,7 +61,7 @@ class _Sentence:
         """Tokenize a text and correct its spelling."""
         self.text, self.labels, self.earlier = text, frozenset(labels), earlier
         self.vocabulary = load_lexicon().vocabulary
-        plain = join_contractions(normalize(text))
+        plain = _BARE_POINT.sub("0.", join_contractions(normalize(text)))
         if len(plain) > 2 * MAX_CHARACTERS:  # some signs expand to words
             raise LanguageError(
                 f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
