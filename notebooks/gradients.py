@@ -45,7 +45,7 @@ from jaxlangnav.relations.fit import FRAMES, make_pairs
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.training import TrainingConfig, scoring
-from jaxlangnav.training.examples import annotation_examples, labelled_instructions
+from jaxlangnav.training.examples import annotation_examples, labelled_instruction
 from jaxlangnav.training.fit import build_design, by_kind, on_device, loss, l2_vector, train_weights
 from jaxlangnav.viz import style
 
@@ -304,7 +304,7 @@ figure
 SPLITS, FOLDS = 8, 3
 GROUPS = ("bias", *FEATURE_GROUPS)
 types = load_lexicon().type_names
-instructions = labelled_instructions(load_corpus(CORPUS), types)
+instructions = [labelled_instruction(example, types) for example in load_corpus(CORPUS)]
 vocabulary, design = build_design(
     annotation_examples(instructions, types), ANNOTATION_KINDS, len(instructions)
 )

@@ -27,7 +27,7 @@ from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.training.examples import (
     annotation_examples,
     behavior_examples,
-    labelled_instructions,
+    labelled_instruction,
     read_annotation,
     read_behavior,
 )
@@ -97,7 +97,8 @@ def test_each_factor_is_an_example():
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)])
 def test_what_is_spoken_and_held_out_is_read_right(every):
     model = load_shipped()
-    instructions = labelled_instructions(load_corpus("corpus_spoken")[::every], TYPES)
+    corpus = load_corpus("corpus_spoken")[::every]
+    instructions = [labelled_instruction(example, TYPES) for example in corpus]
     both = [[one] for one in (model.annotation, model.behavior)]
     annotation = score_annotations(instructions, both[0], None, TYPES).by_width[4][0]
     behavior = score_behaviors(instructions, *both, None, TYPES).by_width[4][0]

@@ -24,7 +24,7 @@ from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.training.examples import LabelledInstruction, labelled_instructions
+from jaxlangnav.training.examples import LabelledInstruction, labelled_instruction
 from jaxlangnav.training.fit import Fit, fit
 from jaxlangnav.training.scoring import (
     ExactScores,
@@ -154,7 +154,7 @@ def evaluate(
         raise ValueError(f"beam width is {readable_count(width)}, but must be {_MAX_WIDTH} or less")
     type_names, corpus = load_lexicon().type_names, load_corpus(CORPUS)
     check_count("splits", splits, each=_SPLIT_BYTES * len(corpus))
-    instructions = labelled_instructions(corpus, type_names)
+    instructions = [labelled_instruction(example, type_names) for example in corpus]
     datasets = {name: training_data(name, instructions, type_names) for name in MODELS}
     for design in (data.design for data in datasets.values()):
         counts = math.prod(design.properties.shape[:2]) * 2

@@ -13,7 +13,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Hashable, Iterable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -63,8 +63,8 @@ class AnnotationSymbol(NamedTuple):
 
     kind: int  # OBJECT, REGION or RELATION
     figure: int  # type index; NONE for a region
-    relation: int  # relation index; NONE for an object
-    landmark: int  # type index or ROBOT; NONE for an object
+    relation: int = NONE  # relation index; NONE for an object
+    landmark: int = NONE  # type index or ROBOT; NONE for an object
 
 
 class BehaviorSymbol(NamedTuple):
@@ -75,19 +75,12 @@ class BehaviorSymbol(NamedTuple):
     slot: int  # object slot, or index of the action or mode
 
 
-def object_symbol(figure: int) -> AnnotationSymbol:
-    """Build the symbol of an object type."""
-    return AnnotationSymbol(OBJECT, figure, NONE, NONE)
-
-
-def region_symbol(relation: int, landmark: int) -> AnnotationSymbol:
-    """Build the symbol of a region; ``landmark`` is a type index or ROBOT."""
-    return AnnotationSymbol(REGION, NONE, relation, landmark)
-
-
-def relation_symbol(figure: int, relation: int, landmark: int) -> AnnotationSymbol:
-    """Build the symbol of a figure in a region; ``landmark`` is a type index or ROBOT."""
-    return AnnotationSymbol(RELATION, figure, relation, landmark)
+object_symbol = partial(AnnotationSymbol, OBJECT)
+"""Build the symbol of an object type, given its index."""
+region_symbol = partial(AnnotationSymbol, REGION, NONE)
+"""Build the symbol of a region from relation and landmark, a type index or ROBOT."""
+relation_symbol = partial(AnnotationSymbol, RELATION)
+"""Build the symbol of a figure in a region: type index, relation, and landmark as of a region."""
 
 
 class AnnotationSpace(SymbolDomain[AnnotationSymbol]):

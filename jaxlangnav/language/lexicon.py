@@ -271,7 +271,6 @@ class _SenseIndex:
     """Index of the meanings of the package's words, to detect conflicts."""
 
     def __init__(self, document: dict[str, Any]) -> None:
-        """Index the tables of the lexicon of the package."""
         self._senses: dict[str, set[tuple[str, str]]] = {}  # expression → class, senses
         for name, table in document["class"].items():
             for senses in table.keys() - {"tag", "ing"}:

@@ -95,13 +95,6 @@ def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> Label
     return LabelledInstruction(example.parse, tuple(annotations), tuple(behaviors), rank)
 
 
-def labelled_instructions(
-    examples: Sequence[Example], type_names: tuple[str, ...]
-) -> list[LabelledInstruction]:
-    """Convert a corpus to training data; see ``labelled_instruction``."""
-    return [labelled_instruction(example, type_names) for example in examples]
-
-
 class FactorBlock(NamedTuple):
     """Properties and labels of a phrase's symbols of one kind."""
 

@@ -69,7 +69,6 @@ class _Accumulator:
     """Accumulator of the results of K models."""
 
     def __init__(self, num_models: int, widths: Sequence[int], is_exact: bool) -> None:
-        """Start empty."""
         self.rows = {width: [[] for _ in range(num_models)] for width in widths}
         self.exact = [[] for _ in range(num_models)] if is_exact else []
 

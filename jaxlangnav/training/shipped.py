@@ -32,7 +32,7 @@ from jaxlangnav.training.examples import (
     LabelledInstruction,
     annotation_examples,
     behavior_examples,
-    labelled_instructions,
+    labelled_instruction,
 )
 from jaxlangnav.training.fit import build_design, fit
 from jaxlangnav.training.scoring import (
@@ -192,8 +192,8 @@ def train_models(
     tuning = set(sorted({example.template for example in training})[::5])
     type_names = load_lexicon().type_names
     is_tuning = np.array([example.template in tuning for example in training])
-    training_instructions = labelled_instructions(training, type_names)
-    held_out = labelled_instructions([e for e in examples if e.split == "test"], type_names)
+    training_instructions = [labelled_instruction(e, type_names) for e in training]
+    held_out = [labelled_instruction(e, type_names) for e in examples if e.split == "test"]
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
     for name in [name for name in MODELS if name in kinds]:
