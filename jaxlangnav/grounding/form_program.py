@@ -12,7 +12,7 @@ first described in these terms.
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logit
@@ -131,8 +131,7 @@ CERTAIN = 16.0
 """Log-odds of what a form states; the complement has probability 1e-7, lost in rounding."""
 
 
-@dataclasses.dataclass(frozen=True)
-class _Phrase:
+class _Phrase(NamedTuple):
     """A synthesized phrase of the clause, with its child phrases."""
 
     fields: Mapping[str, Any]  # values of the clause's fields

@@ -9,7 +9,7 @@ import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -54,8 +54,7 @@ NUM_IDENTITY = 8
 """Object types with an identity feature; further types only have agreement features."""
 
 
-@dataclasses.dataclass(frozen=True)
-class _ChildSets:
+class _ChildSets(NamedTuple):
     """Union of what the child phrases of an annotation phrase express, with their heads."""
 
     expressed: np.ndarray  # bool[S] by any child
@@ -63,7 +62,7 @@ class _ChildSets:
     regions: np.ndarray  # bool[6, L]
     relations: np.ndarray  # bool[T, 6, L]
     heads: np.ndarray  # bool[T] type of a child's head: its object, or a relation's figure
-    count: int  # of children
+    num_children: int
 
 
 def _child_sets(space: AnnotationSpace, groundings: Sequence[np.ndarray]) -> _ChildSets:
@@ -99,7 +98,7 @@ def _object_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
         "of a child": child.objects,
         "of a child, in a region": child.objects & has_region,
         "of a child, in a relation": child.objects & bool(child.relations.any()),
-        "not of a child": bool(child.count) & ~child.objects,
+        "not of a child": bool(child.num_children) & ~child.objects,
         "named, in a region": named & has_region,
         **by_name("is type", range(NUM_IDENTITY), np.eye(NUM_IDENTITY, space.num_types)),
     }
@@ -107,7 +106,7 @@ def _object_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
 
 def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> PropertyColumns:
     """Compute the features of the region symbols, each broadcastable to bool[6, L]."""
-    types, has_children = space.num_types, bool(child.count)
+    types, has_children = space.num_types, bool(child.num_children)
     relation = _members(senses.relations, NUM_RELATIONS)[:, None]
     is_robot = (np.arange(space.num_landmarks) == types)[None, :]
     head = np.append(child.heads, False)[None, :]
@@ -162,10 +161,10 @@ def _shared_columns(senses: Senses, child: _ChildSets) -> PropertyColumns:
     return {
         "bias": True,
         "of a child": expressed,
-        "of the only child": expressed & (child.count == 1),
-        "of one of several": expressed & (child.count > 1),
+        "of the only child": expressed & (child.num_children == 1),
+        "of one of several": expressed & (child.num_children > 1),
         "of a child, nothing named": expressed & (not senses.types and not senses.relations),
-        "not of a child": ~expressed & (child.count > 0),
+        "not of a child": ~expressed & (child.num_children > 0),
     }
 
 

@@ -9,11 +9,10 @@ clause yields the weighted sum of the behaviors of two. Rewritings of equal mean
 their weights summed; the likeliest rewriting of the group with the largest weight is executed.
 """
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax.numpy as jnp
 import numpy as np
@@ -66,8 +65,7 @@ def default_rewrite_params(temperature: float = 1.0) -> RewriteParams:
     return RewriteParams(temperature=jnp.float32(temperature))
 
 
-@dataclasses.dataclass(frozen=True)
-class Read:
+class Read(NamedTuple):
     """A rewriting that has been parsed and grounded."""
 
     text: str

@@ -9,7 +9,6 @@ regions and 7 n constraint regions.
 A set of symbols is a boolean vector over a space: one correspondence variable per symbol.
 """
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Hashable, Iterable, Sequence
@@ -149,8 +148,7 @@ Path = tuple[int, ...]
 """Clause index, then child indices from the root of the clause."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Node:
+class Node(NamedTuple):
     """A phrase as a node of the factor graph."""
 
     phrase: Phrase

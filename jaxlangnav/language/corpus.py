@@ -30,7 +30,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta
 
@@ -92,24 +92,21 @@ class PlacedWorld:
     attributes: tuple[int, ...] = ()  # attribute code of each object, or empty
 
 
-@dataclass(frozen=True, kw_only=True)
-class ClauseLabels:
+class ClauseLabels(NamedTuple):
     """Gold annotation of one clause, per phrase."""
 
     annotation: Labels  # per phrase of ``root.walk()``
     rank: tuple[int, ...]  # per phrase; 0: not superlative
 
 
-@dataclass(frozen=True, kw_only=True)
-class WorldLabels:
+class WorldLabels(NamedTuple):
     """Gold behavior in one world, per clause and phrase."""
 
     world: PlacedWorld
     behavior: tuple[Labels, ...]  # per clause
 
 
-@dataclass(frozen=True, kw_only=True)
-class Example:
+class Example(NamedTuple):
     """One labelled instruction."""
 
     text: str

@@ -12,9 +12,10 @@ when the sentence is said, so turns and distances from there are refused. The wo
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from typing import NamedTuple
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, load_lexicon
@@ -33,8 +34,7 @@ _UNKNOWN_POSE = "where the robot will stand then is not known yet: say it when i
 _DIRECTIONS = {0: "in front of you", 90: "to your left", 180: "behind you", 270: "to your right"}
 
 
-@dataclass(frozen=True)
-class _Motion:
+class _Motion(NamedTuple):
     """A pattern of a motion relative to the robot, such as "turn left"."""
 
     pattern: re.Pattern[str]
@@ -42,16 +42,14 @@ class _Motion:
     degrees: int  # counterclockwise: of the turn, or from heading to motion
 
 
-@dataclass(frozen=True)
-class _Dist:
+class _Dist(NamedTuple):
     """A distance of the sentence, which is replaced there by the placeholder ``#INDEX``."""
 
     metres: float
     words: str
 
 
-@dataclass(frozen=True)
-class PlacedMeasure:
+class PlacedMeasure(NamedTuple):
     """A measure, and the position of a word of its command."""
 
     measure: Measure
@@ -238,8 +236,7 @@ def _robot_motions(
     return rest
 
 
-@dataclass(frozen=True)
-class _MotionGoal:
+class _MotionGoal(NamedTuple):
     """Goal of a motion: its words in the sentence, direction and measure."""
 
     since: int  # one after the last word of the previous motion; 0: it is the first

@@ -10,8 +10,8 @@ tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from lark.parsers.earley_forest import PackedNode, SymbolNode
 
@@ -20,8 +20,7 @@ from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import NOUN, Token
 
 
-@dataclass(frozen=True)
-class Production:
+class Production(NamedTuple):
     """A rule of the PCFG, with its log-probability, and its expression if it is lexical."""
 
     left: str
@@ -30,16 +29,14 @@ class Production:
     entry: LexicalEntry | None = None  # lexical: the expression
 
 
-@dataclass(frozen=True)
-class Derivation:
+class Derivation(NamedTuple):
     """A node of the most probable tree; leaves are indices of tokens."""
 
     production: Production
     children: tuple["Derivation | int", ...]
 
 
-@dataclass
-class _NodeScore:
+class _NodeScore(NamedTuple):
     """Viterbi score, inside score and best derivation (children in order) of one forest node."""
 
     log_best: float

@@ -8,8 +8,8 @@ whether a question has been asked; the navigator interprets the result.
 
 import enum
 from collections.abc import Collection
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.halting import MAX_HALTING_CHARACTERS, act_of
@@ -49,8 +49,7 @@ _KINDS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Utterance:
+class Utterance(NamedTuple):
     """An utterance classified by its wording."""
 
     kind: Kind | None  # None: undecided until the rest is parsed

@@ -8,7 +8,7 @@ of the type of each figure.
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,7 @@ _TOLERANCE = 0.01
 """Tolerance of a distance against the label's, metres; a label may leave it out."""
 
 
-@dataclasses.dataclass(frozen=True)
-class _Behavior:
+class _Behavior(NamedTuple):
     """Behavior that one command infers in a world."""
 
     action: str

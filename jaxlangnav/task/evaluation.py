@@ -3,7 +3,7 @@
 import dataclasses
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ GrounderWrapper = Callable[[GraphGrounder], Grounder]
 """Builds the grounder to score from the trained graph, anew for each sentence."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Score:
+class Score(NamedTuple):
     """Outcome of one sentence."""
 
     sentence: LabelledSentence

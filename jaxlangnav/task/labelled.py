@@ -16,7 +16,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -132,8 +132,7 @@ _MAX_NAME = 60
 """Maximum number of characters of a construction's name."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Meaning:
+class Meaning(NamedTuple):
     """Labelled meaning of a sentence."""
 
     reading: FormReading
@@ -144,8 +143,7 @@ class Meaning:
         return self.type_names[self.reading.types[thing]]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class LabelledSentence:
+class LabelledSentence(NamedTuple):
     """One line of a file of labelled sentences."""
 
     line: int  # 1-based

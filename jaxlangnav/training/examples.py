@@ -32,8 +32,7 @@ from jaxlangnav.language.phrase import COMMAND, Parse, Phrase
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, RELATIONS, ROBOT
 
 
-@dataclasses.dataclass(frozen=True)
-class LabelledInstruction:
+class LabelledInstruction(NamedTuple):
     """An instruction with gold groundings of every phrase."""
 
     parse: Parse
@@ -102,8 +101,7 @@ class FactorBlock(NamedTuple):
     labels: np.ndarray  # bool[S]
 
 
-@dataclasses.dataclass(frozen=True)
-class PhraseExample:
+class PhraseExample(NamedTuple):
     """One phrase with the factors of its symbols."""
 
     phrase: Phrase

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -49,8 +49,7 @@ _GRID_SIZE = 61
 """Number of temperatures of the initial grid search: the likelihood may have several peaks."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Judged:
+class Judged(NamedTuple):
     """Parsed rewritings of one labelled sentence: log-probabilities and correctness."""
 
     log_probability: tuple[float, ...]
@@ -117,8 +116,7 @@ _BUILDS = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class TrainingData:
+class TrainingData(NamedTuple):
     """Training data of one model: vocabulary, design and number of factors."""
 
     vocabulary: Vocabulary
@@ -138,8 +136,7 @@ def training_data(
     return TrainingData(*build_design(examples, kinds, len(instructions)), sizes)
 
 
-@dataclasses.dataclass(frozen=True)
-class Trained:
+class Trained(NamedTuple):
     """Trained models, with a report of training and evaluation."""
 
     model: GroundingModel
