@@ -9,7 +9,6 @@ A particle infers behavior from types and from the relations of its reading, so 
 first described in these terms.
 """
 
-import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -45,16 +44,14 @@ ANY, AGAIN, OTHER = (), ("like_previous",), ("named_previous",)
 object; another one of its type ("the other cone")."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Descriptor:
+class Descriptor(NamedTuple):
     """Description of an object by type and relations; equal descriptions are not told apart."""
 
     type: int  # of object; ROBOT
     relations: frozenset[LandmarkRelation] = frozenset()
 
 
-@dataclasses.dataclass(frozen=True)
-class Destination:
+class Destination(NamedTuple):
     """A region of a described object: the goal of a command, or a constraint."""
 
     target: Descriptor

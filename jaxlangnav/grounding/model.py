@@ -17,7 +17,7 @@ import dataclasses
 import zlib
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,8 +47,7 @@ FEATURE_GROUPS = tuple(_GROUPS)
 """Groups of word features that an ablation may leave out."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Senses:
+class Senses(NamedTuple):
     """Lexicon senses of a phrase's own words, as indices."""
 
     types: frozenset[int]
