@@ -123,7 +123,6 @@ def _probabilities(form: Form, goals: Sequence[Sequence[Destination]]) -> dict[D
 
 # ---------------------------------------------------------------- the compiled clause of a command
 
-
 CERTAIN = 16.0
 """Log-odds of what a form states; the complement has probability 1e-7, lost in rounding."""
 

@@ -94,7 +94,6 @@ def _collect_references(tree: Parse, types_of: Callable[[str], tuple[int, ...]])
 
 # ---------------------------------------------------------------- the instruction
 
-
 NUM_CLAUSES = 3
 _MIN_PROBABILITY = 1e-4
 

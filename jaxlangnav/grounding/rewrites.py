@@ -228,7 +228,6 @@ def _mixed_annotations(reads: Sequence[Read], weight: np.ndarray) -> tuple[Mappi
 
 # ---------------------------------------------------------------- recorded rewritings
 
-
 _MAX_FILE_BYTES = 32 * 1024 * 1024
 """Size limit of a file of rewritings in bytes."""
 

@@ -108,8 +108,6 @@ _BOUND = re.compile(
     r"|object:\S+(?: \.)?(?: and:\S+)+ verb:\S+(?: :there| :here)?(?= \.|$)"  # … and stop
 )
 """Patterns of halting verbs that do not halt now, over words tagged as ``class:word``."""
-
-
 _FORBIDDEN = re.compile(r"not:\S+ go:\S+")
 
 

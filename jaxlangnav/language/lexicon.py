@@ -33,8 +33,6 @@ REASONS: dict[str, str] = _WORDS["reasons"]
 _PLURALS: dict[str, str] = _WORDS["plurals"]
 SINGULARS = {plural: singular for singular, plural in _PLURALS.items()}
 """Irregular plural → singular noun."""
-
-
 LexicalEntry = tuple[Word, ...]
 """An expression of one or more words; only its head word has senses."""
 

@@ -96,7 +96,6 @@ def _explains(token: Token) -> bool:
 # ("car park"), "go by the cone" (past it, or near it?), a fragment or an unknown verb without a
 # known word.
 
-
 _OF_WHAT = "of what kind? name the object"
 
 

@@ -93,7 +93,6 @@ def read_forest(
 
 # -------------------------------------------- from the most probable derivation to phrases
 
-
 UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "?", "?ly", "?ing"
 UNKNOWN_WORD_CLASSES = {
     "unknown_noun": ("NN", {UNKNOWN: 1.0, UNKNOWN_ING: 0.1, NOUN: 0.01}),

@@ -40,8 +40,6 @@ Wording = enum.StrEnum(
 )
 """Wordings of whole utterances, named as in the table. ``DENIAL`` is "no" alone: the answer to a
 question, or a rejection of the current goal."""
-
-
 _KINDS = {
     Wording.OTHER: Kind.CORRECTION,
     Wording.CLOSER: Kind.CORRECTION,
