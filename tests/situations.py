@@ -12,7 +12,6 @@ from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.policy import Situation
 from jaxlangnav.semantic_map.params import default_map_params
-from jaxlangnav.terrain import Eye
 
 RANGE = 3.0
 CHOOSE = jax.jit(policy.choose, static_argnames="policy")
@@ -62,8 +61,6 @@ def situation(
     is_still=False, forbidden: float = 0.0,
 ) -> Situation:  # fmt: skip
     x, y = jnp.float32(robot[0]), jnp.float32(robot[1])
-    params, find, reach = PlannerParams(), jnp.float32(is_find), jnp.float32(RANGE)
-    may_stop = policy.may_stop(goals, Eye(x, y, reach), find, params=params)
     return Situation(
         belief=belief,
         nodes=nodes,
@@ -76,11 +73,10 @@ def situation(
         progress=init_progress(jnp.zeros(3)),
         may_ask=jnp.asarray(True),
         has_chosen=jnp.asarray(False),
-        is_find=find,
+        is_find=jnp.float32(is_find),
         is_news=jnp.asarray(is_news),
         is_still=jnp.asarray(is_still),
-        may_stop=may_stop & (not is_still),
-        params=params,
+        params=PlannerParams(),
         map_params=default_map_params(),
         num_blocks=1,
     )

@@ -46,7 +46,7 @@ from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause
 from jaxlangnav.semantic_map.belief import align_on_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.proposal.relation_query import Utterances
-from jaxlangnav.terrain import OPEN, RANGING, Eye, SensorModel, Terrain
+from jaxlangnav.terrain import OPEN, RANGING, SensorModel, Terrain
 
 _PLANNER_KEY = 77  # folded into a cycle's key for the planner
 _ROUNDING = 0.01  # metres, margin for rounding in odometry
@@ -255,9 +255,6 @@ def _decide(
     goals, planner = task.goals, params.planner
     robot_x, robot_y = task.robot
     visited = graph.add_visited(state.visited, robot_x, robot_y, planner.visit_spacing)
-    is_find, view = task.expected.action[ACTIONS.index("find")], task.belief.terrain.view
-    eye = Eye(*task.robot, sensor.range_max)
-    may_stop = policy.may_stop(goals, eye, is_find, params=planner, view=view)
     readings, context = state.instruction.readings, state.talk.context
     situation = policy.Situation(
         belief=task.belief,
@@ -271,10 +268,9 @@ def _decide(
         progress=state.progress,
         may_ask=state.talk.may_ask,
         has_chosen=state.talk.approached != NONE,
-        is_find=is_find,
+        is_find=task.expected.action[ACTIONS.index("find")],
         is_news=is_news | state.progress.is_news,
         is_still=task.is_still,
-        may_stop=may_stop & ~task.is_still,
         params=planner,
         map_params=params.map,
         utterances=Utterances(readings=readings, context=context, params=params.map),

@@ -13,6 +13,10 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import RelationModel, robot_frame, to_map, viewer_frame
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.terrain import Eye, View
+
+MIN_GOAL_PROB = 0.01
+"""Minimum probability of an object to be a goal, that is to end a search or to allow a stop."""
 
 
 @pytree
@@ -154,3 +158,10 @@ def gather(
         hypothesis_y=jnp.sum(jnp.where(is_best, y[num_objects:-1], 0.0), axis=0),
         hypothesis_mass=jnp.sum(hypo_mass, axis=0),
     )
+
+
+def has_goal(goals: Goals, x: Array, y: Array, radius: Array, view: View) -> Array:
+    """Test whether an observed object that may be the goal is near and in view, bool[]."""
+    is_near = view.sees(Eye(x, y, radius), goals.object_x, goals.object_y)
+    accepted = jnp.where(is_near, goals.object_accepted, 0.0)
+    return jnp.any(goals.is_object & jnp.isfinite(accepted) & (accepted >= MIN_GOAL_PROB))

@@ -22,9 +22,8 @@ from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph
 from jaxlangnav.planner.blocked import open_nodes
 from jaxlangnav.planner.detours import detours
-from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.goals import MIN_GOAL_PROB as MIN_GOAL_PROB, has_goal
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE
-from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.questions import AskDecision, decide_question
 from jaxlangnav.planner.situation import (
     Decision as Decision,
@@ -35,10 +34,7 @@ from jaxlangnav.planner.situation import (
 from jaxlangnav.pytree import replace, strong_types
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
-from jaxlangnav.terrain import OPEN, Eye, View
 
-MIN_GOAL_PROB = 0.01
-"""Minimum probability of an object to be a goal, that is to end a search or to allow a stop."""
 ARRIVAL_RADIUS = 0.25
 """Metres within which a waypoint counts as reached; for objects see ``APPROACH``."""
 APPROACH = 0.9
@@ -143,31 +139,6 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
     is_stop = decision.is_stop & situation.may_stop & ~decision.question.asks
     is_not_found = decision.is_not_found & ~is_stop & ~situation.is_still & ~decision.question.asks
     return strong_types(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)
-
-
-def has_goal(goals: Goals, x: Array, y: Array, radius: Array, view: View) -> Array:
-    """Test whether an observed object that may be the goal is near and in view, bool[]."""
-    is_near = view.sees(Eye(x, y, radius), goals.object_x, goals.object_y)
-    accepted = jnp.where(is_near, goals.object_accepted, 0.0)
-    return jnp.any(goals.is_object & jnp.isfinite(accepted) & (accepted >= MIN_GOAL_PROB))
-
-
-def may_stop(
-    goals: Goals, eye: Eye, is_find: Array, *, params: PlannerParams, view: View = OPEN.view
-) -> Array:
-    """Test whether an observed object that may be the goal is within reach, bool[].
-
-    Otherwise there is no stop, whatever a policy decides.
-
-    Args:
-        goals: goal distribution.
-        eye: position of the robot, and sensing range.
-        is_find: f32[], probability of the action "find", for which having it in view is enough.
-        params: reach.
-        view: lines of sight; an object behind a wall is not within reach.
-    """
-    radius = jnp.where(is_find > 0.5, jnp.maximum(params.reach, eye.range_max), params.reach)
-    return has_goal(goals, eye.x, eye.y, radius, view)
 
 
 def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None) -> Situation:

@@ -1,11 +1,12 @@
 """Inputs and outputs of a policy: situation, valuation, decision (section 3.4)."""
 
+import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.planner.blocked import ProgressMonitor
 from jaxlangnav.planner.constraints import Zones, keep_out_zones
-from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.goals import Goals, has_goal
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.questions import AskDecision
@@ -33,7 +34,6 @@ class Situation:
     is_find: Array  # f32[] probability of the action "find": stop once the goal is in view
     is_news: Array  # bool[] a new object or utterance in this step
     is_still: Array  # bool[] it does not move: halted, idle, finished, or at a fault
-    may_stop: Array  # bool[] an observed object that may be the goal is within reach
     params: PlannerParams
     map_params: MapParams
     utterances: Utterances | None = None  # None: none is relevant to the search
@@ -43,6 +43,17 @@ class Situation:
     def range_max(self) -> Array:
         """Sensing range, f32[] metres."""
         return self.sensor.range_max
+
+    @property
+    def may_stop(self) -> Array:
+        """Whether an observed object that may be the goal is within reach, bool[].
+
+        Otherwise there is no stop, whatever a policy decides. For "find" it is enough to see it.
+        """
+        reach = self.params.reach
+        radius = jnp.where(self.is_find > 0.5, jnp.maximum(reach, self.range_max), reach)
+        view = self.belief.terrain.view
+        return has_goal(self.goals, self.robot_x, self.robot_y, radius, view) & ~self.is_still
 
     @property
     def forbidden(self) -> Zones:
