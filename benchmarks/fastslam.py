@@ -28,7 +28,7 @@ from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
 from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams, default_sensor
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import take
-from jaxlangnav.numerics.resampling import effective_sample_size, systematic
+from jaxlangnav.numerics.categorical import effective_sample_size, systematic
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, motion, observe, particle
 from jaxlangnav.semantic_map import filter as semantic_filter

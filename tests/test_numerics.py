@@ -7,7 +7,7 @@ import pytest
 
 from jaxlangnav.numerics import batching, categorical, gaussian
 from jaxlangnav.numerics.batching import lookup, materialize, select_row, take
-from jaxlangnav.numerics.resampling import independent, systematic
+from jaxlangnav.numerics.categorical import independent, systematic
 
 EDGES = [(0, 5), (1, 5), (3, 5), (2, 4), (0, 1)]
 EPS = float(np.finfo(np.float32).eps)

@@ -18,7 +18,7 @@ from jaxlangnav.inputs.object_types import MAX_LABELS
 from jaxlangnav.messages import Fault, Observation, Readings, UtteranceContext, assert_observation
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import take
-from jaxlangnav.numerics.resampling import effective_sample_size, systematic
+from jaxlangnav.numerics.categorical import effective_sample_size, systematic
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import particle
 from jaxlangnav.semantic_map.belief import ParticleBelief

@@ -17,7 +17,6 @@ from jaxlangnav.inputs.object_types import is_anything, label_of
 from jaxlangnav.messages import Readings
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import take
-from jaxlangnav.numerics.resampling import independent
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.observe import MeasurementUpdate
@@ -67,7 +66,7 @@ def reground(
     is_fresh = is_fresh if update.is_lost is None else is_fresh | update.is_lost
     # A refuted particle is replaced as a whole: it copies the map of a particle drawn by weight,
     # so that a wrong map is lost, and then grounds the words in it.
-    ancestors = independent(kept_weight, ancestor_uniform)
+    ancestors = categorical.independent(kept_weight, ancestor_uniform)
     ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(num_particles))
     is_needed = is_fresh | (jnp.arange(num_particles) % max(1, num_particles // _NUM_PROBES) == 0)
     belief = replace(belief, particles=take(particles, ancestors))
