@@ -141,7 +141,7 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
     return strong_types(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)
 
 
-def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None) -> Situation:
+def ahead(situation: Situation, x: Array, y: Array) -> Situation:
     """Prepend a policy's custom waypoints to the common nodes.
 
     Limits: a position that is not finite is no waypoint.
@@ -150,10 +150,8 @@ def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None
         situation: as given to the policy.
         x: f32[K], metres, map frame.
         y: f32[K], metres.
-        is_node: bool[K], which of them are waypoints; all of them by default.
     """
-    is_finite = jnp.isfinite(x) & jnp.isfinite(y)
-    is_node = is_finite if is_node is None else is_node & is_finite
+    is_node = jnp.isfinite(x) & jnp.isfinite(y)
     return replace(situation, nodes=graph.prepend_nodes(x, y, is_node, situation.nodes))
 
 
