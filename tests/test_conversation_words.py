@@ -7,7 +7,8 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav import Navigator
-from jaxlangnav.dialogue import AVOID_ALL, AVOID_IT, discourse_of, merge_utterance
+from jaxlangnav.dialogue import discourse_of, merge_utterance
+from jaxlangnav.dialogue.memory import AVOID_ALL, AVOID_IT
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.readings import Capacity, pad_to_capacity

@@ -7,7 +7,6 @@ import pytest
 
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
 from jaxlangnav.relations import (
-    SIDE_CONCENTRATION,
     default_params,
     density_of,
     is_on_side,
@@ -16,6 +15,7 @@ from jaxlangnav.relations import (
     robot_frame,
     without_range,
 )
+from jaxlangnav.relations.density import SIDE_CONCENTRATION
 from jaxlangnav.semantic_map.coverage import empty_coverage
 from jaxlangnav.semantic_map.params import default_map_params
 from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored

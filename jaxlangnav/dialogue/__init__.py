@@ -2,8 +2,6 @@
 
 from jaxlangnav.dialogue.history import Merged as Merged, discourse_of as discourse_of
 from jaxlangnav.dialogue.memory import (
-    AVOID_ALL as AVOID_ALL,
-    AVOID_IT as AVOID_IT,
     Conversation as Conversation,
     DiscourseInfo as DiscourseInfo,
     add_avoidance as add_avoidance,

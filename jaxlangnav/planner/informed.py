@@ -7,6 +7,7 @@ observed object; if no observed object fits, the episode ends as not found.
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -76,7 +77,8 @@ class Informed(Policy):
         robot, area = (situation.robot_x, situation.robot_y), belief.coverage.area
         plan = tours.plan(key, memory, target, robot, situation.sensor, area)
         decision = decide_tour(situation, plan, probs)
-        return tours.best_tour(plan, decision.value), decision
+        index = jnp.argmax(decision.value[: plan.latency.shape[0]])  # tours come first
+        return jax.tree.map(lambda leaf: leaf[index], plan.tours), decision
 
 
 def decide_tour(situation: Situation, plan: tours.Plan, probs: Presence) -> Decision:

@@ -101,12 +101,6 @@ class Plan:
     anchored: Array  # f32[] of them, those anchored to an observed object
 
 
-def best_tour(plan: Plan, value: Array) -> Tour:
-    """Select the tour whose first stop has the highest value, among the first T of f32[A]."""
-    index = jnp.argmax(value[: plan.latency.shape[0]])
-    return Tour(x=plan.tours.x[index], y=plan.tours.y[index])
-
-
 def start_tour(x: Array, y: Array) -> Tour:
     """Build the tour before the first plan: all stops at the robot's position."""
     return Tour(x=jnp.full(NUM_STOPS, x), y=jnp.full(NUM_STOPS, y))

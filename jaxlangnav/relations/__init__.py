@@ -4,7 +4,6 @@
 """
 
 from jaxlangnav.relations.density import (
-    SIDE_CONCENTRATION as SIDE_CONCENTRATION,
     Density as Density,
     RelationModel as RelationModel,
     density_of as density_of,

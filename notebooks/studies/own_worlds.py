@@ -30,7 +30,6 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.relations import (
-    SIDE_CONCENTRATION,
     SIDES,
     density_of,
     robot_frame,
@@ -38,6 +37,7 @@ from jaxlangnav.relations import (
     to_map,
     viewer_frame,
 )
+from jaxlangnav.relations.density import SIDE_CONCENTRATION
 from jaxlangnav.relations.strength import degree
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.world.state import Scenario
