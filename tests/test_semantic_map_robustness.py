@@ -305,16 +305,11 @@ def test_a_place_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(what,
         assert int(found.fault) == Fault.PLACE
 
 
-def test_places_of_the_wrong_shape_are_refused() -> None:
+def test_a_place_that_may_be_is_taken() -> None:
     gating.check_start((0.0, 0.0, 0.0), by_hand.AREA)
     gating.check_start((-3.0, 0.0, 100.0), by_hand.AREA)
-    with pytest.raises(ValueError, match="area is"):
-        gating.check_start((0.0, 0.0, 0.0), (0.0, 1.0))
-    with pytest.raises(ValueError, match="pose is"):
-        gating.check_start((0.0, 0.0), by_hand.AREA)
 
 
-@pytest.mark.slow
 def test_the_papers_step_has_no_components() -> None:
     """It takes the same sound look as ours, and every look for sound."""
     plain = jax.jit(functools.partial(semantic_filter.step, components=()))

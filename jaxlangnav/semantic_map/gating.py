@@ -53,18 +53,15 @@ def is_pose(pose: Array, area: Array) -> Array:
 
 
 def check_start(pose: Sequence[float], area: Sequence[float]) -> None:
-    """Raise a ValueError if the operating area or the start pose is invalid (host only)."""
-    with np.errstate(over="ignore"):
-        bounds, start = (jnp.asarray(np.array(v, float), jnp.float32) for v in (area, pose))
-    # An area centred on an invalid pose is not to blame.
-    is_finite = start.shape == (3,) and bool(jnp.all(jnp.isfinite(start)))
-    if is_finite and (bounds.shape != (4,) or not is_area(bounds)):
+    """Raise a ValueError if an area of four or a start pose of three numbers is invalid (host)."""
+    bounds = jnp.asarray(area, jnp.float32)
+    if not is_area(bounds):
         raise ValueError(
             f"area is {tuple(area)}, but must be (x_min, x_max, y_min, y_max) with x_min < x_max "
             f"and y_min < y_max, in metres, sides of {AREA_SIDES[0]:g} to {AREA_SIDES[1]:g} m, "
             f"all within {MAX_METRES:g} m of the map's origin"
         )
-    if not is_finite or not is_pose(start, bounds):
+    if not is_pose(jnp.asarray(pose, jnp.float32), bounds):
         raise ValueError(
             f"pose is {tuple(pose)}, but must be (x, y, heading), finite, in metres and radians, "
             f"in the area {tuple(area)} or near it: move the area to where the robot is"
