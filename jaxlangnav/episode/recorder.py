@@ -28,6 +28,9 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, WorldState
 
+# Not compiled, its many small operations would take seconds.
+_begin = cached_jit(static_argnames=("config",))(episode.begin)
+
 
 def make_scene(
     scenario: Scenario,
@@ -114,12 +117,6 @@ def record(
     scene = make_scene(task.scenario, task.sensor, instruction, params=params, config=config, **kw)
     steps = list(play(task, instructions, params=params, config=config, max_steps=max_steps))
     return stack_frames(scene, [frame for frame, _ in steps], steps[-1][1])
-
-
-@cached_jit(static_argnames=("config",))
-def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> EpisodeState:
-    """Compile ``episode.begin``: eager, its many small operations would take seconds."""
-    return episode.begin(task, instructions, config=config)
 
 
 @cached_jit(static_argnames=("config",))

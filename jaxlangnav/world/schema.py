@@ -30,7 +30,6 @@ MAX_OBJECTS = SLOTS[-1]
 _MIN_EXTENT = 0.1
 """Minimum extent of an area along each axis, metres."""
 _Coordinate = Annotated[float, Meta(ge=-MAX_METRES, le=MAX_METRES)]
-_Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 _Drift = Annotated[float, Meta(ge=0.0, le=180.0)]
 
 
@@ -128,7 +127,7 @@ class _Sensor(Schema):
 
 class _Motion(Schema):
     step_length: Annotated[float, Meta(ge=MIN_STEP, le=MAX_METRES)] = 1.0
-    odometry_noise: _Fraction = 0.02
+    odometry_noise: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.02
     heading_bias: _Drift = 0.0
     heading_noise: _Drift = 0.0
     turn_noise: _Drift = 0.0
