@@ -30,8 +30,7 @@ class PlannerParams:
         "weight of the learned prior in the order of search; 0: none", default=0.8
     )
     ahead: Array = field(
-        "κ, concentration of the prior that mentioned objects lie ahead of the robot",
-        default=0.0,
+        "κ, concentration of the prior that mentioned objects lie ahead of the robot", default=0.0
     )
     give_up: Array = field(
         "probability that a missing object exists, below which the search "
@@ -44,8 +43,7 @@ class PlannerParams:
         default=0.0,
     )
     constraint_cost: Array = field(
-        "cost of a metre of path at a forbidden object, in metres of detour",
-        default=100.0,
+        "cost of a metre of path at a forbidden object, in metres of detour", default=100.0
     )
     unseen_risk: Array = field(
         "probability that one more observation would reveal a forbidden object within two metres "
