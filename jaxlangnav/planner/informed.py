@@ -64,9 +64,10 @@ class Informed(Policy):
     def step(self, key: Array, memory: Tour, situation: Situation) -> tuple[Tour, Decision]:
         """Improve the current tour, then go to its first stop or to the goal."""
         belief, params, map_params = situation.belief, situation.params, situation.map_params
-        target = search.search_map(
-            situation.search_belief, params.prior_share, params.ahead, situation.utterances
-        )
+        # Only the current goal and its landmarks are searched for.
+        is_target = belief.particles.is_mentioned & situation.is_relevant
+        targets = replace(belief, particles=replace(belief.particles, is_mentioned=is_target))
+        target = search.search_map(targets, params.prior_share, params.ahead, situation.utterances)
         probs = presence(target.unseen, params.absent, map_params, target.mean_miss)
         # If an annotation is false, an observed object that does not fit may be the goal.
         has_object = jnp.any(situation.goals.is_object[:-1])

@@ -10,7 +10,7 @@ from jaxlangnav.planner.goals import Goals, has_goal
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.questions import AskDecision
-from jaxlangnav.pytree import pytree, replace, static
+from jaxlangnav.pytree import pytree, static
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.proposal.relation_query import Utterances
@@ -60,13 +60,6 @@ class Situation:
         """Keep-out zones of the forbidden objects."""
         robot, cost = (self.robot_x, self.robot_y), self.params.constraint_cost
         return keep_out_zones(self.belief, self.forbidden_prob, *robot, cost)
-
-    @property
-    def search_belief(self) -> ParticleBelief:
-        """The belief restricted to search targets: the current goal and its landmarks."""
-        particles = self.belief.particles
-        is_target = particles.is_mentioned & self.is_relevant
-        return replace(self.belief, particles=replace(particles, is_mentioned=is_target))
 
     @property
     def distance(self) -> Array:
