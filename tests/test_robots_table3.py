@@ -70,7 +70,7 @@ def test_first_trials_and_failures_are_recorded(monkeypatch, tmp_path) -> None:
         return result(row, trial, success=trial != 2)
 
     monkeypatch.setattr(trials, "run_trial", run)
-    monkeypatch.setattr(trials, "_navigator_of", lambda robot, policy: None)
+    monkeypatch.setattr(trials, "navigator_of", lambda robot, policy: None)
     plan = TrialPlan(trials=3, out=tmp_path)
     for trial in range(3):
         trials._run_one(TABLE3[6], trial, plan)

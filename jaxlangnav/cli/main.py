@@ -142,9 +142,8 @@ def _format_help(command_class: type[Any]) -> str:
     first, *rest = inspect.cleandoc(command_class.__doc__ or "").split("\n\n")
     paragraphs = [first]
     for paragraph in rest:
-        is_list = "\n  " in paragraph
         filled = textwrap.fill(" ".join(paragraph.split()), width, subsequent_indent="  ")
-        paragraphs.append(paragraph if is_list else filled)
+        paragraphs.append(paragraph if "\n  " in paragraph else filled)
     return "\n\n".join(paragraphs)
 
 

@@ -57,8 +57,7 @@ def _hpd_level(density: GoalDensity, truth: Array) -> tuple[Array, Array]:
     # background b_o) and of kernels about hypotheses. A hypothesis is one sample, and is left out
     # of the density at its position (f₋ₕ), as are its copies: so if the truth is one more sample
     # of the same distribution, ``level`` is uniform between 0 and 1.
-    total = jnp.sum(density.object_mass) + jnp.sum(density.hypothesis_mass)
-    scale = 1.0 / jnp.maximum(total, 1e-9)
+    scale = 1.0 / jnp.maximum(jnp.sum(density.object_mass) + jnp.sum(density.hypothesis_mass), 1e-9)
     mass_o, mass_h = density.object_mass * scale, density.hypothesis_mass * scale
     variance = jnp.maximum(density.object_variance, _MIN_VARIANCE)
 
@@ -182,8 +181,7 @@ def _referent_mass(state: EpisodeState) -> Array:
     mention = readings.figure[particles.reading, 0]
     is_figure = jnp.arange(particles.referent.shape[0])[:, None] == mention[None, :]
     referent = jnp.max(jnp.where(is_figure, particles.referent, NONE), axis=0)
-    slots = jnp.arange(particles.object_type.shape[0])
-    is_referent = referent[None, :] == slots[:, None]
+    is_referent = referent[None, :] == jnp.arange(particles.object_type.shape[0])[:, None]
     return jnp.sum(jnp.where(is_referent, jnp.exp(belief.log_weight)[None, :], 0.0), axis=1)
 
 

@@ -78,8 +78,7 @@ class Table:
 
     def html(self) -> str:
         """Format the table in HTML, without empty columns."""
-        columns = range(len(self.headings))
-        used = [i for i in columns if any(row[i] for row in self.rows)]
+        used = [i for i in range(len(self.headings)) if any(row[i] for row in self.rows)]
         align = {i: " class=number" if self._is_numeric(i) else "" for i in used}
         header = "".join(f"<th{align[i]}>{_html_text(self.headings[i])}</th>" for i in used)
         lines = []

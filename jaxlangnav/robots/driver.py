@@ -284,7 +284,6 @@ class _DriveLoop:
         progress: WaypointStatus,
         state: NavigatorState,
     ) -> None:
-        """Record a decision, and report it to ``on_step``."""
         step = Step(
             seconds=round(self.seconds, 3),
             pose=(float(pose[0]), float(pose[1]), float(pose[2])),

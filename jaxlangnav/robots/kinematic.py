@@ -130,7 +130,6 @@ def _arc(heading: float, forward: float, turn: float) -> np.ndarray:
 OBJECT_RADIUS = 0.28
 """Metres, radius of an object's disc for the scanner: a cube of 0.4 m including its corners."""
 CART_BODY = BodyLimits(
-    name="cart",
     radius=0.4,
     speed=0.6,
     top_speed=1.0,

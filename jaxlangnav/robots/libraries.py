@@ -69,11 +69,6 @@ def opencv() -> Any:
     return require("cv2", extra="robot")
 
 
-def apriltags() -> Any:
-    """Load the AprilTag detector, or raise a ``MissingExtraError``."""
-    return require("pupil_apriltags", extra="robot")
-
-
 def check_libraries() -> None:
     """Check that the libraries for physics, cameras and tags are installed and work.
 
@@ -82,7 +77,7 @@ def check_libraries() -> None:
         MissingSystemLibraryError: offscreen rendering does not work.
     """
     opencv()
-    apriltags()
+    require("pupil_apriltags", extra="robot")
     renderer(mujoco().MjModel.from_xml_string("<mujoco/>"), 8, 8).close()
 
 

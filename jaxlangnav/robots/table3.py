@@ -8,6 +8,7 @@ decisions). The paper gives no geometry: environments are drawn from the distrib
 
 import contextlib
 import dataclasses
+import functools
 import time
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,7 @@ def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
     )
 
 
+@functools.cache
 def navigator_of(robot: str, policy: str = "informed") -> Navigator:
     """Build the navigator of "husky" or "wheelchair", with the odometry noise of that robot.
 

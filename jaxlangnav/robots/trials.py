@@ -5,7 +5,6 @@ A trial's result is determined by its row, its number and the seed. Stored trial
 
 import concurrent.futures
 import dataclasses
-import functools
 import json
 import multiprocessing
 import os
@@ -162,15 +161,12 @@ def _init_worker(cache: str | None) -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
-_navigator_of = functools.cache(navigator_of)
-
-
 def _run_one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]:
     """Run one trial in a worker process; an exception becomes a failed result."""
     try:
         if isinstance(trial, str):
             return run_known(row, seed=plan.seed)
-        navigator, page = _navigator_of(row.robot, plan.policy), plan.page(row, trial)
+        navigator, page = navigator_of(row.robot, plan.policy), plan.page(row, trial)
         first = page if trial == 0 else None
         result = run_trial(row, trial, navigator=navigator, seed=plan.seed, page=first)
         if not result["success"] and page != first:

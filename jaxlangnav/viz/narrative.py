@@ -48,18 +48,17 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
         is_left = np.cos(heading) * dy - np.sin(heading) * dx > 0.0
         total = mass.sum()
         squared = sum((value - (value @ mass) / max(total, 1e-9)) ** 2 for value in (dx, dy))
-        rows.append(
-            {
-                "step": step,
-                "distance": float(frame.distance),
-                "event": headline(recording.steps[step]),
-                "goal_seen": float(frame.goal_mass.sum()),
-                "unseen_left": float(mass[is_left].sum()),
-                "unseen_right": float(mass[~is_left].sum()),
-                "spread": None if total < 0.05 else float(np.sqrt((squared @ mass) / total)),
-                "explored": explored_fraction(frame),
-            }
-        )
+        row = {
+            "step": step,
+            "distance": float(frame.distance),
+            "event": headline(recording.steps[step]),
+            "goal_seen": float(frame.goal_mass.sum()),
+            "unseen_left": float(mass[is_left].sum()),
+            "unseen_right": float(mass[~is_left].sum()),
+            "spread": None if total < 0.05 else float(np.sqrt((squared @ mass) / total)),
+            "explored": explored_fraction(frame),
+        }
+        rows.append(row)
     return rows
 
 

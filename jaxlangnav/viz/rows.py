@@ -28,9 +28,8 @@ Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 def table_figure(document: Mapping[str, Any]) -> "Figure":
     """Draw success and distance of ``paper.table_2`` beside the paper's printed values."""
-    rows = [*rows_of(document), *document["paper"]]
     return _rows_figure(
-        [(_row_name(row), row["policy"], row) for row in rows],
+        [(_row_name(row), row["policy"], row) for row in [*rows_of(document), *document["paper"]]],
         title="Table 2: ours beside the paper's",
         subtitle=f"{document['episodes']} episodes a row; bars: 95 % interval of the mean; "
         f"{PAPER_BARS}.",

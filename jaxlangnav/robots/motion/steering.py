@@ -21,7 +21,6 @@ CONTACT = 0.03
 class BodyLimits:
     """Size and kinematic limits of a body that drives ahead and turns about its center."""
 
-    name: str
     radius: float
     """Metres, of the circumscribed circle about the center."""
     speed: float

@@ -67,7 +67,6 @@ largest that ``scripts/measure_odometry.py`` finds, rounded conservatively."""
 ROBOT_MODELS = {
     "husky": RobotModel(
         body=BodyLimits(
-            name="husky",
             radius=0.5 * float(np.hypot(0.99, 0.67)),
             speed=0.6,
             top_speed=1.0,
@@ -82,7 +81,6 @@ ROBOT_MODELS = {
     ),
     "wheelchair": RobotModel(
         body=BodyLimits(
-            name="wheelchair",
             radius=0.59,
             speed=0.5,
             top_speed=0.8,

@@ -110,7 +110,7 @@ def draw_tag(tag_id: int) -> np.ndarray:
 @functools.cache
 def _detector() -> Any:
     """Create the AprilTag detector, one for the whole process."""
-    return libraries.apriltags().Detector(
+    return libraries.require("pupil_apriltags", extra="robot").Detector(
         families=FAMILY, nthreads=1, quad_decimate=2.0, quad_sigma=0.8, refine_edges=1
     )
 

@@ -130,8 +130,7 @@ class RosRobot:
         newest = self._bus.inbox.track.newest
         if newest != self._newest:
             self._newest, self._newest_time, self._is_silent = newest, now, False
-        silent = now - self._newest_time
-        if PATIENCE < silent <= self._patience:
+        if PATIENCE < now - self._newest_time <= self._patience:
             if not self._is_silent:
                 self._is_silent = True
                 self._on_silence()
