@@ -17,7 +17,6 @@ from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import api
 from jaxlangnav.navigator.candidates import Candidate, select_candidate
-from jaxlangnav.planner.blocked import NUM_DETOURS, STALL_CYCLES
 from jaxlangnav.pytree import replace
 
 CAR = 2
@@ -249,8 +248,8 @@ def test_a_robot_that_makes_no_way_tries_others_and_says_so(robot) -> None:
         if action.is_stop:
             break
     assert statuses[-1] == Status.BLOCKED
-    assert len(statuses) > (NUM_DETOURS + 1) * STALL_CYCLES
-    assert len(np.unique(np.round(sent, 1))) > NUM_DETOURS
+    assert len(statuses) > (robot.config.num_detours + 1) * robot.config.patience
+    assert len(np.unique(np.round(sent, 1))) > robot.config.num_detours
     np.testing.assert_array_equal(action.step, 0.0)
     free = go(robot, robot.hear(state, NULL), WORLD, start=(1.0, 0.0))
     assert ended(free) == Status.ARRIVED

@@ -152,7 +152,7 @@ def step(
     sensor = jax.tree.map(select, observation.sensor, default_sensor())
     task = _infer(state, fault, params)
     state, choice = _decide(key, state, task, sensor, filter_info.is_news, params, config)
-    after = update_task_state(state, task, choice, params=params)
+    after = update_task_state(state, task, choice, params=params, config=config)
     action = make_action(after, task, choice, sensor, params=params)
     info = NavigatorInfo(
         filter=filter_info,
@@ -285,6 +285,7 @@ def _decide(
         task.robot,
         is_moving,
         may_sidestep=~jnp.any(situation.forbidden.cost > 0.0),
+        patience=config.patience,
     )
     x_min, x_max, y_min, y_max = task.belief.coverage.area
     side_x, side_y = sidestep(progress)

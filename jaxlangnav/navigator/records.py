@@ -11,7 +11,7 @@ from jaxlangnav.dialogue import Conversation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import NONE, Action, Behavior, SensorParams, Status
 from jaxlangnav.planner import graph, policy
-from jaxlangnav.planner.blocked import NUM_DETOURS, ProgressMonitor
+from jaxlangnav.planner.blocked import ProgressMonitor
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.constraints import safe_fraction
 from jaxlangnav.planner.goals import Goals
@@ -46,6 +46,10 @@ class NavigatorConfig:
 
     map: MapConfig = dataclasses.field(default_factory=MapConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
+    patience: int = field("cycles without progress after which the robot steps aside", default=5)
+    num_detours: int = field(
+        "stalls at one obstacle after which the robot counts as blocked", default=8
+    )
 
     def __post_init__(self) -> None:
         """Raise a ValueError for inconsistent sizes."""
@@ -186,7 +190,12 @@ def make_action(
 
 
 def update_task_state(
-    state: NavigatorState, task: InferredTask, choice: policy.Decision, *, params: NavigatorParams
+    state: NavigatorState,
+    task: InferredTask,
+    choice: policy.Decision,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
 ) -> NavigatorState:
     """Update status, dialogue state and command index after a decision.
 
@@ -197,7 +206,7 @@ def update_task_state(
     status = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), status)
     status = jnp.where(choice.is_stop & is_last, int(Status.ARRIVED), status)
     status = jnp.where(choice.question.asks, int(Status.WHICH_ONE), status)
-    is_blocked = state.progress.num_stalls > NUM_DETOURS
+    is_blocked = state.progress.num_stalls > config.num_detours
     status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
     # The goal of an ended command is the acceptable object of highest discounted probability.
     goals, travel = task.goals, state.belief.terrain.travel

@@ -14,10 +14,6 @@ from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.terrain.view import rotate
 
-STALL_CYCLES = 5
-"""Cycles without progress that are a stall, after which the robot steps aside."""
-NUM_DETOURS = 8
-"""Stalls at one obstacle after which the robot counts as blocked."""
 NUM_CLOSED = 4
 """Number of abandoned waypoints that are stored; the oldest is dropped first."""
 _MIN_MOVED = 0.1  # metres of motion that count as progress
@@ -97,6 +93,7 @@ def update_progress(
     is_driving: Array,
     *,
     may_sidestep: Array,
+    patience: int,
 ) -> ProgressMonitor:
     """Update progress monitoring; step aside if the robot has not moved for a while.
 
@@ -108,11 +105,12 @@ def update_progress(
         robot: f32[] x and y, believed position.
         is_driving: bool[], it drives to a waypoint.
         may_sidestep: bool[], nothing is to be kept away from.
+        patience: cycles without progress that are a stall.
     """
     robot_x, robot_y = robot
     has_moved = jnp.hypot(robot_x - monitor.x, robot_y - monitor.y) > _MIN_MOVED
     waited = jnp.where(is_driving & ~has_moved, monitor.waited + 1, 0)
-    is_stalled = waited > STALL_CYCLES
+    is_stalled = waited > patience
     gone = jnp.hypot(robot_x - monitor.stall_x, robot_y - monitor.stall_y)
     num_before = jnp.where(gone > _PASSED, 0, monitor.num_stalls)
     is_stuck = (num_before == 0) | (gone < _MIN_ASIDE)
