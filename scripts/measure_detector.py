@@ -17,7 +17,6 @@ import numpy as np
 
 from jaxlangnav.inputs.sanitize import markdown_table
 from jaxlangnav.robots.physics.robot import PhysicsRobot, SensorErrors
-from jaxlangnav.robots.physics.scene import HIDDEN_POSITION
 from jaxlangnav.robots.physics.tags import TAGS_PER_TYPE, Gates
 from jaxlangnav.world.state import HYDRANT, make_scenario
 
@@ -58,7 +57,7 @@ def measure(
         ranges: metres.
         pictures: names in ``PICTURES``.
     """
-    scenario = make_scenario([(HYDRANT, HIDDEN_POSITION[0], 0.0)])
+    scenario = make_scenario([(HYDRANT, 500.0, 0.0)])
     figures = []
     for picture in pictures:
         grain, blur = PICTURES[picture]

@@ -10,7 +10,6 @@ from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.physics.robot import PhysicsRobot
-from jaxlangnav.robots.physics.scene import HIDDEN_POSITION
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.table3 import TABLE3, make_robot
@@ -43,8 +42,16 @@ def step_in(robot: PhysicsRobot) -> None:
     robot.scene.set_position("person", x + 1.3 * np.cos(heading), y + 1.3 * np.sin(heading))
 
 
-def cover_tags(robot: PhysicsRobot) -> None:
-    robot.scene.model.geom_matid[:] = -1
+def cover_goal(robot: PhysicsRobot) -> None:
+    model = robot.scene.model
+    tags = [model.geom(f"tag0_{side}").id for side in ("front", "left", "back", "right")]
+    model.geom_matid[tags] = -1
+
+
+def slip(robot: PhysicsRobot) -> None:
+    friction = robot.scene.model.geom_friction
+    friction[:], before = 0.02, friction.copy()
+    robot.at(robot.seconds + 3.0, lambda _: friction.__setitem__(slice(None), before))
 
 
 @BOTH
@@ -52,14 +59,15 @@ def cover_tags(robot: PhysicsRobot) -> None:
     ("fault", "endings"),
     [
         (lambda one: one.at(4.0, lambda it: setattr(it, "camera_works", False)), {Ending.BLIND}),
-        (lambda one: one.at(0.0, cover_tags), {Ending.NOT_FOUND}),
+        (lambda one: one.at(0.0, cover_goal), {Ending.NOT_FOUND}),
         (
-            lambda one: near(one, 2.2, lambda it: it.scene.set_position(GOAL, *HIDDEN_POSITION)),
+            lambda one: near(one, 2.2, lambda it: it.scene.set_position(GOAL, 500.0, 500.0)),
             {Ending.NOT_FOUND},
         ),
         (lambda one: one.at(3.0, step_in), {Ending.ARRIVED}),
+        (lambda one: one.at(2.0, slip), {Ending.ARRIVED, Ending.NOT_FOUND, Ending.BLOCKED}),
     ],
-    ids=["camera", "covered", "moved", "person"],
+    ids=["camera", "covered", "moved", "person", "slip"],
 )
 def test_what_goes_wrong_has_its_ending(navigator, row, fault, endings) -> None:
     robot = make_robot(row, 0, 0)

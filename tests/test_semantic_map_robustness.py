@@ -310,6 +310,7 @@ def test_a_place_that_may_be_is_taken() -> None:
     gating.check_start((-3.0, 0.0, 100.0), by_hand.AREA)
 
 
+@pytest.mark.slow
 def test_the_papers_step_has_no_components() -> None:
     """It takes the same sound look as ours, and every look for sound."""
     plain = jax.jit(functools.partial(semantic_filter.step, components=()))

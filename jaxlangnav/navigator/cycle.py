@@ -4,8 +4,6 @@
 particle, choose a waypoint.
 """
 
-import functools
-
 import chex
 import jax
 import jax.numpy as jnp
@@ -148,8 +146,8 @@ def step(
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
-    select = functools.partial(jnp.where, fault == 0)
-    sensor = jax.tree.map(select, observation.sensor, default_sensor())
+    default = default_sensor()
+    sensor = jax.tree.map(lambda a, b: jnp.where(fault == 0, a, b), observation.sensor, default)
     task = _infer(state, fault, params)
     state, choice = _decide(key, state, task, sensor, filter_info.is_news, params, config)
     after = update_task_state(state, task, choice, params=params, config=config)

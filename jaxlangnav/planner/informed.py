@@ -116,8 +116,9 @@ def assess(
     may still be meant, the likeliest is accepted, unless it has an unseen landmark: that is
     searched for. First stops of the plan's tours lead the situation's nodes.
 
-    Also bool[], no unseen rival prevents a stop; and bool[], the search has failed: it is
-    exhausted, and there is no goal.
+    Returns:
+        The values; bool[], no unseen rival prevents a stop; bool[], the search is exhausted without
+        a goal.
     """
     params, goals, nodes = situation.params, situation.goals, situation.nodes
     robot = situation.robot_x, situation.robot_y

@@ -284,11 +284,11 @@ def describe(fit: RelationFit) -> list[dict[str, float | str]]:
         "axis": (jnp.rad2deg(params.axis), jnp.rad2deg(error.axis)),
         "concentration": (params.concentration, error.concentration),
     }
-    for frame, *shares in zip(FRAMES, fit.frame_share.T, fit.frame_share_error.T, strict=True):
-        columns[f"share_{frame}"] = shares[0], shares[1]
+    for frame, name in enumerate(FRAMES):
+        columns[f"share_{name}"] = fit.frame_share[:, frame], fit.frame_share_error[:, frame]
     return [
         {"relation": REGISTRY[MODELLED[index]].name, "pairs": int(fit.num_pairs[index])}
         | {name: float(value[index]) for name, (value, _) in columns.items()}
-        | {f"{name}_se": float(error[index]) for name, (_, error) in columns.items()}
+        | {f"{name}_se": float(deviation[index]) for name, (_, deviation) in columns.items()}
         for index in np.flatnonzero(fit.num_pairs)
     ]

@@ -16,7 +16,6 @@ from jaxlangnav.robots.physics.tags import CUBE_SIDE, TAGS_PER_TYPE, draw_tag
 from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 
 CUBE_CENTER_HEIGHT = 0.45  # metres from the floor to the center of a cube
-HIDDEN_POSITION = (500.0, 500.0)
 _VISUAL_ONLY = {"contype": 0, "conaffinity": 0, "group": 2}  # geoms without collisions
 _COLORS = {HYDRANT: (0.75, 0.1, 0.1, 1.0), CONE: (0.95, 0.45, 0.05, 1.0)}
 _SIDES = ("front", "left", "back", "right")
