@@ -139,7 +139,7 @@ REFUSED: list[tuple[list[str], str]] = [
     (["evaluate", "--beams", HUGE], "beam width is 1,000,000,000,000, but must be 256 or less"),
     # What is said on the way.
     *(([*GO, "--hear", said], "must name a step") for said in ("stop", "x: go", "5:", "-1: go")),
-    ([*GO, "--hear", "120: stop"], "the last one is 119"),
+    ([*GO, "--hear", "158: stop", "--world", "yard"], "the last one is 157"),
     ([*GO, "--hear", "9999999999999: stop"], "is for step 9999999999999, but the last one is 119"),
     ([*GO, "--hear", "5: frobnicate the zorp"], '--hear "5: frobnicate the zorp"'),
     ([*GO, "--person", "atentive"], 'did you mean "attentive"'),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
@@ -93,9 +94,10 @@ class Follow:
         values = read_options(self.settings, self.SETTINGS)
         sizes = self._sizes(values)
         from jaxlangnav.experiments.policies import add_heading_bias
+        from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import batched, precompile_cycle
-        from jaxlangnav.task.loading import check_template, empty_world
+        from jaxlangnav.task.loading import check_template, empty_world, step_limit
         from jaxlangnav.task.talk import padded
 
         check_template(self.world, understood)
@@ -105,11 +107,14 @@ class Follow:
             speech.check_script(script, grounder, understood)
             understood = padded(understood)
             dialogue = {"script": script, "grounder": grounder, "first": understood}
-        precompile_cycle(batched(understood), empty_world(self.world), **sizes)
         prepared = self._open(understood, output)
         prepared, sizes["params"] = apply_to_task(prepared, values, params=sizes["params"])
         sizes["config"] = add_heading_bias(sizes["config"], prepared.task.motion)
-        recording = self._record(understood, dialogue, prepared, sizes, output)
+        max_steps = self.max_steps or step_limit(prepared.task.scenario, prepared.task.sensor)
+        speech.read_script(self.hear, max_steps)
+        check_recording(sizes["config"], max_steps)
+        precompile_cycle(batched(understood), empty_world(self.world), **sizes)
+        recording = self._record(understood, dialogue, prepared, sizes, max_steps, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
@@ -122,7 +127,7 @@ class Follow:
         check_minimum(2, **{"--particles": self.particles})
         check_minimum(1, **{"--max-steps": 1 if self.max_steps is None else self.max_steps})
         checks.check_folder("--out", self.out)
-        script = speech.read_script(self.hear, self.max_steps or 120)
+        script = speech.read_script(self.hear, self.max_steps or math.inf)
         speech.check_speakers(ask=self.ask, talk=self.talk, person=self.person)
         if self.talk and self.live:
             raise UsageError("--talk tells the story as it goes: leave out --live")
@@ -139,9 +144,7 @@ class Follow:
         return script
 
     def _sizes(self, values: "dict[OptionPath, Any]") -> dict[str, Any]:
-        """Build parameters and configuration, and check their validity and memory needs."""
-        from jaxlangnav.episode import MAX_STEPS
-        from jaxlangnav.experiments.sizes import check_recording
+        """Build parameters and configuration, and check their validity."""
         from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
         from jaxlangnav.task.follow import params_and_config
@@ -154,7 +157,6 @@ class Follow:
         check_sensor(apply(sensor_of(self.world, self.range), values, "sensor"))
         if values:
             check(params, policy=config.planner.chosen)
-        check_recording(config, self.max_steps or MAX_STEPS)
         return {"params": params, "config": config}
 
     def _open(self, understood: "Understanding", output: Output) -> "PreparedTask":
@@ -177,13 +179,13 @@ class Follow:
         dialogue: dict[str, Any] | None,
         prepared: "PreparedTask",
         sizes: dict[str, Any],
+        max_steps: int,
         output: Output,
     ) -> "Recording":
         """Run the episode and print its narrative, live or afterwards."""
         from jaxlangnav.episode import recorder
         from jaxlangnav.episode.recording import stack_frames
         from jaxlangnav.task.follow import batched, score
-        from jaxlangnav.task.loading import step_limit
         from jaxlangnav.task.talk import add_talk
         from jaxlangnav.viz.narrative import closing, narrate, narrate_live, opening
 
@@ -195,7 +197,6 @@ class Follow:
         if dialogue is not None:
             speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
             source = speech.listener(output, **speakers, **dialogue, scene=scene)
-        max_steps = self.max_steps or step_limit(task.scenario, task.sensor)
         steps = recorder.play(task, instructions, max_steps=max_steps, speech=source, **sizes)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
         with spinner(message, f"compile {self.policy} {sizes['config'].map}", default_seconds=60.0):

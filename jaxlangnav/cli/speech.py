@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _STEP_SECONDS = 0.4  # minimum duration of a step while the user may type
 
 
-def read_script(hear: Iterable[str], max_steps: int) -> dict[int, list[str]]:
+def read_script(hear: Iterable[str], max_steps: float) -> dict[int, list[str]]:
     """Parse scripted utterances such as "5: go to the other hydrant" into lists by step."""
     script: dict[int, list[str]] = {}
     for text in hear:

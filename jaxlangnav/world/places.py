@@ -191,8 +191,8 @@ def world_params(*, area: tuple[float, float, float, float], **fields: Any) -> W
     count = 2 + 2 * int(spec.num_pairs) + int(spec.num_bystanders)
     if count > WORLD_SLOTS or int(spec.num_clutter) > NUM_FIXED_CLUTTER:
         raise ValueError(
-            f"a place of {count} things and {spec.num_clutter} haunted places was asked for, but "
-            f"must have at most {WORLD_SLOTS} and {NUM_FIXED_CLUTTER}: take fewer"
+            f"{count} objects and {spec.num_clutter} places of fixed clutter were asked for, but "
+            f"at most {WORLD_SLOTS} and {NUM_FIXED_CLUTTER} fit: take fewer"
         )
     # So many objects would not fit with a metre between them.
     return strong_types(replace(spec, gap=0.5) if count > 30 else spec)
