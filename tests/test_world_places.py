@@ -108,7 +108,7 @@ def test_a_place_is_the_same_alone_and_among_others(drawn: dict) -> None:
 
 
 def test_too_many_things_are_refused() -> None:
-    with pytest.raises(ValueError, match="place of 66 things"):
+    with pytest.raises(ValueError, match="66 objects and 0 places"):
         world_params(area=AREA, num_bystanders=64)
 
 
