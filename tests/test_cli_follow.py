@@ -24,7 +24,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.follow import follow as follow_text, params_and_config, score
 from jaxlangnav.task.labelled import intended_goals
-from jaxlangnav.task.loading import PreparedTask, detector_of, empty_world, load_task, step_limit
+from jaxlangnav.task.loading import PreparedTask, detector_of, load_task, step_limit
 from jaxlangnav.viz.narrative import closing
 from jaxlangnav.world.files import open_world
 
@@ -46,7 +46,7 @@ def follow(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, An
 
 @pytest.mark.parametrize("world", ["2H1C", "yard"])
 def test_what_is_rehearsed_is_what_is_run(world, capsys, monkeypatch):
-    """The thread that compiles while the world is drawn compiles the program of the episode."""
+    """The thread that compiles ahead compiles the program of the episode."""
     programs: list[tuple[str, str]] = []
     name_of = program_cache._cache_key
 
@@ -56,7 +56,7 @@ def test_what_is_rehearsed_is_what_is_run(world, capsys, monkeypatch):
 
     monkeypatch.setattr(program_cache, "_cache_key", spy)
     document = follow([COMMAND, "--world", world], capsys)
-    for function, times in (("_begin", 2), ("_advance", document["steps"] + 1)):
+    for function, times in (("begin", 2), ("_advance", document["steps"] + 1)):
         names = [name for one, name in programs if one == function]
         assert len(names) == times
         assert len(set(names)) == 1
@@ -263,7 +263,6 @@ def test_a_world_without_a_goal_is_not_judged_where_several_fit_alike(tmp_path: 
 def test_crowded_worlds_get_the_sizes_for_places_as_they_are(number, slots, tmp_path):
     world = bare(tmp_path / "bare.toml", number)
     params, config = params_and_config(world, "informed", 32)
-    assert empty_world(world).is_object.shape == (slots,)
     assert config.map.num_particles == 32
     assert config.map.has_doubts == (slots > 8)
     # The search prior is of the worlds of the templates: nowhere else is it of use.

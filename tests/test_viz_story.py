@@ -102,14 +102,14 @@ def test_what_is_asked_for_is_told_with_its_constraints():
         commands=(
             CommandSummary("navigate", "normal", AT, 0, 0.99, ((NEAR, 1, 0.9),)),
             CommandSummary("find", "carefully", AT, 1, 0.7, ()),
-            CommandSummary("navigate", "quickly", BEHIND, 1, 1.0, ()),
+            CommandSummary("navigate", "quickly", BEHIND, 1, 1.0, (), (), 0.5),
             CommandSummary("navigate", "normal", AT, NONE, 1.0, ()),
         ),
     )
     assert sentences.describe_commands(scene) == [
         "go to the hydrant behind a cone, keeping away from the cone",
         "find the cone carefully (70 %)",
-        "go behind the cone quickly",
+        "go 0.5 m behind the cone quickly",
         "go to another one than before",
     ]
     assert "keeping away from the cone; then to find" in " ".join(narrative.opening(scene))

@@ -97,7 +97,7 @@ class Follow:
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import batched, precompile_cycle
-        from jaxlangnav.task.loading import check_template, empty_world, step_limit
+        from jaxlangnav.task.loading import check_template, step_limit
         from jaxlangnav.task.talk import padded
 
         check_template(self.world, understood)
@@ -113,7 +113,7 @@ class Follow:
         max_steps = self.max_steps or step_limit(prepared.task.scenario, prepared.task.sensor)
         speech.read_script(self.hear, max_steps)
         check_recording(sizes["config"], max_steps)
-        precompile_cycle(batched(understood), empty_world(self.world), **sizes)
+        precompile_cycle(prepared.task, batched(understood), **sizes)
         recording = self._record(understood, dialogue, prepared, sizes, max_steps, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:

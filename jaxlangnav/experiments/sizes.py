@@ -22,7 +22,7 @@ from jaxlangnav.grounding.instruction import pack_instruction
 from jaxlangnav.grounding.readings import pad_readings
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.world.state import Scenario, make_scenario
+from jaxlangnav.world.state import make_scenario
 
 SCRATCH_RATIO = 8.5
 """Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a
@@ -128,11 +128,11 @@ def _episode_shapes(config: NavigatorConfig) -> Any:
     return jax.eval_shape(functools.partial(begin, config=config), jax.eval_shape(any_task), batch)
 
 
-def any_task(scenario: Scenario | None = None) -> Task:
-    """Build a task, in an empty world by default; tasks of equal slots have equal shapes."""
+def any_task() -> Task:
+    """Build a task in an empty world; tasks of equal slots have equal shapes."""
     return Task(
         key=jax.random.key(0),
-        scenario=make_scenario() if scenario is None else scenario,
+        scenario=make_scenario(),
         instruction_index=jax.device_put(np.int32(0)),
         sensor=default_sensor(),
         motion=default_motion(),

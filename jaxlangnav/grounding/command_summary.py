@@ -48,6 +48,7 @@ class CommandSummary:
     probability: float  # of action, mode and goal together
     avoid: tuple[tuple[int, int, float], ...]  # region, mention, probability
     landmarks: tuple[int, ...] = ()  # landmarks of the goal, and their landmarks
+    metres: float = 0.0  # from the mention to the goal, as stated; 0: not stated
 
 
 @cached_jit()
@@ -61,7 +62,7 @@ def summarize_commands(instruction: Instruction) -> list[CommandSummary]:
     reading = int(np.argmax(readings.log_probability))
     slots, world = _described_world(readings, reading)
     summaries = []
-    for behavior in infer_commands(instruction, world):
+    for index, behavior in enumerate(infer_commands(instruction, world)):
         goal, constraint = behavior.goal, behavior.constraint
         region, slot = np.unravel_index(int(goal.argmax()), goal.shape)
         action, mode = int(behavior.action.argmax()), int(behavior.mode.argmax())
@@ -78,6 +79,7 @@ def summarize_commands(instruction: Instruction) -> list[CommandSummary]:
                 for r, s in np.argwhere(constraint >= _MIN_CONSTRAINT_PROB)
             ),
             landmarks=_connected_mentions(readings, reading, mention),
+            metres=float(instruction.metres[index]),
         )
         summaries.append(summary)
     return summaries

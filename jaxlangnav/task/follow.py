@@ -14,10 +14,9 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from jaxlangnav.episode import recorder
+from jaxlangnav.episode import Task, recorder
 from jaxlangnav.episode.recording import Recording
 from jaxlangnav.experiments.policies import add_heading_bias, navigator_config
-from jaxlangnav.experiments.sizes import any_task
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.inputs.program_cache import cache_dir, cached_jit
@@ -38,7 +37,7 @@ from jaxlangnav.task.loading import (
 )
 from jaxlangnav.world.files import open_world
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
-from jaxlangnav.world.state import NUM_SLOTS, Scenario
+from jaxlangnav.world.state import NUM_SLOTS
 from jaxlangnav.world.templates import Template
 
 
@@ -164,17 +163,15 @@ def batched(understood: Understanding) -> Instruction:
 
 
 def precompile_cycle(
-    instructions: Instruction, empty: Scenario, *, params: NavigatorParams, config: NavigatorConfig
+    task: Task, instructions: Instruction, *, params: NavigatorParams, config: NavigatorConfig
 ) -> None:
     """Load or compile the decision cycle in a background thread.
 
-    It runs one step of an episode in an empty world: shapes are the same for every sentence,
-    leaves [1, …], in every world with as many slots and walls. Without a program cache nothing is
-    done, as two threads would compile the same.
+    It runs one step of the episode, whose instructions have leaves [1, …]. Without a program cache
+    nothing is done, as two threads would compile the same.
     """
     if cache_dir() is None:
         return
-    task = any_task(empty)
 
     def step() -> None:
         # Any error occurs again in the foreground and is reported there.

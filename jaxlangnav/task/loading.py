@@ -22,7 +22,7 @@ from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import intended_goals, is_among, placed_world, with_goal
 from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
-from jaxlangnav.world.state import Scenario, make_scenario
+from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import Template
 
 AnnotationDocument = Mapping[str, Any]
@@ -111,14 +111,6 @@ def detector_of(world: str, type_names: Sequence[str]) -> Detector:
     if isinstance(source, WorldFile):
         return Detector(source.type_names, source.attribute_groups)
     return Detector(type_names)
-
-
-def empty_world(world: str) -> Scenario:
-    """Build a world without objects, but with the slots and walls of a given world."""
-    source = open_world(world)
-    if not isinstance(source, WorldFile):
-        return make_scenario()
-    return make_scenario(slots=source.scenario.is_object.size, terrain=source.scenario.terrain)
 
 
 def sensor_of(world: str, sensing_range: float | None) -> SensorParams:

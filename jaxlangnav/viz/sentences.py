@@ -12,6 +12,7 @@ from jaxlangnav.grounding.command_summary import CommandSummary
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, ROBOT, Fault, Status
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
+from jaxlangnav.planner.policy import ARRIVAL_RADIUS
 from jaxlangnav.relations.table import REGISTRY
 from jaxlangnav.viz import summary
 
@@ -130,7 +131,8 @@ def describe_commands(scene: StaticScene) -> list[str]:
     def describe(command: CommandSummary) -> str:
         goal = "another one than before" if command.mention == NONE else name(command.mention)
         if command.mention != NONE and command.region != AT:
-            goal = f"{REGISTRY[command.region].words} {goal}"
+            metres = f"{command.metres:.3g} m " if command.metres else ""
+            goal = f"{metres}{REGISTRY[command.region].words} {goal}"
         verb = "find" if command.action == "find" else "go to" if command.region == AT else "go"
         pace = "" if command.mode == "normal" else f" {command.mode}"
         avoided = [name(mention) for _, mention, _ in command.avoid]
@@ -297,7 +299,9 @@ def describe_decision(scene: StaticScene, frame: Snapshot) -> str:
     missing = describe_missing(scene, frame)
     if bool(frame.is_stop):
         is_find, stop = float(frame.action[1]) > 0.5, float(scene.planner.stop_probability)
-        place = "in view" if is_find else f"within {float(scene.planner.reach):g} m"
+        is_measured = any(command.metres for command in scene.commands[int(frame.clause) :][:1])
+        reach = ARRIVAL_RADIUS if is_measured else float(scene.planner.reach)
+        place = "in view" if is_find else f"within {reach:g} m"
         verb = "Says stop" if bool(frame.is_done) else "This command is done"
         if bool(frame.is_done) and missing:
             return f"{verb}: what fits best is {place}; {missing} was to be found."
@@ -315,14 +319,12 @@ def describe_decision(scene: StaticScene, frame: Snapshot) -> str:
         return "Asks which one is meant: several fit, and looking on would tell too little."
     if int(frame.status) == Status.BLOCKED:
         return "Says that it cannot get on: one waypoint after the other was given up."
-    if bool(frame.is_kept):
-        return f"Goes on to {describe_waypoint(scene, frame)}."
-    node = summary.chosen_node(frame)
+    node = None if bool(frame.is_kept) else summary.chosen_node(frame)
     if node is None:
-        return f"Heads for {describe_waypoint(scene, frame)}."
-    reason, object_reason = scene.portrayal.reason, scene.portrayal.reason_object
-    if object_reason is not None and int(frame.node_kind[node]) == OBJECT_NODE:
-        reason = object_reason
+        verb = "Goes on to" if bool(frame.is_kept) else "Heads for"
+        return f"{verb} {describe_waypoint(scene, frame)}."
+    is_object = int(frame.node_kind[node]) == OBJECT_NODE
+    reason = (is_object and scene.portrayal.reason_object) or scene.portrayal.reason
     explanation = reason.format(
         number=len(summary.distinct_nodes(frame)),
         value=float(frame.value[node]),
