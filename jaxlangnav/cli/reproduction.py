@@ -297,8 +297,9 @@ def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, An
 def run_all(settings: Settings, output: Output) -> Document:
     """Run all experiments; with a folder, ``report.html`` is written after each."""
     begin = time.perf_counter()
-    total = sum(_estimate(name, settings) for name in REPORTED)
-    output.note(f"{len(REPORTED)} experiments, about {duration_text(total)}")
+    seconds = {name: _estimate(name, settings) for name in REPORTED}
+    parts = ", ".join(f"{name} {duration_text(each)}" for name, each in seconds.items())
+    output.note(f"about {duration_text(sum(seconds.values()))}: {parts}")
     documents: dict[str, Any] = {"report": None}
     sections = []
     for name in REPORTED:

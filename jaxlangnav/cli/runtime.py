@@ -83,13 +83,14 @@ def duration_text(seconds: float) -> str:
 def expected_duration(task: str, num_items: int = 1, *, default: tuple[int, float]) -> float:
     """Estimate the seconds of a task from its last run on this machine; ``default`` if none.
 
-    ``default``: number of items, and seconds on two cores. More items take longer in proportion,
-    fewer as long: compilation is included.
+    ``default``: number of items, and seconds on two cores; from it are the seconds of each further
+    item after a smaller run, which has mostly compiled. Fewer items take as long as the last time.
     """
     last_num_items, seconds = default
     with contextlib.suppress(OSError, ValueError, TypeError, LookupError):
         last_num_items, seconds = map(float, json.loads(_cache_path(_DURATIONS).read_text())[task])
-    return seconds * max(1.0, num_items / max(1.0, last_num_items))
+    count, total = max(default, (last_num_items, seconds))
+    return seconds + max(0.0, num_items - last_num_items) * total / max(1.0, count)
 
 
 def save_duration(task: str, seconds: float, num_items: int = 1) -> None:
