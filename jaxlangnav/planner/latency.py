@@ -104,16 +104,17 @@ def _patch_travel(is_missed: Array, area: Array) -> Array:
     row, column = np.divmod(np.arange(side * side), side)
     column = np.where(row % 2 == 0, column, side - 1 - column)
 
-    def lane_length(blocks: Array, step: Array, lane_step: Array) -> Array:
-        is_missed_lane = blocks.reshape(-1, side * side)[:, row * side + column]
-        index = jnp.where(is_missed_lane, np.arange(side * side)[None], -1)
+    def gaps_along_lanes(blocks: Array, step: Array, lane_step: Array) -> Array:
+        """Sum the gaps between missed blocks, in the order of lanes."""
+        is_missed_in_order = blocks.reshape(-1, side * side)[:, row * side + column]
+        index = jnp.where(is_missed_in_order, np.arange(side * side)[None], -1)
         last = jnp.pad(jax.lax.cummax(index, axis=1), ((0, 0), (1, 0)), constant_values=-1)[:, :-1]
         x, y = step * column.astype(np.float32), lane_step * row.astype(np.float32)
         from_last = jnp.hypot(x[None] - x[last], y[None] - y[last])
         gap = jnp.maximum(from_last - 1.5 * jnp.max(size), 0.0)
-        return jnp.sum(jnp.where(is_missed_lane & (last >= 0), gap, 0.0), axis=1)
+        return jnp.sum(jnp.where(is_missed_in_order & (last >= 0), gap, 0.0), axis=1)
 
-    return jnp.minimum(lane_length(blocks, *size), lane_length(blocks.mT, *size[::-1]))
+    return jnp.minimum(gaps_along_lanes(blocks, *size), gaps_along_lanes(blocks.mT, *size[::-1]))
 
 
 def latency(
@@ -139,8 +140,8 @@ def latency(
     sight_at, length = first_sight(
         tours, position_x, position_y, robot, radius, fov, terrain=search.terrain
     )
-    anchored, partner = jnp.split(sight_at, 2, axis=1)
-    either = jnp.minimum(anchored, partner)
+    own_at, partner_at = jnp.split(sight_at, 2, axis=1)  # distance at which either point is viewed
+    first_at = jnp.minimum(own_at, partner_at)
     distance = search.terrain.travel.metres(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
@@ -149,17 +150,19 @@ def latency(
     mass = search.mass
     # Cells of negligible mass are not worth a detour.
     is_relevant = (mass > 0.1 * jnp.mean(mass))[None, :]
-    cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
-    sweep = jnp.sum((either >= LARGE) & is_relevant, axis=1) * cell / (4.0 * half_width)
-    remaining = (length + sweep)[:, None] + distance
-    cost_unanchored = search.unanchored[None, :] * jnp.where(either < LARGE, either, remaining)
-    cost_anchored = search.anchored[None, :] * jnp.where(anchored < LARGE, anchored, remaining)
+    cell_area = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
+    num_missed = jnp.sum((first_at >= LARGE) & is_relevant, axis=1)
+    sweep = num_missed * cell_area / (4.0 * half_width)
+    later_at = (length + sweep)[:, None] + distance
+    cost_unanchored = search.unanchored[None, :] * jnp.where(first_at < LARGE, first_at, later_at)
+    cost_anchored = search.anchored[None, :] * jnp.where(own_at < LARGE, own_at, later_at)
     total = jnp.sum(cost_unanchored + cost_anchored, axis=1)
-    is_missed = (anchored >= LARGE) & is_relevant
+    is_missed = (own_at >= LARGE) & is_relevant
     missed = jnp.sum(is_missed, axis=1)
-    leg = jnp.sum(jnp.where(is_missed, distance, 0.0), axis=1) / jnp.maximum(missed, 1)
-    remaining = length + leg + missed * cell / (2.0 * half_width) + _patch_travel(is_missed, area)
-    full = jnp.where(missed > 0, remaining, jnp.max(jnp.where(is_relevant, anchored, 0.0), axis=1))
-    total = (1.0 - search.prob_absent) * total + search.prob_absent * jnp.sum(mass) * full
+    to_missed = jnp.sum(jnp.where(is_missed, distance, 0.0), axis=1) / jnp.maximum(missed, 1)
+    later_at = length + to_missed + missed * cell_area / (2.0 * half_width)
+    last_at = jnp.max(jnp.where(is_relevant, own_at, 0.0), axis=1)
+    all_at = jnp.where(missed > 0, later_at + _patch_travel(is_missed, area), last_at)
+    total = (1.0 - search.prob_absent) * total + search.prob_absent * jnp.sum(mass) * all_at
     is_at_first = is_reached(tours.x[:, 0], tours.y[:, 0], robot)
     return total + jnp.where(is_at_first, LARGE, 0.0)

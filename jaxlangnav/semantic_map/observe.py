@@ -38,9 +38,9 @@ class MeasurementUpdate(NamedTuple):
 
     log_map: Array  # f32[P] log-likelihood of the observation without hypotheses
     log_hypotheses: Array  # f32[P] additional log-likelihood with hypotheses and referents: their
-    # misses, and referents not counted as bystanders
+    # misses, and the correction for referents, which the count model leaves out
     is_new: Array  # bool[O, P] slots of new objects
-    is_other: Array  # bool[O, P] slots whose type code changed: new, or another attribute
+    is_type_changed: Array  # bool[O, P] slots whose type code changed: new, or another attribute
     is_lost: Array | None  # bool[P] a referent was pruned; None: every object exists
     overflow: Array  # i32[P] detections for which no object slot was free
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
@@ -84,21 +84,21 @@ def observe(
     log_exposure_of = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
     log_exposure_before = log_exposure_of(unseen_frac(belief.coverage))
     coverage, alternate_miss = update_coverage(belief, observation, sensor)
-    exposure = log_exposure_of(unseen_frac(coverage)) - log_exposure_before
+    log_rise = log_exposure_of(unseen_frac(coverage)) - log_exposure_before
     belief = replace(belief, coverage=coverage, alternate_miss=alternate_miss)
     heading, softness = particle_headings(belief, observation.pose[2]), 2.5 * params.kernel + 1e-3
     log_objects, log_hypotheses, existence = log_absence(
         belief.particles, associated.is_hit, heading, softness, sensor, belief.terrain.view, model
     )
-    belief, log_exposed, log_ref, is_lost = _update_counts(belief, prior_map, existence, exposure)
-    log_map = associated.log_weight + log_objects + log_exposed
+    belief, log_no_more, log_ref, is_lost = _lower_existence(belief, prior_map, existence, log_rise)
+    log_map = associated.log_weight + log_objects + log_no_more
     log_new = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
     log_report = log_new + model.log_volume(sensor), model.log_fit(sensor)
     return belief, MeasurementUpdate(
         log_map=log_map,
         log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_ref,
         is_new=associated.is_new,
-        is_other=associated.object_type != prior_map.object_type,
+        is_type_changed=associated.object_type != prior_map.object_type,
         is_lost=is_lost,
         overflow=associated.overflow,
         surprise=surprise(belief.log_weight, associated, log_map, *log_report),
@@ -136,22 +136,23 @@ def _detections(
     )
 
 
-def _update_counts(
-    belief: ParticleBelief, prior_map: SemanticMap, existence: Array, exposure: Array
+def _lower_existence(
+    belief: ParticleBelief, prior_map: SemanticMap, existence: Array, log_rise: Array
 ) -> tuple[ParticleBelief, Array, Array, Array | None]:
-    """Update counts and existence for the newly observed area (``counts``), and prune.
+    """Lower existence by the growth of the exposure, a logarithm (``counts``), and prune objects.
 
-    Also f32[P], log-likelihood of the maps; that of the referents; whether one was pruned.
+    Also f32[P], the log-likelihood that no further object is in the newly viewed area; the
+    correction of that for referents; whether one was pruned.
     """
     particles, is_referent = belief.particles, prior_map.is_referent
-    log_ref = exposure * jnp.sum(is_referent, axis=0)
+    log_ref = log_rise * jnp.sum(is_referent, axis=0)
     if existence.shape[0] == 0:
-        return belief, -exposure * jnp.sum(particles.is_observed, axis=0), log_ref, None
-    log_exposed, existence = lower_existence(existence, exposure)
+        return belief, -log_rise * jnp.sum(particles.is_observed, axis=0), log_ref, None
+    log_no_more, existence = lower_existence(existence, log_rise)
     log_survival = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(prior_map.existence, 1e-9))
     log_ref = log_ref + jnp.sum(jnp.where(is_referent, log_survival, 0.0), axis=0)
     particles, is_lost = prune_objects(replace(particles, existence=existence))
-    return replace(belief, particles=particles), log_exposed, log_ref, is_lost
+    return replace(belief, particles=particles), log_no_more, log_ref, is_lost
 
 
 def condition(

@@ -122,7 +122,7 @@ def _count_scores(scores: Sequence[Score]) -> dict[str, Any]:
 
 
 def _context_of(sentence: LabelledSentence) -> Context:
-    """Build the context of a sentence: only a label without commands allows a statement."""
+    """Build the context of a sentence: as under way if its label is a statement without command."""
     meaning = sentence.meaning
     return Context(is_under_way=meaning is not None and not meaning.reading.commands)
 

@@ -224,13 +224,13 @@ class Design:
     words: np.ndarray  # f32[U, W]
     properties: np.ndarray  # f32[U, G, F]
     columns: dict[str, slice]  # kind → its properties
-    cell: np.ndarray  # i[C] flat index into [U, G, 2]: words, symbol, φ
+    cell: np.ndarray  # i[C] flat index into [U, G, 2]: words, symbol, label
     instruction: np.ndarray  # i[C]
     repeats: np.ndarray  # f32[C]
     num_instructions: int
 
     def counts(self, instruction_weights: np.ndarray) -> np.ndarray:
-        """Count factors with φ = 0 and 1, given f32[K, I] instruction weights: f32[K, U, G, 2]."""
+        """Count factors by label (φ, eq. 4), by instruction weights f32[K, I]: f32[K, U, G, 2]."""
         shape = (*self.properties.shape[:2], 2)
         rows = [
             np.bincount(self.cell, weights * self.repeats, minlength=math.prod(shape))
