@@ -36,7 +36,7 @@ help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 demo: $(STAMPS)/viz ## follow a sentence with the shipped models and write pictures to demo/
-	@$(BIN)/jaxlangnav follow "$(INSTRUCTION)" --out $(OUT) $(ARGS)
+	@$(BIN)/jaxlangnav follow "$(INSTRUCTION)" --out $(OUT) --gif $(ARGS)
 
 test: $(STAMPS)/dev ## the quick tier of tests, WORKERS=2 at a time
 	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)

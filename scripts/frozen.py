@@ -29,7 +29,7 @@ import ages
 
 ROOT = ages.ROOT
 README, RESULTS = ROOT / "README.md", ROOT / "docs" / "results.md"
-PICTURE = ROOT / "docs" / "follow.png"
+PICTURE = ROOT / "docs" / "follow.gif"
 COLUMNS = 100
 COMMAND_BLOCK = re.compile(r"(?ms)^```\n\$ (jaxlangnav [^\n]*)\n(.*?)^```$")
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
@@ -154,7 +154,7 @@ def main() -> int:
             print(f"old: {path.relative_to(ROOT)}", flush=True)
         if arguments.check:
             return int(bool(old or books))
-        remake(texts, Path(name) / "demo" / "belief.png")
+        remake(texts, Path(name) / "demo" / "episode.gif")
     for path in books:
         if why := notebooks.lacking(path):
             print(f"left as it is: {path.relative_to(ROOT)}: {why}")

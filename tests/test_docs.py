@@ -127,7 +127,7 @@ CHEAP = [one for one in SHOWN if not str(one.values[0]).startswith("jaxlangnav f
 
 
 def test_every_frozen_file_has_an_age() -> None:
-    pictures = {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.png")}
+    pictures = {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.[gp][in][fg]")}
     of_results = {f"docs/{name}.png" for name in results_page.PICTURES}
     notebooks = {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
     assert set(AGES) == notebooks | (pictures - of_results) | {"docs/results.md"}
