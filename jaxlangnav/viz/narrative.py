@@ -219,7 +219,7 @@ def narrate_live(
 ) -> Iterator[tuple[Snapshot, EpisodeResult]]:
     """Narrate an episode while it runs, and yield its steps; ``said`` may grow meanwhile."""
     for moment in replay(scene, steps, said):
-        if moment.utterances or not _is_uneventful(moment):
+        if moment.utterances or not _is_uneventful(moment) or sentences.new_objects(moment):
             write([f"{_prefix(moment)} {' '.join(narrate_step(moment))}"])
         yield moment.frame, moment.result
 
