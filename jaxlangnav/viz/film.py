@@ -62,6 +62,7 @@ def _render_step(recording: Recording, step: int) -> np.ndarray:
         figure = Figure((width * (1 + len(camera_names)), height), dpi=_DPI, layout="constrained")
         axes, *camera_axes = figure.subplots(1, 1 + len(camera_names), squeeze=False)[0]
         draw_belief(axes, recording, step)
+        axes.set(xlabel="x (m)", ylabel="y (m)")
         figure.suptitle(f"“{recording.scene.text}” · step {step} · {float(frame.distance):.1f} m")
         for axis, name in zip(camera_axes, camera_names, strict=True):
             axis.axis("off")
