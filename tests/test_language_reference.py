@@ -141,6 +141,9 @@ def tree(text: str) -> list[str]:
         ("go to the tree but don't go near the car", "go to the tree but avoid the car"),
         ("let 's go to teh cone", "let's go to the cone"),
         ("go to the car beside which a cone stands", "go to the car near a cone"),
+        # A place named before its command is one with it.
+        ("the cone. stop behind it", "stop behind the cone"),
+        ("behind the cone, stop there", "stop behind the cone"),
         # What is refused as it stands is read in plainer words.
         ("in front of the cone is where you should be", "stop in front of the cone"),
         ("steer for the hydrant over by the tree", "go to the hydrant near the tree"),
@@ -160,6 +163,7 @@ def test_what_is_read_as_something_else_is_told():
 
 
 def test_words_keep_the_places_where_they_were_said():
+    assert len(tree("the cone, then go behind it")) == len(tree("find the cone. go to it")) == 2
     words = parse("keep going until you reach the cone").clauses[0].all_words()
     assert [(word.text, word.position) for word in words] == [
         ("go", 1), ("to", 2), ("the", 6), ("cone", 7),

@@ -7,7 +7,7 @@ and the parser is polynomial.
 """
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -16,8 +16,8 @@ from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.measured import measures_of, split_measures
 from jaxlangnav.language.nouns import join_nouns, must_be_noun, name_nouns
 from jaxlangnav.language.phrase import COMMAND, MIN_PROBABILITY, STATEMENT, LanguageError, Parse
-from jaxlangnav.language.reader.proposals import propose_readings
-from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
+from jaxlangnav.language.reader.proposals import Proposal, propose_readings
+from jaxlangnav.language.reference import Antecedent, join_constraints, join_topics, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, refuse_guesses
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import (
@@ -35,8 +35,11 @@ from jaxlangnav.language.tree import UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING, build
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
 MAX_UNKNOWN = 8  # unknown words; more have very many trees
+MAX_PROPOSALS = 8
+"""Number of rewritings of a sentence that are parsed, likeliest first."""
 MIN_OVERRULE = 0.7
-"""Minimum probability of a rewriting to replace the verbatim reading of a sentence."""
+"""Minimum probability of a rewriting to replace the verbatim reading, or to delete words that no
+rule shows to be idle."""
 _IGNORED_SIGNS = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
@@ -193,18 +196,25 @@ def parse(
     except LanguageError as error:
         if error.position is None:
             raise
-        rewritten = _parse_rewriting(sentence, None, least_probability)
+        proposals = propose_readings(sentence.tokens, sentence.labels)
+        safe = [proposal for proposal in proposals if proposal.is_safe]
+        rewritten = _parse_rewriting(sentence, safe, None, least_probability)
+        min_prob = max(least_probability, MIN_OVERRULE)
+        rewritten = rewritten or _parse_rewriting(sentence, proposals, None, min_prob)
         if rewritten is None:
             raise
         return rewritten
-    return _parse_rewriting(sentence, verbatim, MIN_OVERRULE) or verbatim
+    proposals = propose_readings(sentence.tokens, sentence.labels, is_readable=True)
+    return _parse_rewriting(sentence, proposals, verbatim, MIN_OVERRULE) or verbatim
 
 
-def _parse_rewriting(sentence: _Sentence, verbatim: Parse | None, min_prob: float) -> Parse | None:
+def _parse_rewriting(
+    sentence: _Sentence, proposals: Sequence[Proposal], verbatim: Parse | None, min_prob: float
+) -> Parse | None:
     """Parse the likeliest rewriting; ``verbatim`` if its probability is below ``min_prob``."""
     # Probabilities of rewritings with equal meanings are summed.
     meanings: dict[object, tuple[float, Parse]] = {}
-    proposals = propose_readings(sentence.tokens, sentence.labels, is_readable=verbatim is not None)
+    proposals = proposals[:MAX_PROPOSALS]
     probability, best, remaining = 0.0, None, sum(p.probability for p in proposals)
     for proposal in proposals:
         others = [prob for prob, parsed in meanings.values() if parsed is not best]
@@ -257,7 +267,7 @@ def _parse_tokens(
     except NoParseError as error:
         raise explain(tokens, error.index) from None
     phrases, guesses = build_phrases(derivation, tokens)
-    clauses = resolve([*map(name_nouns, phrases)], sentence.earlier)
+    clauses = join_topics(resolve([*map(name_nouns, phrases)], sentence.earlier))
     refuse_guesses(clauses, {position for _, position in guesses})
     clauses = join_constraints(clauses)
     return Parse(

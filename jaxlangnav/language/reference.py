@@ -193,6 +193,36 @@ def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Ph
     return resolved
 
 
+# ---------------------------------------------------- clauses that name a place before its command
+
+
+def join_topics(clauses: Sequence[Phrase]) -> list[Phrase]:
+    """Put a topic, a place named without a verb, where the next command refers to it.
+
+    "The cone by the car: stop behind it" is one command (left dislocation), unlike "the cone, then
+    go behind it".
+    """
+    joined: list[Phrase] = []
+    for clause in clauses:
+        before = joined[-1] if joined else clause
+        is_topic = before.label == "VP" and not (_has(before, "action") or is_constraint(before))
+        is_next = not {"and", "then"}.isdisjoint(word.text for word in clause.words)
+        command = clause if is_next or not is_topic else _substitute(clause, before.children[0])
+        if command != clause:
+            command = replace(command, children=(*command.children, *before.children[1:]))
+            joined.pop()
+        joined.append(command)
+    return joined
+
+
+def _substitute(phrase: Phrase, topic: Phrase) -> Phrase:
+    """Replace the noun phrase that refers to a topic; a region only by "there"."""
+    texts = {word.text for word in phrase.words}
+    if phrase.label == "NP" and (phrase.has_sense(SAME) or texts == {"that", "one"}):
+        return topic if topic.label == "NP" or "there" in texts else phrase
+    return replace(phrase, children=tuple(_substitute(it, topic) for it in phrase.children))
+
+
 # ---------------------------------------------------- clauses that only say what to keep away from
 # "Go to the car. Then avoid the cone" constrains the way to the car; "avoid the cone" alone asks
 # for nothing to be done. Only a sentence of its own makes such a clause: within one the grammar

@@ -46,8 +46,8 @@ class ReaderConfig:
     """Hyperparameters of the training of a reader."""
 
     epochs: int = 9
-    batch: int = 256  # sentences
-    rate: float = 0.08  # of Adam, with cosine decay to 0
+    batch: int = 512  # sentences
+    rate: float = 0.12  # of Adam, with cosine decay to 0
     l2: float = 2e-5
     least_features: int = 3  # rarer features are dropped
     least_labels: int = 3  # sentences; rarer labels are dropped

@@ -17,7 +17,7 @@ from jaxlangnav.language.tokens import MARKS
 
 NAME, _RELATION = "N", "rel"
 PREPOSITION, PATH_WORD = "refused:such a relation", "refused:path"
-SPEAKER = "refused:the speaker's own place"
+CONTAINMENT = "refused:containment"
 MOTION = "verb:"
 """Prefix of the classes of verbs of ``verbs.toml``."""
 _MAX_NAME_WORDS = 4

@@ -2,7 +2,7 @@
 
 The reader labels words; a labelling is a sentence of the controlled language, or a refusal. Words
 may be deleted only if they can neither select an object nor reverse the meaning: that is checked
-for each labelling by rules, and labellings that fail are discarded.
+for each labelling by rules, and labellings that fail must be more probable.
 """
 
 import itertools
@@ -16,6 +16,7 @@ import numpy as np
 from jaxlangnav.language.lexicon import WORDS, load_lexicon
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.reader.features import (
+    CONTAINMENT,
     MOTION,
     NAME,
     PATH_WORD,
@@ -39,8 +40,8 @@ _NUM_LABELLINGS = 30
 """Number of labellings that are checked."""
 _MAX_VERBATIM = 0.9
 """Limit on the probability of the unparsable verbatim sentence, in renormalising the others."""
-_MAX_PROPOSALS = 8
-"""Maximum number of proposed sentences; each takes a parse."""
+_BONDS = WORDS["contrary"] | WORDS["choosing"] | {PREPOSITION, PATH_WORD, CONTAINMENT}
+"""Classes of words that negate, select an object or relate it to another."""
 _COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
 """Replacements of a verb that are allowed without an instance in the training data."""
 
@@ -53,6 +54,7 @@ class Proposal:
     tokens: tuple[RawToken, ...]
     left_out: tuple[str, ...]
     changes: tuple[tuple[str, str], ...]  # (as said, as read)
+    is_safe: bool = True  # its edits were met in training, or cannot turn the meaning
 
 
 @dataclass(frozen=True)
@@ -108,15 +110,32 @@ class Labelling:
         """Check whether every edited span occurs in the training data."""
         return self.met.issuperset(map(self.span_key, self.runs))
 
+    def _is_meant(self) -> bool:
+        """Check that words are put only in place of what training has them for, or "go", "stop"."""
+        return all(
+            self.span_key(run) in self.met or _COMMAND_VERBS.issuperset(self._replacements(run))
+            for run in self.runs
+        ) and all(self._is_converse(i) for i, label in enumerate(self.labels) if label[0] == "=")
+
+    def keeps_bonds(self) -> bool:
+        """Check that no word that negates, sets a condition, chooses or relates is deleted."""
+        words, classes = self.sentence.words, self.sentence.classes
+        return self._is_meant() and not any(
+            words[i] in WORDS["conditions"]
+            or not (_BONDS.isdisjoint(classes[i]) or self.is_deleted(i))
+            for run in self.runs
+            for i in run
+            if self.labels[i] == DELETE and self.span_key(run) not in self.met
+        )
+
     def is_safe(self) -> bool:
         """Check that deleted words not met in training neither select a thing nor negate."""
         unseen = [run for run in self.runs if self.span_key(run) not in self.met]
         touched = {self.sentence.clause[i] for run in unseen for i in run}
         return (
-            all(self._keeps_verb(self.sentence.clauses[k]) for k in touched)
-            and all(self._is_converse(i) for i, label in enumerate(self.labels) if label[0] == "=")
+            self._is_meant()
+            and all(self._keeps_verb(self.sentence.clauses[k]) for k in touched)
             and all(map(self._is_span_safe, unseen))
-            and all(_COMMAND_VERBS.issuperset(self._replacements(run)) for run in unseen)
             and not self._has_dangling_pronoun()
         )
 
@@ -208,7 +227,9 @@ class Labelling:
             )
         )
 
-    def proposal(self, tokens: Sequence[RawToken], probability: float) -> Proposal:
+    def proposal(
+        self, tokens: Sequence[RawToken], probability: float, *, is_safe: bool
+    ) -> Proposal:
         """Build the rewritten sentence, with the list of its edits."""
         output: list[RawToken] = []
         last = {i: tokens[run[-1]].position for run in self.runs for i in run}
@@ -235,6 +256,7 @@ class Labelling:
             tokens=tuple(strip_marks(output)),
             left_out=tuple(deleted),
             changes=tuple(changes),
+            is_safe=is_safe,
         )
 
 
@@ -300,14 +322,17 @@ def propose_readings(
     for score, path in best:
         names = tuple(model.labels[i] for i in path)
         labelled = Labelling(sentence, names, model.left_out, model.met)
-        if names[0] == REJECT or not (labelled.is_seen() if is_readable else labelled.is_safe()):
+        is_safe = labelled.is_seen() if is_readable else labelled.is_safe()
+        is_possible = is_safe or (not is_readable and labelled.keeps_bonds())
+        if names[0] == REJECT or not is_possible:
             continue
-        proposal = labelled.proposal(tokens, math.exp(score - log_total))
+        proposal = labelled.proposal(tokens, math.exp(score - log_total), is_safe=is_safe)
         words = tuple(token.text for token in proposal.tokens)
         if not words or words == sentence.words:
             continue
         if previous := proposals.get(words):
-            proposal = replace(previous, probability=previous.probability + proposal.probability)
-        if words in proposals or len(proposals) < _MAX_PROPOSALS:
-            proposals[words] = proposal
+            probability = previous.probability + proposal.probability
+            is_safe |= previous.is_safe
+            proposal = replace(previous, probability=probability, is_safe=is_safe)
+        proposals[words] = proposal
     return sorted(proposals.values(), key=lambda p: -p.probability)
