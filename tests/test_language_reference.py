@@ -137,17 +137,13 @@ def tree(text: str) -> list[str]:
         ("drop us off behind the car", "stop behind the car"),
         ("go to the bench, no, the tree", "go to the tree"),
         ("go to the cone and the tree", "go to the cone then the tree"),
-        ("i am tired. go to the bench", "go to the bench"),
         ("go to the tree but don't go near the car", "go to the tree but avoid the car"),
         ("let 's go to teh cone", "let's go to the cone"),
         ("go to the car beside which a cone stands", "go to the car near a cone"),
-        # A place named before its command is one with it.
         ("the cone. stop behind it", "stop behind the cone"),
-        ("behind the cone, stop there", "stop behind the cone"),
         # What is refused as it stands is read in plainer words.
         ("in front of the cone is where you should be", "stop in front of the cone"),
         ("steer for the hydrant over by the tree", "go to the hydrant near the tree"),
-        ("unit four, go to the cone", "go to the cone"),
     ],
 )
 def test_one_meaning_has_one_tree(said, plain):
