@@ -71,14 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     try:
-        command = parse_arguments(words)
-        # Under --json stray prints go to standard error: scripts read the document.
-        with contextlib.redirect_stdout(sys.stderr if command.json else sys.stdout):
-            document = command.run(output.Output(is_json=command.json))
-        if command.json:
-            output.write_document(document)
-        sys.stdout.flush()
-        return 0
+        return _run(parse_arguments(words))
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:
@@ -96,6 +89,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _print_error(fault, code=2)
         fault = f"internal error: {type(error).__name__}: {output.one_line(error)}"
         return _print_error(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
+
+
+def _run(command: Any) -> int:
+    """Run a command; with ``--json`` print only its document on standard output."""
+    # Stray prints go to standard error where a script reads the document.
+    with contextlib.redirect_stdout(sys.stderr if command.json else sys.stdout):
+        document = command.run(output.Output(is_json=command.json))
+    if command.json:
+        output.write_document(document)
+    sys.stdout.flush()
+    return 0
 
 
 def _print_error(message: str, *, code: int) -> int:
