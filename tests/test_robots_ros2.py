@@ -326,6 +326,15 @@ def session(navigator, bus: Loopback, **options) -> tuple[Session, list]:
     return Session(navigator, robot, told.append, key=jax.random.key(1), **options), told
 
 
+def test_a_robot_without_odometry_is_one_clear_line() -> None:
+    bus = Loop(put())
+    robot = RosRobot(bus, sensor=bus.simulated.sensor, area=bus.simulated.area)
+    bus.inbox = Inbox()
+    for ask in (robot.pose, lambda: RosRobot(bus, sensor=robot.sensor, area=robot.area)):
+        with pytest.raises(ValueError, match="no odometry has come from the robot"):
+            ask()
+
+
 def driven(talk: Session, simulated=None, *, ending: Ending = Ending.ARRIVED) -> NavigationRun:
     """Carry out what was said; the drive ends so, and beside the goal."""
     ended = talk.go()

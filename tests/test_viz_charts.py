@@ -88,6 +88,17 @@ def test_limits_stand_across_their_row():
     assert marks[1][0][0] == pytest.approx(10.4 - 1.5)
 
 
+def test_a_limit_without_a_row_has_its_own_line():
+    found = document()
+    found["bounds"] = [
+        {"world": "9H9C", "range": 3.0, "relation": "behind", "success": 100.0, "known": 10.4},
+    ]
+    rates = rows.table_figure(found).axes[0]
+    assert rates.get_yticklabels()[-1].get_text() == "9H9C, 3 m, behind"
+    (line,) = [line for line in rates.lines if line.get_label() == rows.LIMIT_NAME]
+    assert np.mean(line.get_ydata()) == len(rates.get_yticks()) - 1
+
+
 def swept(**varied):
     """The summary of a sweep in which some columns vary."""
     found = []

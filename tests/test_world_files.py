@@ -1,6 +1,7 @@
 """World files: what is read, what is written back, and every complaint."""
 
 import copy
+import dataclasses
 import tomllib
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from placed import world_file
 from jaxlangnav.inputs.object_types import attribute_code
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, default_motion, default_sensor
+from jaxlangnav.pytree import replace
 from jaxlangnav.world.files import (
     WorldFile,
     WorldFileError,
@@ -120,6 +122,16 @@ def test_round_trip_of_sampled_worlds_is_exact(tmp_path: Path, seed: int) -> Non
     chex.assert_trees_all_equal(again.scenario, scenario)
     assert again.name == world.name
     assert again.object_names[int(scenario.goal_index)] == "goal"
+
+
+def test_a_heading_of_more_than_a_turn_is_wrapped(tmp_path: Path) -> None:
+    world = open_world("yard")
+    for degrees, written in ((360.0, 360.0), (-360.0, -360.0), (450.0, 90.0), (-725.0, -5.0)):
+        start = np.float32([0.0, 0.0, np.radians(degrees)])
+        turned = dataclasses.replace(world, scenario=replace(world.scenario, start=start))
+        save_world(turned, tmp_path / "turned.toml")
+        again = load_world(tmp_path / "turned.toml").scenario.start[2]
+        np.testing.assert_allclose(again, np.radians(written), atol=1e-6)
 
 
 def test_shipped_worlds_show_what_they_promise() -> None:

@@ -58,7 +58,7 @@ def _rows_figure(
     lines: Sequence[tuple[str, str, Row]], *, title: str, subtitle: str, bounds: Mapping[str, Row]
 ) -> "Figure":
     """Draw rows (name, series, results) as points with error bars, and bounds as dotted lines."""
-    names = list(dict.fromkeys(name for name, _, _ in lines))
+    names = list(dict.fromkeys([*(name for name, _, _ in lines), *bounds]))
     series = list(dict.fromkeys(label for _, label, _ in lines))
     styles = policy_styles(series)
     with style.house_style():

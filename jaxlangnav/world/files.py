@@ -120,7 +120,7 @@ def open_world(text: str) -> Template | WorldFile:
 def save_world(world: WorldFile, path: str | Path) -> None:
     """Write a world to a .toml or .json file; an existing one is replaced.
 
-    Numbers round-trip exactly as float32.
+    Numbers round-trip exactly as float32; a heading of more than a full turn is wrapped.
 
     Raises:
         WorldFileError: the name ends in neither, or the file cannot be written.

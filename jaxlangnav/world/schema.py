@@ -284,7 +284,10 @@ def _goal(world: _World, start: _Start, names: list[str]) -> tuple[tuple[float, 
 
 
 def world_to_dict(world: WorldFile) -> dict[str, Any]:
-    """Convert a world to tables; ``world_from_dict`` restores the same world."""
+    """Convert a world to tables; ``world_from_dict`` restores the same world.
+
+    A heading of more than a full turn is wrapped.
+    """
     scenario = world.scenario
     names = [*world.object_names, *[""] * scenario.is_object.size]
     goal, goal_index = None, int(scenario.goal_index)
@@ -297,6 +300,7 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
         goal = _Goal(object=names[goal_index]) if goal_index >= 0 else _Goal(x=x, y=y)
     no_codes = np.zeros(scenario.is_object.size, np.int32)
     codes = no_codes if scenario.object_attribute is None else scenario.object_attribute
+    heading = _degrees(scenario.start[2])
     table = _World(
         name=world.name,
         instruction=world.instruction or None,
@@ -304,7 +308,7 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
         start=_Start(
             x=_decimal(scenario.start[0]),
             y=_decimal(scenario.start[1]),
-            heading=_degrees(scenario.start[2]),
+            heading=heading if abs(heading) <= 360.0 else math.remainder(heading, 360.0),
         ),
         goal=goal,
         sensor=_Sensor(**_to_numbers(world.sensor, _Sensor.__struct_fields__)),

@@ -58,17 +58,17 @@ def navigate(options: NavigatorOptions) -> None:
     """Run the node until it is interrupted; ``ValueError`` for bad options or a silent robot."""
     _validate(options)
     navigator, texts = Navigator.pretrained(), []
-    tags = None
-    if options.look == "tf":
+    look = options.look
+    if look == "tf":
         x, y, degrees = options.camera
-        tags = TagSetup(
+        look = TagSetup(
             types=read_tag_types(options.tags, navigator.type_names),
             range=options.range,
             field_of_view=math.radians(options.field_of_view),
             mount=(x, y, math.radians(degrees)),
             depth=options.tag_depth,
         )
-    bus = RosBus(navigator.type_names, texts.append, look=options.look, tags=tags)
+    bus = RosBus(navigator.type_names, texts.append, look=look)
 
     def report_silence() -> None:
         bus.tell({"status": "waiting_for_odometry"})

@@ -110,10 +110,9 @@ class RosBus:
         type_names: Sequence[str],
         say: Callable[[str], None],
         *,
-        look: Literal["cloud", "boxes", "tf"],
-        tags: TagSetup | None,
+        look: Literal["cloud", "boxes"] | TagSetup,
     ) -> None:
-        """Open the topics after ``rclpy.init``; ``tags`` with ``look="tf"``, and only with it."""
+        """Open the topics after ``rclpy.init``; ``look`` is the format of detections."""
         self.inbox = Inbox()
         self.say = say
         """Callback for each utterance."""
@@ -134,15 +133,15 @@ class RosBus:
         for topic in ("instruction", "utterance"):
             on_text = self._guarded(lambda message: self.say(message.data))
             self._node.create_subscription(string, topic, on_text, 10)
-        self._subscribe_to_robot(look, tags)
+        self._subscribe_to_robot(look)
 
-    def _subscribe_to_robot(self, look: str, tags: TagSetup | None) -> None:
+    def _subscribe_to_robot(self, look: Literal["cloud", "boxes"] | TagSetup) -> None:
         qos = load_ros("rclpy.qos")
         # Best effort matches publishers of either reliability. Deep, as a decision takes long.
         stream = qos.QoSProfile(depth=100, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
         detections: list[tuple[str, Any, Callable[[Any], None]]]
-        if tags is not None:
-            reader = TagReader(tags)
+        if isinstance(look, TagSetup):
+            reader = TagReader(look)
             tag_array = ros_class("apriltag_msgs/msg/AprilTagDetectionArray")
             detections = [
                 ("/tf", ros_class("tf2_msgs/msg/TFMessage"), self._to_inbox(reader.of_transforms)),

@@ -98,17 +98,20 @@ class RosRobot:
                 may be restarting.
             on_silence: called when such a silence begins.
         """
-        if bus.inbox.track.pose is None:
-            raise ValueError("no odometry has come from the robot: wait for it first")
         self._bus, self.sensor, self.area = bus, sensor, area
+        self.pose()
         self._monitor = GoalMonitor()
         self._patience, self._on_silence = patience, on_silence
         self._newest, self._newest_time, self._is_silent = bus.inbox.track.newest, bus.now(), False
 
     def pose(self) -> np.ndarray:
-        """Return x, y, heading, see ``Robot.pose``; the last known pose while it is silent."""
+        """Return x, y, heading, see ``Robot.pose``; the last known pose while it is silent.
+
+        A ValueError if no odometry has been received.
+        """
         pose = self._bus.inbox.track.pose
-        assert pose is not None, "the constructor requires odometry"
+        if pose is None:
+            raise ValueError("no odometry has come from the robot: wait for it first")
         return pose
 
     def detections(self) -> list[Detection] | None:
