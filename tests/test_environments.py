@@ -251,8 +251,7 @@ def test_an_environment_draws_itself() -> None:
     assert before.shape[2] == 3
     for _ in range(3):
         env.step(1)
-    after = env.render()
-    assert 0.001 < (after != before).any(axis=-1).mean() < 0.5
+    assert 0.001 < (env.render() != before).any(axis=-1).mean() < 0.5
     env.reset(seed=0)
     np.testing.assert_array_equal(env.render(), before)
 
@@ -275,8 +274,7 @@ def test_the_vector_form_begins_ended_lanes_anew() -> None:
     assert info["instruction"].tolist() == ["go to the hydrant"] * 4
     assert observation.shape == (4, OBSERVATION_SIZE)
     assert env.observation_space.contains(observation)
-    first = env.reset(seed=2)[0]
-    np.testing.assert_array_equal(first, observation)
+    np.testing.assert_array_equal(env.reset(seed=2)[0], observation)
     actions = np.zeros((4, 3), np.float32)
     actions[:, 0], actions[:, 2] = 1.0, -1.0
     actions[1] = [0.0, 0.0, 1.0]
@@ -290,5 +288,4 @@ def test_the_vector_form_begins_ended_lanes_anew() -> None:
     assert reward[1] == 0.0
     assert again[1, :2].tolist() == [0.0, 0.0]
     np.testing.assert_allclose(again[[0, 2, 3], 0], 2.0, atol=1e-5)
-    pictures = env.render()
-    assert [picture.shape[::2] for picture in pictures] == [(480, 3)] * 4
+    assert [picture.shape[::2] for picture in env.render()] == [(480, 3)] * 4

@@ -88,8 +88,7 @@ def test_a_world_of_ones_own_stands_as_it_is() -> None:
     tasks = make_tasks(one)
     np.testing.assert_array_equal(tasks.scenario.goal, np.tile(own.scenario.goal, (5, 1)))
     np.testing.assert_array_equal(tasks.scenario.area[3], own.scenario.area)
-    keys = jax.random.key_data(tasks.key)
-    assert len(np.unique(np.asarray(keys), axis=0)) == 5
+    assert len(np.unique(np.asarray(jax.random.key_data(tasks.key)), axis=0)) == 5
     mixed = draw_tasks(
         [one, cell("1H1C", "null", 0, 3.0, 5, 0)], np.array([1, 0]), np.array([0, 1])
     )

@@ -149,8 +149,7 @@ def test_the_figure_colours_names_by_their_targets(tmp_path: Path) -> None:
         row("14 bystanders", is_met=True, is_calibrated=True),
         row("no hydrant", ece=None),
     ]
-    figure = robustness_figure(document(rows))
-    texts = figure.axes[0].get_yticklabels()
+    texts = robustness_figure(document(rows)).axes[0].get_yticklabels()
     colours = {text.get_text(): text.get_color() for text in texts}
     assert len({colours[name] for name in ("plain", "2 more pairs", "14 bystanders")}) == 3
     assert colours["plain"] == colours["no hydrant"]

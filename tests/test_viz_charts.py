@@ -43,8 +43,7 @@ def test_every_row_is_a_point_of_figure_5():
     # Policies stand a few per cent apart along the axis of ranges.
     assert ours[:, 0] == pytest.approx([2, 3, 5], rel=0.05)
     assert ours[:, 1] == pytest.approx([22, 18, 10])
-    rates = lines_of(behind_rate)["informed (ours)"]
-    assert rates[:, 1] == pytest.approx([70, 75, 85])
+    assert lines_of(behind_rate)["informed (ours)"][:, 1] == pytest.approx([70, 75, 85])
     assert lines_of(behind_way)[sweep.PAPER_NAME] == pytest.approx(np.array([[3, 18.72]]))
     assert sweep.PAPER_NAME not in lines_of(nearest_way)
     assert behind_way.get_title(loc="left") == "2H1C, “go to the hydrant behind the cone”"
@@ -76,27 +75,19 @@ def test_nothing_to_draw_is_said(draw):
 def test_limits_stand_across_their_row():
     found = document()
     found["bounds"] = [
-        {"world": "2H1C", "range": 3.0, "relation": "behind", "success": 100.0, "known": 10.4},
+        {"world": world, "range": 3.0, "relation": "behind", "success": 100.0, "known": 10.4}
+        for world in ("2H1C", "9H9C")
     ]
     rates, ways = rows.table_figure(found).axes
     marks = [
         [line.get_xdata() for line in axes.lines if line.get_label() == rows.LIMIT_NAME]
         for axes in (rates, ways)
     ]
-    assert [len(of_axes) for of_axes in marks] == [1, 1]
+    assert [len(of_axes) for of_axes in marks] == [2, 2]
+    # One without a row of results has its own line.
+    assert rates.get_yticklabels()[-1].get_text() == "9H9C, 3 m, behind"
     assert marks[0][0][0] == pytest.approx(100.0)
     assert marks[1][0][0] == pytest.approx(10.4 - 1.5)
-
-
-def test_a_limit_without_a_row_has_its_own_line():
-    found = document()
-    found["bounds"] = [
-        {"world": "9H9C", "range": 3.0, "relation": "behind", "success": 100.0, "known": 10.4},
-    ]
-    rates = rows.table_figure(found).axes[0]
-    assert rates.get_yticklabels()[-1].get_text() == "9H9C, 3 m, behind"
-    (line,) = [line for line in rates.lines if line.get_label() == rows.LIMIT_NAME]
-    assert np.mean(line.get_ydata()) == len(rates.get_yticks()) - 1
 
 
 def swept(**varied):
@@ -156,8 +147,7 @@ def test_reliability_panels_share_names_and_scale():
 
 
 def test_time_bars_are_ranked_with_shares():
-    figure = rows.time_figure({"small": 10.0, "large": 30.0})
-    axes = figure.axes[0]
+    axes = rows.time_figure({"small": 10.0, "large": 30.0}).axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["large", "small"]
     assert [bar.get_width() for bar in axes.patches] == [30.0, 10.0]
     assert {text.get_text() for text in axes.texts} == {"30 µs · 75 %", "10 µs · 25 %"}

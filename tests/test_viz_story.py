@@ -308,8 +308,7 @@ def test_the_goal_field_is_the_sum_of_equation_11(one):
 
 @pytest.mark.parametrize("number", [1, 2, 4, 6, 50])
 def test_moments_hold_first_and_last(number):
-    one = make_recording(12, 10)
-    chosen = narrative.select_steps(one, number)
+    chosen = narrative.select_steps(make_recording(12, 10), number)
     assert len(chosen) == min(number, 12)
     assert chosen == sorted(set(chosen))
     assert chosen[-1] == 11

@@ -29,8 +29,7 @@ from jaxlangnav.viz.rrd import write_rrd
 
 def cell(x, y, width, height):
     column = int((x - AREA[0]) / (AREA[1] - AREA[0]) * width)
-    row = int((AREA[3] - y) / (AREA[3] - AREA[2]) * height)
-    return row, column
+    return int((AREA[3] - y) / (AREA[3] - AREA[2]) * height), column
 
 
 def test_things_stand_where_they_are():
@@ -218,8 +217,7 @@ def test_pictures_of_a_robot_go_with_their_steps():
 
 
 def test_200_steps_of_256_particles_are_small(tmp_path):
-    path = write_html(make_recording(200, 256), tmp_path / "long.html")
-    assert path.stat().st_size < 10e6
+    assert write_html(make_recording(200, 256), tmp_path / "long.html").stat().st_size < 10e6
 
 
 @pytest.mark.slow
