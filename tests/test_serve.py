@@ -22,7 +22,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.grounding import load_shipped
-from jaxlangnav.serve import live, server
+from jaxlangnav.serve import server
 from jaxlangnav.serve.live import LiveEpisode, Request
 from jaxlangnav.world.files import load_world
 
@@ -285,7 +285,7 @@ def test_a_fault_of_ours_is_told_and_the_server_goes_on(
         yield
 
     with monkeypatch.context() as patch:
-        patch.setattr(live.recorder, "play", fail)
+        patch.setattr("jaxlangnav.episode.recorder.play", fail)
         name = client.open("go to the hydrant")
     with client.watch(name) as line:
         news = until(line, lambda news: news["is_over"])

@@ -11,13 +11,13 @@ from jaxlangnav.cli import checks, speech
 from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.runtime import spinner
-from jaxlangnav.cli.settings import OptionPath, apply, apply_to_task, read_options
+from jaxlangnav.cli.settings import apply_to_episode, read_options
 from jaxlangnav.inputs.limits import check_minimum
 
 if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
     from jaxlangnav.grounding.instruction import Understanding
-    from jaxlangnav.task.loading import PreparedTask
+    from jaxlangnav.task.follow import PreparedEpisode
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -90,32 +90,27 @@ class Follow:
         understood, models, detector = understand_text(
             self.text, output, world=self.world, weights=self.weights
         )
-        understood.check_task()
-        values = read_options(self.settings, self.SETTINGS)
-        sizes = self._sizes(values)
-        from jaxlangnav.experiments.policies import add_heading_bias
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.grounding import GraphGrounder
-        from jaxlangnav.task.follow import batched, precompile_cycle
-        from jaxlangnav.task.loading import check_template, step_limit
+        from jaxlangnav.task.follow import precompile_cycle
+        from jaxlangnav.task.loading import step_limit
         from jaxlangnav.task.talk import padded
 
-        check_template(self.world, understood)
+        opened = self._open(understood)
         dialogue = None
         if script or self.ask or self.talk or self.person:
             grounder = GraphGrounder.of_detector(models, detector)
             speech.check_script(script, grounder, understood)
-            understood = padded(understood)
-            dialogue = {"script": script, "grounder": grounder, "first": understood}
-        prepared = self._open(understood, output)
-        prepared, sizes["params"] = apply_to_task(prepared, values, params=sizes["params"])
-        sizes["config"] = add_heading_bias(sizes["config"], prepared.task.motion)
-        max_steps = self.max_steps or step_limit(prepared.task.scenario, prepared.task.sensor)
+            opened = dataclasses.replace(opened, understood=padded(understood))
+            dialogue = {"script": script, "grounder": grounder, "first": opened.understood}
+        task = opened.prepared.task
+        max_steps = self.max_steps or step_limit(task.scenario, task.sensor)
         speech.read_script(self.hear, max_steps)
-        check_recording(sizes["config"], max_steps)
-        precompile_cycle(prepared.task, batched(understood), **sizes)
-        recording = self._record(understood, dialogue, prepared, sizes, max_steps, output)
-        document = self._document(prepared.world, understood.annotations, recording)
+        check_recording(opened.config, max_steps)
+        self._note_world(opened, output)
+        precompile_cycle(opened)
+        recording = self._record(opened, dialogue, max_steps, output)
+        document = self._document(opened.prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
         return document
@@ -143,63 +138,55 @@ class Follow:
             checks.check_extra("--mp4 is written by OpenCV", "cv2", "robot")
         return script
 
-    def _sizes(self, values: "dict[OptionPath, Any]") -> dict[str, Any]:
-        """Build parameters and configuration, and check their validity."""
+    def _open(self, understood: "Understanding") -> "PreparedEpisode":
+        """Open the world, set the parameters, and check their validity."""
         from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
-        from jaxlangnav.task.follow import params_and_config
-        from jaxlangnav.task.loading import sensor_of
+        from jaxlangnav.task.follow import prepare_episode
         from jaxlangnav.task.talk import allow_questions
 
-        params, config = params_and_config(self.world, self.policy, self.particles)
-        params, config = apply(params, values, "params"), apply(config, values, "config")
-        params = allow_questions(params) if self.ask else params
-        check_sensor(apply(sensor_of(self.world, self.range), values, "sensor"))
+        values = read_options(self.settings, self.SETTINGS)
+        options = self.range, self.policy, self.seed, self.particles
+        opened = prepare_episode(self.text, understood, self.world, *options)
+        opened = apply_to_episode(opened, values)
+        if self.ask:
+            opened = dataclasses.replace(opened, params=allow_questions(opened.params))
+        check_sensor(opened.prepared.task.sensor)
         if values:
-            check(params, policy=config.planner.chosen)
-        return {"params": params, "config": config}
+            check(opened.params, policy=opened.config.planner.chosen)
+        return opened
 
-    def _open(self, understood: "Understanding", output: Output) -> "PreparedTask":
-        """Open the task in its world; notes object types that are missing there."""
-        from jaxlangnav.task.loading import absent_types, count_types, load_task, mismatch_message
+    def _note_world(self, opened: "PreparedEpisode", output: Output) -> None:
+        """Note object types that the world lacks, and that success cannot be judged."""
+        from jaxlangnav.task.loading import absent_types
 
-        prepared = load_task(self.world, understood, sensing_range=self.range, seed=self.seed)
+        prepared, understood = opened.prepared, opened.understood
         scenario, names = prepared.task.scenario, understood.type_names
-        if not prepared.goal_exists and prepared.is_sampled:
-            raise UsageError(mismatch_message(prepared.world, count_types(scenario, names), ()))
         for name in absent_types(scenario, understood.annotations, names):
             output.note(f"note: world {prepared.world} has no {name}")
         if prepared.unscored and not (prepared.goal_exists and self.person):
             output.note(f"note: {prepared.unscored}, so success cannot be judged")
-        return prepared
 
     def _record(
         self,
-        understood: "Understanding",
+        opened: "PreparedEpisode",
         dialogue: dict[str, Any] | None,
-        prepared: "PreparedTask",
-        sizes: dict[str, Any],
         max_steps: int,
         output: Output,
     ) -> "Recording":
         """Run the episode and print its narrative, live or afterwards."""
-        from jaxlangnav.episode import recorder
         from jaxlangnav.episode.recording import stack_frames
-        from jaxlangnav.task.follow import batched, score
+        from jaxlangnav.task.follow import score
         from jaxlangnav.task.talk import add_talk
         from jaxlangnav.viz.narrative import closing, narrate, narrate_live, opening
 
-        instructions, task = batched(understood), prepared.task
-        labels = {"text": self.text, "type_names": understood.type_names}
-        inputs = task.scenario, task.sensor, understood.instruction
-        scene = recorder.make_scene(*inputs, **labels, **sizes)
-        source = None
+        scene, source = opened.scene(), None
         if dialogue is not None:
             speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
             source = speech.listener(output, **speakers, **dialogue, scene=scene)
-        steps = recorder.play(task, instructions, max_steps=max_steps, speech=source, **sizes)
+        steps = opened.play(max_steps, source)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
-        with spinner(message, f"compile {self.policy} {sizes['config'].map}", default_seconds=60.0):
+        with spinner(message, f"compile {self.policy} {opened.config.map}", default_seconds=60.0):
             first = next(steps)
         steps = itertools.chain([first], steps)
         utterances = [] if source is None else source.utterances
@@ -217,7 +204,7 @@ class Follow:
                 steps = narrate_live(scene, steps, utterances, output.print_wrapped)
             frames, results = zip(*steps, strict=True)
             recording = stack_frames(scene, list(frames), results[-1])
-        recording = score(recording, prepared, has_person=self.person is not None)
+        recording = score(recording, opened.prepared, has_person=self.person is not None)
         recording = recording if source is None else add_talk(recording, source)
         if self.live or is_typed:
             output.print("")

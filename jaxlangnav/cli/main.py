@@ -22,8 +22,8 @@ from typing import Any
 
 from jaxlangnav import __version__
 from jaxlangnav.cli import MODULES, SUMMARIES, output, settings
-from jaxlangnav.cli.output import UsageError, did_you_mean
-from jaxlangnav.inputs.sanitize import sanitize
+from jaxlangnav.cli.output import UsageError
+from jaxlangnav.inputs.sanitize import did_you_mean, sanitize
 
 PROGRAM = "jaxlangnav"
 DEBUG = "JAXLANGNAV_DEBUG"

@@ -4,7 +4,6 @@ Errors are one line on standard error.
 """
 
 import contextlib
-import difflib
 import json
 import math
 import os
@@ -13,7 +12,7 @@ import shutil
 import sys
 import textwrap
 import traceback
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxlangnav.experiments.table import Document as Document
@@ -46,8 +45,7 @@ class Output:
             kwargs: dict[str, Any] = dict.fromkeys(("highlight", "markup", "emoji"), False)
             # A table wider than the screen is wrapped by the terminal, not cropped.
             console = Console(file=sys.stdout, width=_MAX_TABLE_WIDTH, soft_wrap=True, **kwargs)
-            escaped = (sanitize(x) if isinstance(x, str) else Escaped(x) for x in parts)
-            console.print(*escaped)
+            console.print(*(sanitize(x) if isinstance(x, str) else Escaped(x) for x in parts))
 
     def print_wrapped(self, lines: Sequence[str]) -> None:
         """Print narrative lines; a terminal wraps them with a hanging indent."""
@@ -140,10 +138,3 @@ def platform_fault(failure: Exception) -> str | None:
         f'{_PLATFORMS} is "{shorten(platforms)}", but JAX can compute on no such device here: '
         "unset it, or set it to cpu"
     )
-
-
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suggest the closest known name, '; did you mean "follow"?', or return ""."""
-    by_lower_case = {key.lower(): key for key in known}
-    matches = difflib.get_close_matches(name.lower(), by_lower_case, n=1, cutoff=0.6)
-    return f'; did you mean "{by_lower_case[matches[0]]}"?' if matches else ""

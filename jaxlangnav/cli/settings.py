@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from jaxlangnav.cli.output import UsageError
 
 if TYPE_CHECKING:
-    from jaxlangnav.navigator import NavigatorParams
-    from jaxlangnav.task.loading import PreparedTask
+    from jaxlangnav.task.follow import PreparedEpisode
 
 _T = TypeVar("_T")
 OptionPath = tuple[str, ...]  # such as ("params", "planner", "discount")
@@ -124,14 +123,22 @@ def apply(record: _T, values: Mapping[OptionPath, Any], root: str) -> _T:
     return _set_values(record, group_values) if group_values else record
 
 
-def apply_to_task(
-    prepared: "PreparedTask", values: Mapping[OptionPath, Any], *, params: "NavigatorParams"
-) -> "tuple[PreparedTask, NavigatorParams]":
-    """Set the sensor and the motion of a task, and the motion model of the filter."""
-    new = {name: apply(getattr(prepared.task, name), values, name) for name in ("sensor", "motion")}
-    prepared = dataclasses.replace(prepared, task=dataclasses.replace(prepared.task, **new))
-    map_params = dataclasses.replace(params.map, motion=new["motion"])
-    return prepared, dataclasses.replace(params, map=map_params)
+def apply_to_episode(
+    opened: "PreparedEpisode", values: Mapping[OptionPath, Any]
+) -> "PreparedEpisode":
+    """Set the values of all groups; the filter assumes the motion model of the world."""
+    from jaxlangnav.experiments.policies import set_heading_bias
+
+    task = opened.prepared.task
+    motion = apply(task.motion, values, "motion")
+    task = dataclasses.replace(task, sensor=apply(task.sensor, values, "sensor"), motion=motion)
+    params = apply(opened.params, values, "params")
+    return dataclasses.replace(
+        opened,
+        prepared=dataclasses.replace(opened.prepared, task=task),
+        params=dataclasses.replace(params, map=dataclasses.replace(params.map, motion=motion)),
+        config=set_heading_bias(apply(opened.config, values, "config"), motion),
+    )
 
 
 def suggestion(flag: str, groups: Sequence[str], undotted: Iterable[str]) -> str:

@@ -7,8 +7,8 @@ import threading
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.cli.output import Output, UsageError, did_you_mean
-from jaxlangnav.inputs.sanitize import sanitize, shorten
+from jaxlangnav.cli.output import Output, UsageError
+from jaxlangnav.inputs.sanitize import did_you_mean, sanitize, shorten
 
 if TYPE_CHECKING:
     from jaxlangnav.episode import EpisodeState

@@ -8,7 +8,7 @@ from typing import Any
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.reproduce import Reproduce
 from jaxlangnav.cli.runtime import spinner
-from jaxlangnav.cli.settings import OptionPath, apply_to_task
+from jaxlangnav.cli.settings import OptionPath, apply_to_episode
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.policies import navigator_config
@@ -105,9 +105,9 @@ def _figure(
         with CompileClock() as clock, spinner(f"an episode in {name}"):
             understood = understand_parse(parse(TEXT), load(None))
             prepared = load_task(name, understood, sensing_range=None, seed=settings.options.seed)
-            prepared, params = apply_to_task(prepared, settings.values, params=settings.params)
-            args = {"text": TEXT, "understood": understood, "prepared": prepared, "params": params}
-            episode = record_episode(PreparedEpisode(**args, config=config))
+            args = {"text": TEXT, "understood": understood, "prepared": prepared}
+            opened = PreparedEpisode(**args, params=settings.params, config=config)
+            episode = record_episode(apply_to_episode(opened, settings.values))
         output.print_wrapped(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result
         document = {

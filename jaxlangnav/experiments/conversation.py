@@ -17,12 +17,11 @@ from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Report, Row, Table, TableColumns
-from jaxlangnav.experiments.tasks import cell, known_distances, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, cell, known_distances, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import params_of
 
-_NULL_TEXT, _BEHIND_TEXT = "go to the hydrant", "go to the hydrant behind the cone"
 _TRUE_TEXT, _FALSE_TEXT = "the hydrant is behind the cone", "the hydrant is in front of the cone"
 _SILENT: dict[str, Any] = {"num_corrections": 0, "answers": False}
 _ANSWERS: dict[str, Any] = {"num_corrections": 0}
@@ -43,7 +42,7 @@ class DialogueSpec:
     name: str
     world: str = "2H1C"
     relation: str = "null"  # for which a template's worlds are sampled
-    text: str = _NULL_TEXT  # initial command
+    text: str = SENTENCES["null"]  # initial command
     person: dict[str, Any]  # arguments of ``params_of``
     cost: float = math.inf  # of a question, in units of success; inf: never ask
     sensing_range: float = 3.0  # metres
@@ -66,7 +65,7 @@ ROWS = (
         relation="behind",
         person=_SILENT | {"states_at": 4, "error_rate": 0.1},
     ),
-    DialogueSpec(name="said at first", relation="behind", text=_BEHIND_TEXT, person=_SILENT),
+    DialogueSpec(name="said at first", relation="behind", text=SENTENCES["behind"], person=_SILENT),
 )
 """All rows; those with the same world and relation share their worlds."""
 

@@ -4,7 +4,6 @@ All arms run the same tasks and return the same records, paired episode by episo
 """
 
 import dataclasses
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from jaxlangnav.experiments.judging import TALLY_PROGRAM
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.tasks import Overrides
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.sanitize import shorten
+from jaxlangnav.inputs.sanitize import did_you_mean, shorten
 from jaxlangnav.messages import MotionParams, is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.navigator.deployment import set_params
@@ -55,8 +54,7 @@ def check_policies(names: Sequence[str]) -> tuple[str, ...]:
         raise ValueError(f"no policy given: {choose}")
     for name in names:
         if name not in POLICY_NAMES:
-            closest = difflib.get_close_matches(shorten(name).lower(), POLICY_NAMES, n=1)
-            hint = f'; did you mean "{closest[0]}"?' if closest else ""
+            hint = did_you_mean(shorten(name), POLICY_NAMES)
             raise ValueError(f'unknown policy "{shorten(name)}": {choose}{hint}')
     return tuple(dict.fromkeys(names))
 
@@ -67,11 +65,10 @@ def navigator_config(policy: AnyPolicy, num_particles: int = DEFAULT_PARTICLES) 
     return NavigatorConfig(map=map_config, planner=planner)
 
 
-def add_heading_bias(config: NavigatorConfig, motion: MotionParams) -> NavigatorConfig:
-    """Enable heading-bias estimation if the motion model has drift; needs concrete values."""
-    if not is_drifting(motion):
-        return config
-    return dataclasses.replace(config, map=dataclasses.replace(config.map, has_drift=True))
+def set_heading_bias(config: NavigatorConfig, motion: MotionParams) -> NavigatorConfig:
+    """Estimate a heading bias if and only if the motion model has drift; needs concrete values."""
+    sizes = dataclasses.replace(config.map, has_drift=is_drifting(motion))
+    return dataclasses.replace(config, map=sizes)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -162,7 +159,7 @@ def policy_arm(
     params = replace(default_params() if params is None else params, policy=arrays)
     if motion is not None:
         params = replace(params, map=replace(params.map, motion=motion))
-    config = add_heading_bias(navigator_config(policy, num_particles), params.map.motion)
+    config = set_heading_bias(navigator_config(policy, num_particles), params.map.motion)
     return Arm(policy=name, labels=labels, config=config, params=params, motion=motion)
 
 

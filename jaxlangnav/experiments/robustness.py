@@ -68,9 +68,8 @@ def _row_metrics(row: Row, spec: RowSpec, results: EpisodeResult) -> Row:
     entries |= {"is_told": spec.is_matched, "target": None, "is_met": None, "is_calibrated": None}
     if spec.termination == "not_found":
         num_correct, count = row["not_found"], row["episodes"]
-        lower, upper = wilson_interval(num_correct, count)
-        rate = 100.0 * num_correct / max(1, count)
-        entries |= {"success_rate": rate, "success_ci": [100.0 * lower, 100.0 * upper]}
+        ends = [100.0 * end for end in wilson_interval(num_correct, count)]
+        entries |= {"success_rate": 100.0 * num_correct / max(1, count), "success_ci": ends}
     row = row | entries
     # Only our policy ``informed``, the tour of least expected latency, has targets.
     if row["policy"] != "informed":

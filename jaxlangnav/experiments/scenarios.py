@@ -13,15 +13,15 @@ import jax.numpy as jnp
 
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.table import Row
-from jaxlangnav.experiments.tasks import Cell
+from jaxlangnav.experiments.tasks import SENTENCES, Cell
 from jaxlangnav.messages import SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.places import world_params
 
 COMMANDS = {
-    "behind": "go to the hydrant behind the cone",
+    "behind": SENTENCES["behind"],
     "front": "go to the hydrant in front of the cone",
-    "null": "go to the hydrant",
+    "null": SENTENCES["null"],
 }
 """Commands by relation; "null" has no spatial relation."""
 _Values = Mapping[str, Any]

@@ -14,7 +14,7 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import numpy as np
@@ -33,15 +33,14 @@ from jaxlangnav.pytree import replace
 
 MAX_FILES = 1_000_000
 """Limit of files in a folder: file systems get slow, and file names have six digits."""
-_Item = TypeVar("_Item")
 Axes = dict[str, Sequence[Any]]
 """Axes of a grid, the slowest first: the values of a column, by its name."""
 
 
-class LazySequence(Sequence[_Item]):
+class LazySequence(Sequence[Any]):
     """Sequence whose items are computed from their index on access, with a small cache."""
 
-    def __init__(self, size: int, make: Callable[[int], _Item]) -> None:
+    def __init__(self, size: int, make: Callable[[int], Any]) -> None:
         """Store the length and the function from index to item, cached."""
         self._size, self._make = size, functools.lru_cache(maxsize=256)(make)
 

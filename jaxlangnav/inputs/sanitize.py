@@ -5,6 +5,7 @@ terminal's cursor or set its title, bidirectional marks, or line breaks that for
 All text printed to a terminal passes through ``sanitize``.
 """
 
+import difflib
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -77,6 +78,13 @@ def quote(value: Any, max_length: int = 40) -> str:
 def shorten(text: str, max_length: int = _MAX_SHOWN) -> str:
     """Shorten a text to ``max_length`` characters, of which the last is an ellipsis."""
     return text if len(text) <= max_length else text[: max_length - 1] + "…"
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Suggest the closest known name, '; did you mean "follow"?', or return ""."""
+    by_lower_case = {key.lower(): key for key in known}
+    matches = difflib.get_close_matches(name.lower(), by_lower_case, n=1)
+    return f'; did you mean "{by_lower_case[matches[0]]}"?' if matches else ""
 
 
 def name_fault(text: str, *, max_length: int = MAX_NAME) -> str | None:

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from jaxlangnav.episode import EpisodeResult, EpisodeState, recorder
+from jaxlangnav.episode import EpisodeResult, EpisodeState
 from jaxlangnav.episode.recording import Recording, Snapshot, stack_frames
 from jaxlangnav.experiments.sizes import check_recording
-from jaxlangnav.grounding import GraphGrounder, GroundingModel
+from jaxlangnav.grounding import GraphGrounder, GroundingModel, understand
 from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.documents import parse_json, parse_toml
 from jaxlangnav.inputs.limits import RANGES
@@ -21,7 +21,7 @@ from jaxlangnav.inputs.sanitize import sanitize, shorten
 from jaxlangnav.inputs.schema import PlainText, bad_choice
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.follow import batched, prepare_episode, score
+from jaxlangnav.task.follow import prepare_episode, score
 from jaxlangnav.task.loading import detector_of, step_limit
 from jaxlangnav.task.talk import YOU, Dialogue, add_talk, allow_questions, name_candidates, padded
 from jaxlangnav.viz.html import page_data
@@ -96,39 +96,23 @@ class LiveEpisode:
         """
         self.request, self._pace = request, pace
         self._world = self._resolve_world(folder)
+        options = request.range, request.policy, request.seed, request.particles
         with _compile_lock:
-            opened = prepare_episode(
-                request.text,
-                self._world,
-                request.range,
-                request.policy,
-                request.seed,
-                request.particles,
-                model=model,
-            )
+            detector = detector_of(self._world, model.type_names)
+            understood = understand(request.text, model, detector)
+            opened = prepare_episode(request.text, understood, self._world, *options)
         task = opened.prepared.task
         self._max_steps = request.max_steps or step_limit(task.scenario, task.sensor)
         check_recording(opened.config, self._max_steps)
-        grounder = GraphGrounder.of_detector(
-            model, detector_of(self._world, opened.understood.type_names)
-        )
+        grounder = GraphGrounder.of_detector(model, detector_of(self._world, understood.type_names))
         # Reserve capacity for later utterances.
-        understood = padded(opened.understood)
+        understood = padded(understood)
         params = allow_questions(opened.params) if request.may_ask else opened.params
         self._opened = dataclasses.replace(opened, understood=understood, params=params)
-        scene = recorder.make_scene(
-            task.scenario,
-            task.sensor,
-            understood.instruction,
-            text=request.text,
-            type_names=understood.type_names,
-            params=params,
-            config=opened.config,
-        )
         self._source = Dialogue(
             grounder=grounder,
             first=understood,
-            scene=scene,
+            scene=self._opened.scene(),
             speakers={YOU: self._read},
             is_present=lambda progress: not self._closed.is_set(),
             on_heard=lambda _: self._notify(),
@@ -156,15 +140,7 @@ class LiveEpisode:
         threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
-        opened = self._opened
-        steps = recorder.play(
-            opened.prepared.task,
-            batched(opened.understood),
-            params=opened.params,
-            config=opened.config,
-            max_steps=self._max_steps,
-            speech=self._source,
-        )
+        steps = self._opened.play(self._max_steps, self._source)
         try:
             with _compile_lock:
                 self._steps.append(next(steps))

@@ -9,14 +9,16 @@ import dataclasses
 import functools
 import itertools
 import threading
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
-from jaxlangnav.episode import Task, recorder
-from jaxlangnav.episode.recording import Recording
-from jaxlangnav.experiments.policies import add_heading_bias, navigator_config
+from jaxlangnav.episode import EpisodeResult, recorder
+from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene, stack_frames
+from jaxlangnav.experiments.policies import navigator_config, set_heading_bias
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.inputs.program_cache import cache_dir, cached_jit
@@ -51,6 +53,19 @@ class PreparedEpisode:
     params: NavigatorParams
     config: NavigatorConfig
 
+    def scene(self) -> StaticScene:
+        """Build the static part of its recording."""
+        task, understood = self.prepared.task, self.understood
+        names = {"text": self.text, "type_names": understood.type_names}
+        inputs = task.scenario, task.sensor, understood.instruction
+        return recorder.make_scene(*inputs, **names, params=self.params, config=self.config)
+
+    def play(self, max_steps: int, speech: Any = None) -> Iterator[tuple[Snapshot, EpisodeResult]]:
+        """Run it step by step, as ``recorder.play``."""
+        inputs = self.prepared.task, batched(self.understood)
+        sizes = {"params": self.params, "config": self.config, "max_steps": max_steps}
+        return recorder.play(*inputs, **sizes, speech=speech)
+
 
 def follow(
     text: str,
@@ -84,26 +99,25 @@ def follow(
         ValueError: the sentence, the world or an option is refused; one line.
     """
     model = load_shipped() if model is None else model
+    understood = understand(text, model, detector_of(str(world), model.type_names))
     opened = prepare_episode(
-        text, world, sensing_range, policy, seed, particles, model=model, params=params
+        text, understood, str(world), sensing_range, policy, seed, particles, params=params
     )
     return record_episode(opened, max_steps)
 
 
 def prepare_episode(
     text: str,
-    world: str | Path,
+    understood: Understanding,
+    world: str,
     sensing_range: float | None,
     policy: AnyPolicy,
     seed: int,
     particles: int,
     *,
-    model: GroundingModel,
     params: NavigatorParams | None = None,
 ) -> PreparedEpisode:
-    """Ground a sentence and open a world for it; arguments and errors as of ``follow``."""
-    world = str(world)
-    understood = understand(text, model, detector_of(world, model.type_names))
+    """Open a world for a grounded sentence; other arguments and errors as of ``follow``."""
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
@@ -120,7 +134,7 @@ def prepare_episode(
         understood=understood,
         prepared=prepared,
         params=replace(params, map=replace(params.map, motion=motion)),
-        config=add_heading_bias(config, motion),
+        config=set_heading_bias(config, motion),
     )
 
 
@@ -162,13 +176,11 @@ def batched(understood: Understanding) -> Instruction:
     return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
 
 
-def precompile_cycle(
-    task: Task, instructions: Instruction, *, params: NavigatorParams, config: NavigatorConfig
-) -> None:
-    """Load or compile the decision cycle in a background thread.
+def precompile_cycle(opened: PreparedEpisode) -> None:
+    """Load or compile the decision cycle of an episode in a background thread.
 
-    It runs one step of the episode, whose instructions have leaves [1, …]. Without a program cache
-    nothing is done, as two threads would compile the same.
+    It runs one step. Without a program cache nothing is done, as two threads would compile the
+    same.
     """
     if cache_dir() is None:
         return
@@ -176,23 +188,17 @@ def precompile_cycle(
     def step() -> None:
         # Any error occurs again in the foreground and is reported there.
         with contextlib.suppress(Exception):
-            next(recorder.play(task, instructions, params=params, config=config))
+            next(opened.play(1))
 
     threading.Thread(target=step).start()
 
 
 def record_episode(opened: PreparedEpisode, max_steps: int | None = None) -> Recording:
     """Record one episode and evaluate its success; steps as of ``follow``."""
-    task, understood = opened.prepared.task, opened.understood
-    recording = recorder.record(
-        task,
-        batched(understood),
-        params=opened.params,
-        config=opened.config,
-        max_steps=step_limit(task.scenario, task.sensor) if max_steps is None else max_steps,
-        text=opened.text,
-        type_names=understood.type_names,
-    )
+    task = opened.prepared.task
+    max_steps = step_limit(task.scenario, task.sensor) if max_steps is None else max_steps
+    frames, results = zip(*opened.play(max_steps), strict=True)
+    recording = stack_frames(opened.scene(), list(frames), results[-1])
     return score(recording, opened.prepared)
 
 

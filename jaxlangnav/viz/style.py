@@ -211,8 +211,7 @@ def _fit_text(text: str, width: float, high: float, low: float, em: float) -> tu
     size = min(high, width * 72 / (em * max(1, len(text))))
     if size >= low:
         return text, size
-    length = int(width * 72 / (em * low)) - 1
-    return text[:length].rstrip() + "…", low
+    return text[: int(width * 72 / (em * low)) - 1].rstrip() + "…", low
 
 
 def save(figure: "Figure", stem: Path | str) -> tuple[Path, Path]:
