@@ -11,7 +11,6 @@ from jaxlangnav.cli.runtime import spinner
 from jaxlangnav.cli.settings import OptionPath, apply_to_episode
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
-from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Report, Section, Table
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.grounding.instruction import understand_parse
@@ -20,8 +19,7 @@ from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
-from jaxlangnav.task.follow import PreparedEpisode, record_episode
-from jaxlangnav.task.loading import load_task
+from jaxlangnav.task.follow import prepare_episode, record_episode
 from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.html import write_html
 from jaxlangnav.viz.narrative import MOMENT_COLUMNS, describe_moments, narrate, select_steps
@@ -101,12 +99,10 @@ def _figure(
         # The paper's policy unless exactly one is given.
         known = [key for key in settings.options.policies if key in POLICIES]
         policy = known[0] if len(known) == 1 else "faithful"
-        config = navigator_config(policy, settings.particles_drawn)
+        options = None, policy, settings.options.seed, settings.particles_drawn
         with CompileClock() as clock, spinner(f"an episode in {name}"):
             understood = understand_parse(parse(TEXT), load(None))
-            prepared = load_task(name, understood, sensing_range=None, seed=settings.options.seed)
-            args = {"text": TEXT, "understood": understood, "prepared": prepared}
-            opened = PreparedEpisode(**args, params=settings.params, config=config)
+            opened = prepare_episode(TEXT, understood, name, *options, params=settings.params)
             episode = record_episode(apply_to_episode(opened, settings.values))
         output.print_wrapped(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result

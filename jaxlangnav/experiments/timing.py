@@ -1,11 +1,10 @@
 """Profiling of a decision cycle: its parts compiled and timed separately, on equal beliefs."""
 
-import dataclasses
 import os
 import platform
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -27,8 +26,7 @@ _CALLS = 20  # calls of a part in one measurement
 _SEED = 4242  # of the worlds; not the default of any table
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Cost:
+class Cost(NamedTuple):
     """Measured cost: CPU and wall-clock time."""
 
     cpu: float  # CPU seconds; wall-clock seconds on an accelerator
@@ -62,8 +60,7 @@ def measure(run: Callable[[], Any], repetitions: int, *, max_seconds: float = fl
         jax.block_until_ready(run())
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
         costs.append((cpu if is_local else wall, wall))
-    cpu, wall = np.median(costs, axis=0).tolist()
-    return Cost(cpu=cpu, wall=wall)
+    return Cost(*np.median(costs, axis=0).tolist())
 
 
 def measure_parts(

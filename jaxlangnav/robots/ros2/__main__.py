@@ -12,7 +12,7 @@ import tyro
 
 from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.sanitize import sanitize
-from jaxlangnav.messages import SensorParams, default_sensor
+from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.libraries import load_ros
 from jaxlangnav.robots.robot import Ending
@@ -57,6 +57,8 @@ class NavigatorOptions:
 def navigate(options: NavigatorOptions) -> None:
     """Run the node until it is interrupted; ``ValueError`` for bad options or a silent robot."""
     _validate(options)
+    view = math.radians(options.field_of_view)
+    sensor = default_sensor(options.range, field_of_view=view, noise=0.1)
     navigator, texts = Navigator.pretrained(), []
     look = options.look
     if look == "tf":
@@ -64,7 +66,7 @@ def navigate(options: NavigatorOptions) -> None:
         look = TagSetup(
             types=read_tag_types(options.tags, navigator.type_names),
             range=options.range,
-            field_of_view=math.radians(options.field_of_view),
+            field_of_view=view,
             mount=(x, y, math.radians(degrees)),
             depth=options.tag_depth,
         )
@@ -86,7 +88,7 @@ def navigate(options: NavigatorOptions) -> None:
                 raise ValueError(f"no odometry within {options.patience:g} s: {reason}")
         robot = RosRobot(
             bus,
-            sensor=_sensor_params(options),
+            sensor=sensor,
             area=options.area,
             patience=options.patience,
             on_silence=report_silence,
@@ -108,15 +110,8 @@ def navigate(options: NavigatorOptions) -> None:
         bus.close()
 
 
-def _sensor_params(options: NavigatorOptions) -> SensorParams:
-    """Build the sensor model that the belief assumes."""
-    view = math.radians(options.field_of_view)
-    return default_sensor(options.range, field_of_view=view, noise=0.1)
-
-
 def _validate(options: NavigatorOptions) -> None:
     """Validate the options before anything is compiled."""
-    _sensor_params(options)
     x_min, x_max, y_min, y_max = options.area
     if not (x_min < x_max and y_min < y_max and all(map(math.isfinite, options.area))):
         raise ValueError(
