@@ -393,7 +393,8 @@ def test_a_sentence_is_carried_out_by_what_apriltag_ros_publishes(navigator) -> 
     bus = Tagged(simulated)
     talk, _ = session(navigator, bus)
     talk.say(TEXT, now=0.0)
-    assert bus.inbox.counts.used >= len(driven(talk, simulated).steps) - 3
+    ended = driven(talk, simulated)
+    assert bus.inbox.counts.used >= len(ended.steps) - 3
 
 
 def test_a_robot_that_is_away_for_a_while_is_waited_for_and_told_of_once(navigator) -> None:
