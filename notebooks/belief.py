@@ -29,7 +29,7 @@ from studies.own_worlds import judge_own_worlds
 
 import jaxlangnav
 from jaxlangnav.experiments import calibration
-from jaxlangnav.experiments.judging import bin_sums, reliability_curve
+from jaxlangnav.experiments.reliability import bin_sums, reliability_curve
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.messages import Observation

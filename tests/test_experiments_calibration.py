@@ -24,10 +24,10 @@ from jaxlangnav.experiments.calibration import (
     matched_object,
     scores,
 )
-from jaxlangnav.experiments.judging import TALLY_PROGRAM, bin_sums, pool_bins, reliability_curve
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.reliability import TALLY_PROGRAM, bin_sums, pool_bins, reliability_curve
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace

@@ -228,7 +228,7 @@ def test_a_row_without_a_valid_world_has_zeros_and_no_nan(monkeypatch) -> None:
         return record(**{field.name: np.zeros(1, bool) for field in fields} | given)
 
     dialogues = zeros(DialogueResult, result=zeros(EpisodeResult))
-    monkeypatch.setattr(conversation, "run_dialogues", lambda *_, **__: dialogues)
+    monkeypatch.setattr(conversation, "run_tasks", lambda *_, **__: dialogues)
     row = _run_row(ROWS[0], Options(episodes=1))
     assert row["episodes"] == row["success"] == row["questions"] == row["corrections"] == 0.0
 

@@ -103,8 +103,10 @@ def test_environments_are_as_far_as_the_paper_prints() -> None:
         hydrants, cones = int(row.world[0]), int(row.world[2])
         kinds = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)].tolist()
         assert (kinds.count(0), kinds.count(1)) == (hydrants, cones)
-        if row.known is not None:
-            assert np.hypot(*scenario.goal) == pytest.approx(row.known + STOP_DISTANCE, abs=0.15)
+        if row.known_distance is not None:
+            assert np.hypot(*scenario.goal) == pytest.approx(
+                row.known_distance + STOP_DISTANCE, abs=0.15
+            )
     jax.tree.map(np.testing.assert_array_equal, drawn[0], drawn[1])
     assert not np.allclose(draw_environment(TABLE3[0], 1).goal, drawn[0].goal)
 

@@ -25,8 +25,8 @@ from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments import conversation as spoken, paper, robustness, unknowns
 from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
-from jaxlangnav.experiments.judging import pool_bins, reliability_curve
 from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.reliability import pool_bins, reliability_curve
 from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.experiments.table import Report, Section, Table, report_html
 from jaxlangnav.experiments.table1 import evaluate, table_1

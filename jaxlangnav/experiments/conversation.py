@@ -11,10 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.dialogue import ground_dialogue, run_dialogues
+from jaxlangnav.experiments.dialogue import (
+    DIALOGUE_PROGRAM,
+    DialogueParams,
+    DialogueResult,
+    ground_dialogue,
+)
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.metrics import summarize
-from jaxlangnav.experiments.monte_carlo import OnProgress
+from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Report, Row, Table, TableColumns
 from jaxlangnav.experiments.tasks import SENTENCES, cell, known_distances, make_tasks
@@ -75,13 +80,15 @@ def _run_row(spec: DialogueSpec, options: Options, on_progress: OnProgress | Non
     tasks = make_tasks(cell(*cell_args))
     params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(spec.cost))
-    dialogues = run_dialogues(
+    navigator, person = replace(params, planner=planner), params_of(**spec.person)
+    sentence = ground_dialogue(spec.text, _TRUE_TEXT, _FALSE_TEXT)
+    dialogues: DialogueResult = run_tasks(
         tasks,
-        ground_dialogue(spec.text, _TRUE_TEXT, _FALSE_TEXT),
-        params_of(**spec.person),
-        params=replace(params, planner=planner),
+        sentence,
+        params=DialogueParams(navigator=navigator, person=person, sentence=sentence),
         config=navigator_config("informed", options.num_particles),
         on_progress=on_progress,
+        program=DIALOGUE_PROGRAM,
     )
     metrics = summarize(dialogues.result, known_distances(tasks))
     dialogues = jax.tree.map(lambda leaf: leaf[dialogues.result.is_valid], dialogues)

@@ -15,7 +15,6 @@ from jaxlangnav import episode
 from jaxlangnav.dialogue import DiscourseInfo, Merged, discourse_of, merge_utterance
 from jaxlangnav.episode import EpisodeResult, EpisodeState, Task
 from jaxlangnav.episode.lanes import EpisodeProgram
-from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.readings import Capacity, pad_to_capacity
@@ -63,7 +62,7 @@ class _State:
 
 
 @pytree
-class _Params:
+class DialogueParams:
     """Parameters of navigator and person, and the sentences."""
 
     navigator: NavigatorParams
@@ -123,7 +122,9 @@ def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _State
     return strong_types(state)
 
 
-def _advance(state: _State, *, params: _Params, config: NavigatorConfig) -> tuple[_State, None]:
+def _advance(
+    state: _State, *, params: DialogueParams, config: NavigatorConfig
+) -> tuple[_State, None]:
     """Apply the person's speech act, run one decision cycle, and check whether both are done."""
     before, scenario = state.episode_state, state.episode_state.task.scenario
     person, act, slot = speak(before, state.person, params=params.person)
@@ -160,29 +161,15 @@ def _finish(state: _State) -> DialogueResult:
     )
 
 
-_PROGRAM = EpisodeProgram(
+DIALOGUE_PROGRAM = EpisodeProgram(
     begin=_begin,
     advance=_advance,
     finish=_finish,
     episode_state=operator.attrgetter("episode_state"),
     is_done=operator.attrgetter("is_done"),
 )
-
-
-def run_dialogues(
-    tasks: Task,
-    sentence: Sentence,
-    person: PersonParams,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    on_progress: OnProgress | None = None,
-) -> DialogueResult:
-    """Run episodes with a simulated speaker; NumPy arrays, leaves [E, …], in the tasks' order."""
-    all_params = _Params(navigator=params, person=person, sentence=sentence)
-    return run_tasks(
-        tasks, sentence, params=all_params, config=config, on_progress=on_progress, program=_PROGRAM
-    )
+"""Program for ``run_tasks`` with ``DialogueParams``, and a ``Sentence`` for instructions; its
+results are of ``DialogueResult``."""
 
 
 def speak(

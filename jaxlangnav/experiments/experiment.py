@@ -18,7 +18,6 @@ import pyarrow as pa
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments.archive import CompileClock, pytree_hash, write_experiment
 from jaxlangnav.experiments.calibration import Tally, scores
-from jaxlangnav.experiments.judging import bin_sums
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import (
@@ -28,6 +27,7 @@ from jaxlangnav.experiments.policies import (
     check_policies,
     policy_arm,
 )
+from jaxlangnav.experiments.reliability import bin_sums
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, published_rows
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
 from jaxlangnav.experiments.table import Report, Row
@@ -258,10 +258,8 @@ class Experiment(Report):
                 parts.append(pa.table(grid.columns(run.arm, indices, run.results, distances)))
         document = {
             "experiment": self.name,
-            "episodes": options.episodes,
-            "environments": options.environments,
+            **{name: getattr(options, name) for name in ("episodes", "environments", "seed")},
             "policies": list(dict.fromkeys(arm.policy for arm in arms)),
-            "seed": options.seed,
             "num_particles": options.num_particles,
             "calibration_episodes": min(options.episodes, self.calibration_episodes),
             "sentences": dict(self.sentences),

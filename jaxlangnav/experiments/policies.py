@@ -14,8 +14,8 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.episode.lanes import EPISODE, EpisodeProgram
 from jaxlangnav.experiments.baselines import BASELINES
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import TALLY_PROGRAM
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
+from jaxlangnav.experiments.reliability import TALLY_PROGRAM
 from jaxlangnav.experiments.tasks import Overrides
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.sanitize import did_you_mean, shorten

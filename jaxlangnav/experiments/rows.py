@@ -57,19 +57,7 @@ TABLE2_ROWS = tuple(RowSpec.of(row) for row in TABLE_2)  # the rows of Table 2, 
 
 def published_rows(table: Sequence[TableRow]) -> list[Row]:
     """Convert published rows to records, rates in percent, distances in metres."""
-    return [
-        RowSpec.of(row).heading()
-        | {
-            "policy": "paper",
-            "success_rate": row.success_ours,
-            "distance_mean": row.distance_ours,
-            "distance_sd": row.distance_ours_sd,
-            "known_success_rate": row.success_known,
-            "known_distance_mean": row.distance_known,
-            "known_distance_sd": row.distance_known_sd,
-        }
-        for row in table
-    ]
+    return [{**row._asdict(), **RowSpec.of(row).heading(), "policy": "paper"} for row in table]
 
 
 def bound_rows(specs: Sequence[RowSpec]) -> list[Row]:

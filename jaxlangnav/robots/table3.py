@@ -50,7 +50,7 @@ class TrialRow:
     range: float  # metres
     relation: str
     success: float  # percent, printed
-    known: float | None  # metres, printed; None: not printed
+    known_distance: float | None  # metres, printed; None: not printed
     distance: float | None  # metres, printed
     distance_sd: float | None  # metres, printed
 
@@ -79,7 +79,7 @@ def draw_environment(row: TrialRow, seed: int) -> Scenario:
 
     Rows of one world and one printed distance share it, as in the paper. Leaves are NumPy arrays.
     """
-    goal_range = (row.known or _HUSKY_DISTANCE) + STOP_DISTANCE
+    goal_range = (row.known_distance or _HUSKY_DISTANCE) + STOP_DISTANCE
     # A null command uses the environment of "behind", as in Table 2.
     relation = "behind" if row.relation == "null" else row.relation
     params = scenario_params(template=row.world, relation=relation)
@@ -98,12 +98,8 @@ _draw_scenarios = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)))
 def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
     """Put a row's robot at the start of its environment; the seed determines a trial's noise."""
     noise = np.random.SeedSequence([seed, _TRIAL_STREAM, TABLE3.index(row), trial + 1])
-    return PhysicsRobot(
-        row.robot,
-        draw_environment(row, seed),
-        seed=int(noise.generate_state(1)[0]),
-        gates=Gates(range=row.range),
-    )
+    scenario, noise_seed = draw_environment(row, seed), int(noise.generate_state(1)[0])
+    return PhysicsRobot(row.robot, scenario, seed=noise_seed, gates=Gates(range=row.range))
 
 
 @functools.cache

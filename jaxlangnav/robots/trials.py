@@ -182,6 +182,9 @@ def _run_one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]
         return {"row": row.name, "trial": trial, "seed": plan.seed, **failed}
 
 
+_PRINTED = ("success", "known_distance", "distance", "distance_sd")
+
+
 def _summary(
     row: TrialRow, known: dict[str, Any], trials: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
@@ -189,9 +192,7 @@ def _summary(
     distances = np.array([trial["distance"] for trial in trials if trial["distance"] is not None])
     seconds = [trial["seconds"] for trial in trials if trial["seconds"] is not None]
     return {
-        "robot": row.robot,
-        "world": row.world,
-        "range": row.range,
+        **{name: getattr(row, name) for name in ("robot", "world", "range")},
         "relation": None if row.relation == "null" else row.relation,
         "trials": len(trials),
         "successes": successes,
@@ -208,12 +209,7 @@ def _summary(
             for trial in trials
             if not trial["success"]
         ],
-        "paper": {
-            "success": row.success,
-            "known_distance": row.known,
-            "distance": row.distance,
-            "distance_sd": row.distance_sd,
-        },
+        "paper": {name: getattr(row, name) for name in _PRINTED},
     }
 
 

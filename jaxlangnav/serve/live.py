@@ -271,12 +271,8 @@ class LiveEpisode:
 
 def warm_up(model: GroundingModel, folder: Path) -> None:
     """Compile the programs for template worlds by one step of an episode; or ``RuntimeError``."""
-    episode = LiveEpisode(
-        Request(text="go to the hydrant behind the cone", max_steps=1),
-        model=model,
-        folder=folder,
-        pace=0.0,
-    )
+    request = Request(text="go to the hydrant behind the cone", max_steps=1)
+    episode = LiveEpisode(request, model=model, folder=folder, pace=0.0)
     episode.close()
     episode._run()
     if episode.fault:

@@ -36,12 +36,12 @@ class TableRow(NamedTuple):
     world: str
     range: float  # sensing range
     relation: str
-    success_known: float  # of its robot that knows the map
-    success_ours: float  # of the paper's method
-    distance_known: float
-    distance_known_sd: float
-    distance_ours: float
-    distance_ours_sd: float
+    known_success_rate: float  # of its robot that knows the map
+    success_rate: float  # of the paper's method
+    known_distance_mean: float
+    known_distance_sd: float
+    distance_mean: float
+    distance_sd: float
 
 
 TABLE_2 = (
@@ -108,4 +108,4 @@ def known_map_distance(template: Template, relation: str) -> tuple[float, float]
     row = rows.get(relation, rows["null"])
     counts = template.num_hydrants, template.num_cones
     scale = math.sqrt(sum(counts) / 3) if max(counts) > 2 else 1.0
-    return row.distance_known * scale, row.distance_known_sd * scale
+    return row.known_distance_mean * scale, row.known_distance_sd * scale

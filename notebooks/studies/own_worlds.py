@@ -22,7 +22,7 @@ from jax import Array
 
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import TALLY_PROGRAM
+from jaxlangnav.experiments.reliability import TALLY_PROGRAM
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, Cell, GroundedSentences, cell, concatenate

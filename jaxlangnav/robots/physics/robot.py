@@ -188,21 +188,11 @@ class PhysicsRobot(SimulatedRobot):
 
     def _scan(self) -> np.ndarray:
         bearing = BEAM_ANGLES + self.true_pose[2]
-        directions = np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(len(BEAM_ANGLES))])
-        ranges, hit = np.empty(len(BEAM_ANGLES)), np.empty(len(BEAM_ANGLES), np.int32)
+        count, model, data = len(BEAM_ANGLES), self.scene.model, self.scene.data
+        rays = np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(count)]).ravel()
+        eye, ranges, hit = data.site_xpos[self._scanner], np.empty(count), np.empty(count, np.int32)
         self._mujoco.mj_multiRay(
-            self.scene.model,
-            self.scene.data,
-            self.scene.data.site_xpos[self._scanner],
-            directions.ravel(),
-            _SCANNED_GROUPS,
-            True,
-            -1,
-            hit,
-            ranges,
-            None,
-            len(BEAM_ANGLES),
-            SCAN_RANGE,
+            model, data, eye, rays, _SCANNED_GROUPS, True, -1, hit, ranges, None, count, SCAN_RANGE
         )
         return np.where((hit >= 0) & (ranges <= SCAN_RANGE), ranges, np.inf)
 

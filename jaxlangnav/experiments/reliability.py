@@ -1,4 +1,4 @@
-"""Episode program with calibration sums at every step, and reliability curves."""
+"""Reliability curves, and the episode program with calibration sums at every step."""
 
 import operator
 from collections.abc import Iterable, Mapping, Sequence
