@@ -150,8 +150,7 @@ class SensorParams:
     detection_probability: Array = field("in [0, 1]")  # f32[]
     noise: Array = field("metres, standard deviation of a relative position, each axis")  # f32[]
     false_detections: Array = field(  # f32[]
-        "false detections expected in one look, of each type, anywhere in view",
-        default=0.0,
+        "false detections expected in one look, of each type, anywhere in view", default=0.0
     )
     mislabelled: Array = field(  # f32[]
         "in [0, 1), probability that a detection names another type than the thing's, any of them",

@@ -142,14 +142,13 @@ def caption(document: Document) -> list[str]:
         f"{100 * noise['odometry_noise']:g} % of the way; {noise['step_length']:g} m a step.",
         "The paper prints neither geometry nor noise; its σ is over about 100 runs.",
     ]
-    invalid, overflows, num_degenerate, contradicted, num_discarded = (
-        sum(row[name] for row in document["rows"])
-        for name in ("invalid_worlds", "overflows", "degenerate", "contradictions", "faults")
-    )
+    names = ("invalid_worlds", "overflows", "degenerate", "contradictions", "faults")
+    totals = {name: sum(row[name] for row in document["rows"]) for name in names}
     lines.append(
-        f"Invalid worlds, left out: {invalid}; detections without a slot: {overflows}; steps with "
-        f"all weights zero: {num_degenerate}, with an observation that contradicts the map: "
-        f"{contradicted}, with an invalid observation, at which it stood still: {num_discarded}."
+        "Invalid worlds, left out: {invalid_worlds}; detections without a slot: {overflows}; steps "
+        "with all weights zero: {degenerate}, with an observation that contradicts the map: "
+        "{contradictions}, with an invalid observation, at which it stood still: "
+        "{faults}.".format_map(totals)
     )
     if document.get("calibration_episodes"):
         lines.append(

@@ -48,14 +48,12 @@ def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
     """Sum the events of episodes, leaves [E, S, …], to ``Bins`` of ``planner`` and ``map``."""
 
     def totals(reliability: Reliability) -> dict[str, list[float]]:
-        events, probability, outcome = (
-            np.asarray(leaf, np.float64).sum(axis=1)
-            for leaf in (reliability.events, reliability.probability, reliability.outcome)
-        )
         per_episode = {
-            "events": events,
-            "probability": probability,
-            "outcome": outcome,
+            name: np.asarray(getattr(reliability, name), np.float64).sum(axis=1)
+            for name in ("events", "probability", "outcome")
+        }
+        events, outcome = per_episode["events"], per_episode["outcome"]
+        per_episode |= {
             "episodes": events > 0,
             "events2": events**2,
             "outcome2": outcome**2,

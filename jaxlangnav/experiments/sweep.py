@@ -156,8 +156,8 @@ def run_sweep(
     *,
     resume: bool = False,
     shard: str = "1/1",
-    on_progress: OnProgress | None = None,
-    on_note: OnNote | None = None,
+    on_progress: OnProgress = lambda _: None,
+    on_note: OnNote = lambda _: None,
     num_threads: int | None = None,
 ) -> dict[str, Any]:
     """Run a sweep, or a shard of it.
@@ -180,24 +180,22 @@ def run_sweep(
     begin, folder = time.perf_counter(), Path(out)
     plan = make_plan(config)
     indices = plan.files(shard)
-    advance: OnProgress = on_progress or (lambda _done: None)
-    note: OnNote = on_note or (lambda _line: None)
     with CompileClock() as clock:
         sentences = ground_sentences([command.text for command in config.commands])
-        with lock(folder, parse_shard(shard), on_note=note) as is_locked:
+        with lock(folder, parse_shard(shard), on_note=on_note) as is_locked:
             sweep_id = _open_folder(folder, plan, indices, sentences.models, is_resumed=resume)
             if is_locked:
                 # Temporary files of killed writers; nobody else writes those of this shard.
                 for path in folder.iterdir():
                     if (match := _TEMPORARY.fullmatch(path.name)) and int(match[1]) in indices:
                         path.unlink(missing_ok=True)
-            valid = _valid_files(folder, plan, indices, sweep_id, note)
+            valid = _valid_files(folder, plan, indices, sweep_id, on_note)
             num_valid, missing = sum(map(plan.size, valid)), (i for i in indices if i not in valid)
-            advance(num_valid)
+            on_progress(num_valid)
             run_files = functools.partial(_run_files, plan, folder, sweep_id, sentences)
             rounds = _rounds(missing, plan.program_key, mesh().size)
             for done in run_ahead(run_files, rounds, num_threads or concurrent_calls()):
-                advance(done)
+                on_progress(done)
     return {
         "out": str(folder),
         "name": config.name,

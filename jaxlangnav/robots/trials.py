@@ -1,6 +1,7 @@
 """Run the trials of Table 3 in parallel processes, store each result, and build the table.
 
-A trial's result is determined by its row, its number and the seed. Stored trials are not repeated.
+A trial's result is determined by its row, its number and the seed. Stored trials are not repeated,
+except those that crashed.
 """
 
 import concurrent.futures
@@ -28,6 +29,7 @@ from jaxlangnav.robots.table3 import TABLE3, TrialRow, navigator_of, run_known, 
 
 KNOWN_MAP = "known"
 """Instead of a trial's number: the run with a completely known map."""
+_CRASHED = "crashed"  # ending of a trial in which an exception was raised
 _CACHE_OPTION = "jax_compilation_cache_dir"
 
 
@@ -121,7 +123,7 @@ def reproduce_table3(
 
 
 def _read_result(plan: TrialPlan, row: TrialRow, trial: int | str) -> dict[str, Any] | None:
-    """Read a stored trial; None if there is none that is valid and has the plan's settings."""
+    """Read a stored trial of the plan's settings; None if it is missing, invalid or crashed."""
     path = plan.path(row, trial)
     if path is None or not path.is_file():
         return None
@@ -129,7 +131,8 @@ def _read_result(plan: TrialPlan, row: TrialRow, trial: int | str) -> dict[str, 
         result = json.loads(path.read_text("utf-8"))
     except ValueError:
         return None
-    return result if isinstance(result, dict) and result.get("made") == plan.made else None
+    is_valid = isinstance(result, dict) and result.get("made") == plan.made
+    return result if is_valid and result.get("ending") != _CRASHED else None
 
 
 def _run_missing(
@@ -178,7 +181,7 @@ def _run_one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]
             raise
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         missing = {"distance": None, "goal_distance": None, "seconds": None}
-        failed = {"ending": "crashed", "why": reason, "success": False, **missing}
+        failed = {"ending": _CRASHED, "why": reason, "success": False, **missing}
         return {"row": row.name, "trial": trial, "seed": plan.seed, **failed}
 
 

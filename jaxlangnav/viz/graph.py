@@ -39,7 +39,7 @@ def _symbol_name(symbol: AnnotationSymbol, type_names: tuple[str, ...]) -> str:
 
 
 def graph_figure(parse: Parse, model: GroundingModel) -> "Figure":
-    """Draw a sentence's factor graph, phrases in reading order; limits as ``beliefs_figure``."""
+    """Draw a sentence's factor graph, phrases in reading order; raises as ``beliefs_figure``."""
     space = AnnotationSpace(len(model.type_names))
     names = [_symbol_name(symbol, model.type_names) for symbol in space.symbols]
     graph = CorrespondenceGraph(Annotations(model.type_names), model.annotation)
