@@ -22,10 +22,7 @@ from jaxlangnav.training.reader import (
     train_reader,
 )
 
-NAMES = (
-    "post office",
-    *["bench", "tree", "statue", "barn", "silo", "kiosk", "taxi", "gate", "flower"],
-)
+NAMES = ("post office", "bench", "tree", "statue", "barn", "silo", "kiosk", "gate", "flower")
 
 
 def goals(text: str) -> list[str]:
@@ -91,8 +88,7 @@ def test_what_can_be_read_is_not_changed():
 
 
 def test_a_turn_before_a_goal_is_kept():
-    found = parse("uh so like turn around and um go to the gate", NAMES)
-    assert len(found.clauses) == 2
+    assert len(parse("uh so like turn around and um go to the gate", NAMES).clauses) == 2
 
 
 STEPS, SIZE, FEATURES = 4, 3, 5

@@ -77,8 +77,7 @@ def test_it_is_the_very_thing():
     objects = (("cone", 3.0, 1.0), ("cone", 6.0, -2.0))
     world = PlacedWorld(objects=objects, robot=(0.0, 0.0, 0.0), previous=1)
     second = parse("go to the cone then stop behind it").clauses[1]
-    assert "goal(behind,1)" in behave(second, world)[-1]
-    assert "goal(behind,0)" not in behave(second, world)[-1]
+    assert {s for s in behave(second, world)[-1] if s.startswith("goal")} == {"goal(behind,1)"}
 
 
 def test_a_rank_counts_among_those_meant():
@@ -161,9 +160,7 @@ def test_what_is_read_as_something_else_is_told():
 def test_words_keep_the_places_where_they_were_said():
     assert len(tree("the cone, then go behind it")) == len(tree("find the cone. go to it")) == 2
     words = parse("keep going until you reach the cone").clauses[0].all_words()
-    assert [(word.text, word.position) for word in words] == [
-        ("go", 1), ("to", 2), ("the", 6), ("cone", 7),
-    ]  # fmt: skip
+    assert {word.text: word.position for word in words} == {"go": 1, "to": 2, "the": 6, "cone": 7}
 
 
 def test_a_name_of_the_detector_is_a_thing_whatever_else_it_says():
@@ -183,6 +180,11 @@ def test_who_asks_to_bring_what_was_found_is_refused():
     assert tree("bring it to the tree") == tree("go to the tree")
     with pytest.raises(LanguageError, match="'it'"):
         parse("bring it to the tree", earlier=earlier)
+
+
+def test_a_place_named_before_its_command_may_refer_to_what_was_said_before():
+    found = parse("the cone behind it: go there", earlier=Antecedent(kind="barrel", is_at=True))
+    assert str(found.clauses[0]) == "VP[go]{NP[]{NP[the cone], PP[behind]{NP[it]}}}"
 
 
 def test_plainer_words_are_told():

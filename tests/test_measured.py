@@ -33,6 +33,11 @@ def told(text: str) -> list[tuple[str, float]]:
         ("go forward two metres", [(FRONT, 2.0)]),
         ("go forward .5 metres", [(FRONT, 0.5)]),
         ("go forward a metre and a half", [(FRONT, 1.5)]),
+        ("go forward 1.5 and a half metres", None),
+        ("go forward 3 metres and a quarter", None),
+        ("go forward one half metre", [(FRONT, 0.5)]),
+        ("go forward one and one half metres", None),
+        ("go forward negative three metres", None),
         ("drive twenty five feet", [(FRONT, 7.62)]),
         ("back up 3 feet", [(BACK, 0.91)]),
         ("step 1.5 m to the left", [(LEFT, 1.5)]),
@@ -58,9 +63,8 @@ def test_what_is_measured_is_read_or_refused_by_name(text, expected) -> None:
     if expected is not None:
         assert told(text) == expected
         return
-    with pytest.raises(LanguageError, match=r"^.*\(word .*$") as error:
+    with pytest.raises(LanguageError, match=r"^.*\(word .*\Z"):
         parse(text)
-    assert "\n" not in str(error.value)
 
 
 def test_a_manner_said_between_is_kept() -> None:
@@ -75,7 +79,7 @@ def test_places_follow_one_another() -> None:
     assert second.end == pytest.approx((3.0, 2.0), abs=1e-6)
     np.testing.assert_allclose(second.frame, (0.0, 2.0, math.pi / 2), atol=1e-6)
     assert (third.metres, third.end) == (0.0, None)
-    (half,) = parse("turn 45 degrees to the right and go 2 metres").measures
+    (half,) = parse("turn 45° to the right and go 2 metres").measures
     assert half.end == pytest.approx((math.sqrt(2.0), -math.sqrt(2.0)), abs=1e-6)
 
 

@@ -127,8 +127,9 @@ def _check_symbols(
 ) -> None:
     """Validate the symbols of phrases against the legal arguments of each kind."""
     for symbol in itertools.chain(*labels):
-        is_valid = _SYMBOL.fullmatch(symbol) is not None
-        _check(is_valid, f"'{symbol}' is no symbol; expected kind(argument,...)")
+        _check(
+            bool(_SYMBOL.fullmatch(symbol)), f"'{symbol}' is no symbol; expected kind(argument,...)"
+        )
         kind, *arguments = re.split("[(,]", symbol[:-1])
         _check(kind in legal, f"'{symbol}': kind must be one of {', '.join(legal)}")
         count = len(legal[kind])
@@ -149,8 +150,7 @@ def _read_clause(record: _Clause, parsed: Parse, index: int) -> ClauseLabels:
     region = (RELATIONS, (*types, ROBOT_LABEL))
     legal = {"object": (types,), "region": region, "relation": (types, *region)}
     _check_symbols(record.annotation, legal)
-    annotation = tuple(map(frozenset, record.annotation))
-    return ClauseLabels(annotation=annotation, rank=tuple(record.rank))
+    return ClauseLabels(tuple(map(frozenset, record.annotation)), tuple(record.rank))
 
 
 def _read_world(record: _World, parsed: Parse) -> WorldLabels:

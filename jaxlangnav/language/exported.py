@@ -11,7 +11,7 @@ are parsed before use.
 
 import json
 from collections.abc import Iterable
-from typing import Literal
+from typing import Literal, get_args
 
 from jaxlangnav.language.grammar import Grammar, load_grammar
 from jaxlangnav.language.nouns import load_nouns
@@ -38,8 +38,10 @@ def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
         The grammar; a sentence of it has a space before each word.
 
     Raises:
-        ValueError: a noun is none; one line.
+        ValueError: a noun is none, or the notation is unknown; one line.
     """
+    if form not in get_args(Notation):
+        raise ValueError(f"'{form}' is no notation: choose one of {', '.join(get_args(Notation))}")
     rules = exported_rules(load_grammar(), nouns)
     names = {left: _name(left, form) for left in rules}
     arrow, bar, comment = {"lark": (": ", "\n  | ", "//"), "gbnf": (" ::= ", " | ", "#")}[form]

@@ -137,17 +137,14 @@ class Grammar:
             by_left.setdefault(left, []).append(" ".join(right))
         lines = [f"{left}: " + "\n  | ".join(rights) for left, rights in by_left.items()]
         terminals = " ".join(name for name in self._symbols.values() if name[0] == "T")
-        lark = Lark(
+        self._lark: Any = Lark(
             "\n".join([*lines, f"%declare {terminals}\n"]), start=self._symbols["start"],
             parser="earley", lexer=_TokenLexer, ambiguity="forest", keep_all_tokens=True,
             maybe_placeholders=False,
         )  # fmt: skip
-        self._lark: Any = lark
-        self._earley: Any = lark.parser.parser
         self._lock = threading.Lock()
-        self._rules = lark.rules
         # Symbols that must be derivable before a rule is predicted: (only the first, all).
-        required = [[str(symbol.name) for symbol in rule.expansion] for rule in lark.rules]
+        required = [[str(symbol.name) for symbol in rule.expansion] for rule in self._lark.rules]
         self._required = ([set(it[:1]) for it in required], [set(it) for it in required])
         self._dependents: tuple[dict[str, list[int]], ...] = ({}, {})
         for dependents, rules in zip(self._dependents, self._required, strict=True):
@@ -168,14 +165,15 @@ class Grammar:
                 num_missing[index] -= 1
                 if not num_missing[index]:
                     allowed.append(index)
-                    name = str(self._rules[index].origin.name)
+                    name = str(self._lark.rules[index].origin.name)
                     if name not in derivable:
                         derivable.add(name)
                         agenda.append(name)
-        for rules in self._earley.predictions.values():
+        predictions = self._lark.parser.parser.predictions
+        for rules in predictions.values():
             rules.clear()
         for index in sorted(allowed):
-            self._earley.predictions[self._rules[index].origin].append(self._rules[index])
+            predictions[self._lark.rules[index].origin].append(self._lark.rules[index])
 
     def parse(self, tokens: list[str], *, is_end_found: bool = True) -> tuple[Derivation, float]:
         """Find the most probable derivation, and its posterior probability.

@@ -68,8 +68,10 @@ def _alternatives(texts: Iterable[str]) -> str:
 _TENS = _alternatives(name for name, value in _NUMBERS.items() if value in range(20, 100, 10))
 _ONES = _alternatives(name for name, value in _NUMBERS.items() if 0 < value < 10)
 _NUMBER = rf"\d+(?:\.\d+)?|(?:{_TENS})[ -](?:{_ONES})|{_alternatives(_NUMBERS)}"
+_FRACTIONS = {"half", "third", "thirds", "quarter", "quarters", "minus", "negative", "point"}
+_QUANTITIES = (_FRACTIONS | _UNITS.keys() | _NUMBERS.keys()) - {"a", "an"}
 _DISTANCE = re.compile(
-    r"(?<![^ ])(?:(?P<half>half) (?:an? )?|(?P<number>\d+(?:\.\d+)?) ?"
+    r"(?<![^ ])(?:(?P<half>(?:one |a )?half) (?:an? )?|(?P<number>\d+(?:\.\d+)?) ?"
     rf"|(?P<word>{_NUMBER}) )"
     rf"(?:(?P<and>and a half) )?(?P<unit>{_alternatives(_UNITS)})(?P<later> and a half)?(?![^ ])"
 )
@@ -92,6 +94,11 @@ def _load_motions() -> tuple[_Motion, ...]:
         _Motion(re.compile(expand(row["said"])), "turn" in row, row.get("turn", row.get("toward")))
         for row in _TABLE["motions"]
     )
+
+
+def is_quantity(word: str) -> bool:
+    """Check whether a word is a number, a fraction, a sign of a number or a unit of length."""
+    return word[0].isdigit() or word in _QUANTITIES
 
 
 def _value(text: str) -> float:
@@ -141,7 +148,10 @@ def _replace_distances(tokens: list[RawToken]) -> list[_Dist]:
     while (match := _DISTANCE.search(text := _text(tokens))) is not None:
         start, stop = _span(text, match)
         value = 0.5 if match["half"] else _value(match["number"] or match["word"])
-        if not match["half"] and (match["and"] or match["later"]):
+        if match["and"] or match["later"]:
+            if value % 1.0:
+                reason = "it has two fractions; say one number, as in 'go forward 1.5 metres'"
+                raise LanguageError.at(match[0], tokens[start].position, reason)
             value += 0.5
         metres = value * _UNITS[match["unit"]]
         if not MEASURE_MIN <= metres <= MEASURE_MAX:

@@ -42,7 +42,7 @@ MIN_OVERRULE = 0.7
 rule shows to be idle."""
 _IGNORED_SIGNS = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
-_SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
+_SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then", "°": "degrees"}
 _REPEATED = re.compile(r"([a-z])\1{2,}")
 """A repeated letter: "pleeease"."""
 _BARE_POINT = re.compile(r"(?<![\w.])\.(?=\d)")

@@ -33,8 +33,7 @@ def leaves(phrase: Phrase) -> list[Phrase]:
     """List the noun phrases that name an object type, except in constraints."""
     if phrase.label == "NP" and not phrase.children:
         return [phrase] if type_sense(phrase) else []
-    inner = [child for child in phrase.children if child.label != "VP"]
-    return [leaf for child in inner for leaf in leaves(child)]
+    return [leaf for child in phrase.children if child.label != "VP" for leaf in leaves(child)]
 
 
 def head_of(phrase: Phrase) -> Phrase | None:
@@ -202,14 +201,14 @@ def join_topics(clauses: Sequence[Phrase]) -> list[Phrase]:
     "The cone by the car: stop behind it" is one command (left dislocation), unlike "the cone, then
     go behind it".
     """
-    joined: list[Phrase] = []
-    for clause in clauses:
-        before = joined[-1] if joined else clause
-        is_topic = before.label == "VP" and not (_has(before, "action") or is_constraint(before))
+    joined = [*clauses[:1]]
+    for clause in clauses[1:]:
+        topic = joined[-1]
+        is_topic = topic.label == "VP" and not (_has(topic, "action") or is_constraint(topic))
         is_next = not {"and", "then"}.isdisjoint(word.text for word in clause.words)
-        command = clause if is_next or not is_topic else _substitute(clause, before.children[0])
+        command = clause if is_next or not is_topic else _substitute(clause, topic.children[0])
         if command != clause:
-            command = replace(command, children=(*command.children, *before.children[1:]))
+            command = replace(command, children=(*command.children, *topic.children[1:]))
             joined.pop()
         joined.append(command)
     return joined

@@ -7,6 +7,7 @@ from itertools import pairwise
 from jaxlangnav.language.lexicon import REASONS, WORDS, load_lexicon
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 from jaxlangnav.language.reference import is_untyped
+from jaxlangnav.language.tokens import RawToken
 
 NOUN = "?noun"
 """Terminal of a token that can only be a noun."""
@@ -17,12 +18,10 @@ _FUNCTION, _ARTICLES = WORDS["small"], WORDS["pointing_articles"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Token:
-    """A word or mark: its text, and its terminal in the grammar."""
+class Token(RawToken):
+    """A word with its terminal in the grammar; a mark has no text here."""
 
-    text: str
     terminal: str
-    position: int  # 1-based word index; marks have that of the word before
 
 
 def explain(tokens: list[Token], index: int) -> LanguageError:

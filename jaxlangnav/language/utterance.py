@@ -71,11 +71,7 @@ def classify(text: str, *, is_asked: bool = False) -> Utterance:
         return Utterance(kind=Kind(act.value))
     if wording is not None:
         return Utterance(kind=_KINDS.get(wording, Kind.ANSWER), wording=wording)
-    return _classify_opening(text)
-
-
-def _classify_opening(text: str) -> Utterance:
-    """Classify an utterance by its opening words ("no, …", "I meant …", "then …")."""
+    # Opening words: "no, …", "I meant …", "then …".
     opening, rest = _match_opening(text, ("not_that", "meant", "then"))
     if opening is None or not rest:
         return Utterance(kind=None, rest=text)

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from jaxlangnav.grounding.correspondence import RANKS, AnyWorld, Labelled, SymbolSpace
 from jaxlangnav.grounding.model import Vocabulary
@@ -275,33 +276,25 @@ def factors_of(
     Raises:
         ValueError: a kind has no example.
     """
-    columns, end = {}, 0
+    columns, merged, properties, end = {}, [], [], 0
     for kind in kinds:
-        widths = (it.blocks[kind].properties.shape[1] for it in examples if kind in it.blocks)
-        width = next(widths, None)
-        if width is None:
+        indices = [index for index, example in enumerate(examples) if kind in example.blocks]
+        if not indices:
             raise ValueError(f"no example has a symbol of kind '{kind}' to learn from")
-        columns[kind] = slice(end, end + width)
-        end += width
-    parts = [
-        (index, kind, *_count_factors(example.blocks[kind]))
-        for index, example in enumerate(examples)
-        for kind in kinds
-        if kind in example.blocks
-    ]
-    sizes = [len(label) for _, _, _, label, _ in parts]
-    properties, offset = np.zeros((sum(sizes), end), np.float32), 0
-    for size, (_, kind, block, _, _) in zip(sizes, parts, strict=True):
-        properties[offset : offset + size, columns[kind]] = block
-        offset += size
-    phrase = np.repeat([index for index, *_ in parts], sizes)
+        blocks = [_count_factors(examples[index].blocks[kind]) for index in indices]
+        merged += [(index, *block[1:]) for index, block in zip(indices, blocks, strict=True)]
+        properties.append(np.concatenate([block for block, _, _ in blocks]))
+        columns[kind] = slice(end, end + properties[-1].shape[1])
+        end = columns[kind].stop
+    phrases, labels, counts = zip(*merged, strict=True)
+    phrase = np.repeat(phrases, [*map(len, labels)])
     factors = Factors(
         words=np.stack([vocabulary.vector(example.phrase) for example in examples]),
-        properties=properties,
-        label=np.concatenate([label for _, _, _, label, _ in parts]),
+        properties=block_diag(*properties),
+        label=np.concatenate(labels),
         phrase=phrase,
         instruction=np.array([example.instruction for example in examples])[phrase],
-        repeats=np.concatenate([counts for *_, counts in parts]),
+        repeats=np.concatenate(counts),
     )
     return factors, columns
 

@@ -8,7 +8,7 @@ of any detector.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, WORDS, load_lexicon
@@ -92,12 +92,11 @@ class ReaderSentence:
     @cached_property
     def clause(self) -> tuple[int, ...]:
         """Clause index of each word; clauses begin after marks and at conjunctions."""
-        indices, index = [], 0
-        for before, word in zip(("", *self.words), self.words, strict=False):
-            is_begun = word in _LINKS and before not in ("", *MARKS)
-            index += word in MARKS or is_begun
-            indices.append(index)
-        return tuple(indices)
+        is_start = (
+            word in MARKS or (word in _LINKS and before not in ("", *MARKS))
+            for before, word in pairwise(("", *self.words))
+        )
+        return tuple(accumulate(map(int, is_start)))
 
     @cached_property
     def clauses(self) -> tuple[tuple[int, ...], ...]:

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from jaxlangnav.language.lexicon import WORDS, load_lexicon
+from jaxlangnav.language.measured import is_quantity
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.reader.features import (
     CONTAINMENT,
@@ -99,12 +100,12 @@ class Labelling:
         """Check whether a kept pronoun may refer to an object of a deleted clause."""
         words, size = self.sentence.words, len(self.labels)
         first = next((i for i in range(size) if not self.kept[i] and self.is_deleted(i)), size)
-        for index in range(first + 1, size):
-            if self.kept[index] and words[index] in WORDS["pointing"]:
-                is_named = any(self.kept[i] and self.sentence.is_name[i] for i in range(index))
-                if not is_named or words[index - 1] in WORDS["sought"]:
-                    return True
-        return False
+        names = [i for i, is_kept in enumerate(self.kept) if is_kept and self.sentence.is_name[i]]
+        return any(
+            not any(name < index for name in names) or words[index - 1] in WORDS["sought"]
+            for index in range(first + 1, size)
+            if self.kept[index] and words[index] in WORDS["pointing"]
+        )
 
     def is_seen(self) -> bool:
         """Check whether every edited span occurs in the training data."""
@@ -112,10 +113,23 @@ class Labelling:
 
     def _is_meant(self) -> bool:
         """Check that words are put only in place of what training has them for, or "go", "stop"."""
-        return all(
-            self.span_key(run) in self.met or _COMMAND_VERBS.issuperset(self._replacements(run))
-            for run in self.runs
-        ) and all(self._is_converse(i) for i, label in enumerate(self.labels) if label[0] == "=")
+        return (
+            all(
+                self.span_key(run) in self.met or _COMMAND_VERBS.issuperset(self._replacements(run))
+                for run in self.runs
+            )
+            and not any(map(self._splits_quantity, self.runs))
+            and all(self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "=")
+        )
+
+    def _splits_quantity(self, run: range) -> bool:
+        """Check whether a span deletes one part of a quantity: "3 metres and a quarter"."""
+        words = self.sentence.words
+        deleted = [words[i] for i in run if self.labels[i] == DELETE]
+        inner = [word for word in deleted if word not in ("and", "a", "an", "another")]
+        before, after = words[run.start - 1 : run.start], words[run.stop : run.stop + 1]
+        edges = ((*before, *inner[:1]), (*inner[-1:], *after))
+        return any(len(edge) == 2 and all(map(is_quantity, edge)) for edge in edges)
 
     def keeps_bonds(self) -> bool:
         """Check that no word that negates, sets a condition, chooses or relates is deleted."""
@@ -243,19 +257,16 @@ class Labelling:
                 for k, word in enumerate(added)
             ]
             output += [token] if label[0] == KEEP else []
-        deleted, changes, words = [], [], self.sentence.words
+        edits, words = [], self.sentence.words
         for run in self.runs:
             source = " ".join(words[i] for i in run if words[i] not in MARKS)
             target = " ".join(self.labels[i][1:] for i in run if self.labels[i] != DELETE)
-            if target:
-                changes.append((source, target))
-            elif source:
-                deleted.append(source)
+            edits.append((source, target))
         return Proposal(
             probability=probability,
             tokens=tuple(strip_marks(output)),
-            left_out=tuple(deleted),
-            changes=tuple(changes),
+            left_out=tuple(source for source, target in edits if source and not target),
+            changes=tuple(edit for edit in edits if edit[1]),
             is_safe=is_safe,
         )
 
