@@ -99,7 +99,7 @@ def test_equal_factors_are_joined_and_split_by_instruction():
         counts = expected.setdefault(key, np.zeros((3, 2)))
         counts[:, int(factors.label[n])] += factors.repeats[n] * shares[:, factors.instruction[n]]
     design = tabulate(factors, {"symbol": slice(0, 3)}, 2)
-    assert len(np.unique(design.cell // 2)) == len(expected)
+    assert len(np.unique(design.occurrences.indices // 2)) == len(expected)
     for u, g in itertools.product(*map(range, design.properties.shape[:2])):
         counted = design.counts(shares)[:, u, g]
         if counted.any():
@@ -200,7 +200,7 @@ def test_derivative_by_every_strength_is_that_of_the_minimum():
     times = jnp.asarray(rng.integers(0, 3, problem.counts.shape), jnp.float32)
     held = jnp.asarray(rng.integers(0, 2, problem.counts.shape), jnp.float32)
     factors = np.asarray(problem.words), np.asarray(problem.properties)
-    design = Design(*factors, {"symbol": slice(0, 6)}, *[np.zeros(0, int)] * 3, num_instructions=1)
+    design = Design(*factors, {"symbol": slice(0, 6)}, None, num_instructions=1)
     factored, config = on_device(design), TrainingConfig(gap=1e-9, max_steps=200)
     at = np.log(np.linspace(0.5, 3.0, len(groups)))
 

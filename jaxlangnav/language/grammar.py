@@ -54,9 +54,9 @@ class _TokenLexer(Lexer):
 
 def _expand_options(right: list[str]) -> Iterator[tuple[tuple[str, ...], float]]:
     """Expand the optional symbols of a right side into all alternatives, with probabilities."""
-    present, absent = P_OPTIONAL, 1 - P_OPTIONAL
     choices = [
-        [(part[:-1], present), ("", absent)] if part[-1] == "?" else [(part, 1.0)] for part in right
+        [(part[:-1], P_OPTIONAL), ("", 1 - P_OPTIONAL)] if part[-1] == "?" else [(part, 1.0)]
+        for part in right
     ]
     for choice in itertools.product(*choices):
         symbols = tuple(symbol for symbol, _ in choice if symbol)

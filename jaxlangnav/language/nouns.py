@@ -6,8 +6,9 @@ names, of which a word would be parsed as something else ("the stop sign"), are 
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, SINGULARS, TYPE_CLASS, WORDS, load_lexicon, plural
@@ -15,8 +16,7 @@ from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import NOUN, Token
 
 
-@dataclass(frozen=True)
-class Nouns:
+class Nouns(NamedTuple):
     """The contents of ``nouns.toml``."""
 
     synonyms: tuple[frozenset[str], ...]

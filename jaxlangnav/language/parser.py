@@ -198,12 +198,11 @@ def parse(
             raise
         proposals = propose_readings(sentence.tokens, sentence.labels)
         safe = [proposal for proposal in proposals if proposal.is_safe]
-        rewritten = _parse_rewriting(sentence, safe, None, least_probability)
         min_prob = max(least_probability, MIN_OVERRULE)
-        rewritten = rewritten or _parse_rewriting(sentence, proposals, None, min_prob)
-        if rewritten is None:
-            raise
-        return rewritten
+        for candidates, threshold in ((safe, least_probability), (proposals, min_prob)):
+            if rewritten := _parse_rewriting(sentence, candidates, None, threshold):
+                return rewritten
+        raise
     proposals = propose_readings(sentence.tokens, sentence.labels, is_readable=True)
     return _parse_rewriting(sentence, proposals, verbatim, MIN_OVERRULE) or verbatim
 

@@ -7,7 +7,8 @@ hold for a later mention of it. Ambiguous references are refused.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 
@@ -50,8 +51,7 @@ def _error(word: Word, reason: str) -> LanguageError:
     return LanguageError.at(word.text, word.position, f"{reason}; name the object")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Antecedent:
+class Antecedent(NamedTuple):
     """Antecedent from earlier utterances, for pronouns."""
 
     kind: str  # object type
@@ -67,13 +67,11 @@ class Antecedent:
 class _Resolver:
     """Resolver of the pronouns of one clause against the previous clause."""
 
-    def __init__(
-        self, before: Phrase | None, *, is_statement: bool, earlier: Antecedent | None = None
-    ) -> None:
-        self.is_earlier = before is None and earlier is not None
-        self.is_at = earlier is None or earlier.is_at
-        self.previous = earlier.clause if before is None and earlier is not None else before
-        self.is_statement = is_statement
+    def __init__(self, previous: Phrase | None, earlier: Antecedent | None, kind: str) -> None:
+        """Resolve a clause of a label by the one before, or by an earlier utterance if none is."""
+        self.earlier = earlier if previous is None else None
+        self.previous = previous if self.earlier is None else self.earlier.clause
+        self.is_statement = kind == "S"
         self.head = None if self.previous is None else head_of(self.previous)
         self.type_sense = None if self.head is None else type_sense(self.head)
 
@@ -108,7 +106,7 @@ class _Resolver:
             names = " or ".join(dict.fromkeys(f"the {sense[5:]}" for sense in senses))
             raise _error(word, f"is it {names}?")
         is_command = before.label == "VP" and not self.is_statement
-        is_very = is_command and (self.is_at or not self.is_earlier)
+        is_very = is_command and (self.earlier is None or self.earlier.is_at)
         resolved = _with_senses(pronoun, word, (sense, SAME) if is_very else (sense,))
         modifiers = _modifiers(before) if before.label == "S" else ()
         return _modify(resolved, modifiers) if modifiers else resolved
@@ -119,7 +117,7 @@ class _Resolver:
         if pronoun is not None and self.type_sense is not None and not _has(leaf, "other"):
             return _with_senses(leaf, pronoun, (self.type_sense,))
         # "The cone" of an earlier utterance may be a different cone.
-        is_goal = self.previous is not None and self.previous.label == "VP" and not self.is_earlier
+        is_goal = self.earlier is None and self.previous is not None and self.previous.label == "VP"
         is_same_type = self.type_sense is not None and self.type_sense == type_sense(leaf)
         if self.is_statement or not is_goal or not is_same_type or not _is_definite(leaf):
             return leaf
@@ -182,8 +180,7 @@ def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Ph
     resolved: list[Phrase] = []
     for clause in clauses:
         previous = resolved[-1] if resolved else None
-        resolver = _Resolver(previous, is_statement=clause.label == "S", earlier=earlier)
-        resolved.append(resolver.resolve(clause))
+        resolved.append(_Resolver(previous, earlier, clause.label).resolve(clause))
     statements = [(i, clause) for i, clause in enumerate(resolved) if clause.label == "S"]
     for index, clause in enumerate(resolved):
         for position, statement in statements if clause.label == "VP" else ():

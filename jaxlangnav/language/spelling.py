@@ -16,9 +16,8 @@ MIN_LETTERS, _MAX_LETTERS = 5, 20
 def edits(word: str) -> set[str]:
     """List all strings at Damerau-Levenshtein distance at most one over a-z."""
     splits = [(word[:cut], word[cut:]) for cut in range(len(word) + 1)]
-    edited = {a + b[1:] for a, b in splits if b}
-    edited |= {a + b[1] + b[0] + b[2:] for a, b in splits if len(b) > 1}
-    edited |= {a + letter + b[1:] for a, b in splits if b for letter in ascii_lowercase}
+    edited = {a + b[1] + b[0] + b[2:] for a, b in splits if len(b) > 1}
+    edited |= {a + letter + b[1:] for a, b in splits if b for letter in ("", *ascii_lowercase)}
     edited |= {a + letter + b for a, b in splits for letter in ascii_lowercase}
     return edited
 
@@ -46,12 +45,6 @@ def _meanings(word: str) -> frozenset[tuple[str, tuple[str, ...]]]:
 
 
 @cache
-def _nominal() -> frozenset[str]:
-    entries = load_lexicon().entries
-    return frozenset(word for name in WORDS["nominal"] for key in entries[name] for word in key)
-
-
-@cache
 def repair(word: str, *, is_noun: bool = False) -> str | None:
     """Correct a misspelled word to the only word of the lexicon that it can be.
 
@@ -65,8 +58,10 @@ def repair(word: str, *, is_noun: bool = False) -> str | None:
     is_plain = word.isascii() and word.isalpha() and word not in not_errors()
     if not (is_plain and MIN_LETTERS <= len(word) <= _MAX_LETTERS):
         return None
-    allowed = repairable() & _nominal() if is_noun else repairable()
-    candidates = sorted(c for c in edits(word) & allowed if len(c) >= MIN_LETTERS - 1)
+    candidates = sorted(c for c in edits(word) & repairable() if len(c) >= MIN_LETTERS - 1)
+    if is_noun:
+        names = {key for name in WORDS["nominal"] for key in lexicon.entries[name]}
+        candidates = [c for c in candidates if any(c in key for key in names)]
     # "Carefuly" is "carefully" and not "careful", which only occurs in longer expressions.
     candidates = [c for c in candidates if _meanings(c) or c in lexicon.refused] or candidates
     if len(set(map(_meanings, candidates))) > 1:

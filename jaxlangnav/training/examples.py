@@ -5,14 +5,13 @@ paper is one factor, (phrase, symbol); one of ours is a phrase with the factors 
 Training uses the distinct factors with their counts.
 """
 
-import dataclasses
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.sparse import csr_array
 
 from jaxlangnav.grounding.correspondence import RANKS, AnyWorld, Labelled, SymbolSpace
 from jaxlangnav.grounding.model import Vocabulary
@@ -214,30 +213,23 @@ class Factors(NamedTuple):
     repeats: np.ndarray | None = None  # f32[N] count of each factor; 1 by default
 
 
-@dataclasses.dataclass(frozen=True)
-class Design:
+class Design(NamedTuple):
     """Distinct factors by distinct word features, with their occurrences (a sparse design).
 
     U distinct words, up to G distinct symbols of each, W word features, F properties of all kinds
-    side by side, I instructions, C occurrences. Padded symbols have no occurrence.
+    side by side, I instructions. Padded symbols have no occurrence.
     """
 
     words: np.ndarray  # f32[U, W]
     properties: np.ndarray  # f32[U, G, F]
     columns: dict[str, slice]  # kind → its properties
-    cell: np.ndarray  # i[C] flat index into [U, G, 2]: words, symbol, label
-    instruction: np.ndarray  # i[C]
-    repeats: np.ndarray  # f32[C]
+    occurrences: csr_array  # [I, U · G · 2] count by instruction, words, symbol and label
     num_instructions: int
 
     def counts(self, instruction_weights: np.ndarray) -> np.ndarray:
         """Count factors by label (φ, eq. 4), by instruction weights f32[K, I]: f32[K, U, G, 2]."""
-        shape = (*self.properties.shape[:2], 2)
-        rows = [
-            np.bincount(self.cell, weights * self.repeats, minlength=math.prod(shape))
-            for weights in instruction_weights[:, self.instruction]
-        ]
-        return np.stack(rows).astype(np.float32).reshape(-1, *shape)
+        counts = np.asarray(instruction_weights @ self.occurrences, np.float32)
+        return counts.reshape(-1, *self.properties.shape[:2], 2)
 
 
 def tabulate(factors: Factors, columns: dict[str, slice], num_instructions: int) -> Design:
@@ -253,15 +245,13 @@ def tabulate(factors: Factors, columns: dict[str, slice], num_instructions: int)
     properties = np.zeros((len(first_word), num_slots, factors.properties.shape[1]), np.float32)
     properties[word_row, slot] = factors.properties[first_row[symbol_row]]
     cell = (word_row * num_slots + slot)[inverse.ravel()] * 2 + factors.label
-    num_cells = len(first_word) * num_slots * 2
-    occurrence, entry = np.unique(factors.instruction * num_cells + cell, return_inverse=True)
+    repeats = np.ones(len(cell)) if factors.repeats is None else factors.repeats
+    shape = num_instructions, len(first_word) * num_slots * 2
     return Design(
         words=factors.words[first_word],
         properties=properties,
         columns=columns,
-        cell=occurrence % num_cells,
-        instruction=occurrence // num_cells,
-        repeats=np.bincount(entry.ravel(), factors.repeats).astype(np.float32),
+        occurrences=csr_array((repeats, (factors.instruction, cell)), shape),
         num_instructions=num_instructions,
     )
 
@@ -290,7 +280,7 @@ def factors_of(
     phrase = np.repeat(phrases, [*map(len, labels)])
     factors = Factors(
         words=np.stack([vocabulary.vector(example.phrase) for example in examples]),
-        properties=block_diag(*properties),
+        properties=np.asarray(block_diag(*properties)),
         label=np.concatenate(labels),
         phrase=phrase,
         instruction=np.array([example.instruction for example in examples])[phrase],

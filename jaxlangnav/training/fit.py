@@ -10,7 +10,6 @@ minimum is differentiated with respect to words, properties and counts by the im
 theorem, from ∇J(V*(θ), θ) = 0. ``vmap`` over the counts n trains several hold-out splits at once.
 """
 
-import dataclasses
 import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -128,8 +127,7 @@ SPLITS_AT_ONCE = 8
 """Number of splits that are fitted in parallel; each batch takes as long as its slowest."""
 
 
-@dataclasses.dataclass(frozen=True)
-class TrainingConfig:
+class TrainingConfig(NamedTuple):
     """Hyperparameters of training: regularisation and stopping."""
 
     l2: float = 0.01
@@ -137,8 +135,7 @@ class TrainingConfig:
     gap: float = 1.25e-3  # nats; guaranteed bound on J − min J at the end, if float32 allows
 
 
-@dataclasses.dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """Diagnostics of training: losses, steps and times."""
 
     loss: np.ndarray  # f32[K] objective at the end

@@ -7,7 +7,6 @@ A corpus line is ``{"text": free speech, "read": its rewriting in the controlled
 it counts ``copies`` times. The labels come from aligning the two, word by word.
 """
 
-import dataclasses
 import functools
 import time
 from collections import Counter
@@ -41,8 +40,7 @@ _TINY = 1e-30  # added before the logarithm of a sum that may underflow
 _PADDING = 8  # lengths are rounded up to a multiple of this, to limit compilations
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ReaderConfig:
+class ReaderConfig(NamedTuple):
     """Hyperparameters of the training of a reader."""
 
     epochs: int = 9

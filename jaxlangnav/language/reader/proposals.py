@@ -8,8 +8,9 @@ for each labelling by rules, and labellings that fail must be more probable.
 import itertools
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +48,7 @@ _COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
 """Replacements of a verb that are allowed without an instance in the training data."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Proposal:
+class Proposal(NamedTuple):
     """A proposed rewriting of a sentence, with its probability."""
 
     probability: float  # of its labellings
@@ -342,8 +342,9 @@ def propose_readings(
         if not words or words == sentence.words:
             continue
         if previous := proposals.get(words):
-            probability = previous.probability + proposal.probability
-            is_safe |= previous.is_safe
-            proposal = replace(previous, probability=probability, is_safe=is_safe)
+            proposal = previous._replace(
+                probability=previous.probability + proposal.probability,
+                is_safe=previous.is_safe or is_safe,
+            )
         proposals[words] = proposal
     return sorted(proposals.values(), key=lambda p: -p.probability)
