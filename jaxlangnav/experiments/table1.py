@@ -71,7 +71,7 @@ def _fit_splits(data: TrainingData, held_out: np.ndarray) -> FittedSplits:
     design, train_masks = data.design, (~held_out).astype(np.float32)
     _, first = fit(design, train_masks[:1])
     _, second = fit(design, train_masks[:1])  # the first call also initialises JAX
-    single_fit = dataclasses.replace(second, compile_seconds=first.compile_seconds)
+    single_fit = second._replace(compile_seconds=first.compile_seconds)
     all_weights, joint_fit = fit(design, train_masks)
     num_factors = round(float((train_masks @ data.sizes).mean()))
     models = [CorrespondenceModel(data.vocabulary, weights) for weights in all_weights]

@@ -6,7 +6,7 @@ Labels are those of the Penn Treebank. Host-side records without JAX.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxlangnav.inputs.sanitize import sanitize
 
@@ -88,8 +88,7 @@ class Phrase:
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Measure:
+class Measure(NamedTuple):
     """Metric part of a command: distance and reference frame, from metres and turns."""
 
     metres: float = 0.0  # from landmark to goal; 0: the relation's typical distance

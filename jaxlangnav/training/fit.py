@@ -266,12 +266,10 @@ def fit(
     start = time.perf_counter()
     factors, counts = on_device(design), jnp.asarray(design.counts(instruction_weights))
     inputs = (factors, counts, jnp.full(design.words.shape[1:], config.l2, jnp.float32))
-    prepare_seconds = time.perf_counter() - start
-    start = time.perf_counter()
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), inputs)
+    compile_start = time.perf_counter()
     compiled = _compile(shapes, config)
-    compile_seconds = time.perf_counter() - start
-    start = time.perf_counter()
+    compile_seconds = time.perf_counter() - compile_start
     trained, search = jax.block_until_ready(compiled(*inputs))
     weights = np.array(trained)
     # Weights of pairs that never co-occur are zero up to rounding; exact zeros compress well.
@@ -280,7 +278,7 @@ def fit(
     info = Fit(
         loss=np.asarray(search.value),
         steps=np.asarray(search.num_steps, np.int32),
-        seconds=prepare_seconds + time.perf_counter() - start,
+        seconds=time.perf_counter() - start - compile_seconds,
         compile_seconds=compile_seconds,
     )
     return models, info

@@ -42,7 +42,7 @@ _NUM_LABELLINGS = 30
 """Number of labellings that are checked."""
 _MAX_VERBATIM = 0.9
 """Limit on the probability of the unparsable verbatim sentence, in renormalising the others."""
-_BONDS = WORDS["contrary"] | WORDS["choosing"] | {PREPOSITION, PATH_WORD, CONTAINMENT}
+_OPERATORS = WORDS["contrary"] | WORDS["choosing"] | {PREPOSITION, PATH_WORD, CONTAINMENT}
 """Classes of words that negate, select an object or relate it to another."""
 _COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
 """Replacements of a verb that are allowed without an instance in the training data."""
@@ -111,7 +111,7 @@ class Labelling:
         """Check whether every edited span occurs in the training data."""
         return self.met.issuperset(map(self.span_key, self.runs))
 
-    def _is_meant(self) -> bool:
+    def _is_attested(self) -> bool:
         """Check that words are put only in place of what training has them for, or "go", "stop"."""
         return (
             all(
@@ -131,12 +131,12 @@ class Labelling:
         edges = ((*before, *inner[:1]), (*inner[-1:], *after))
         return any(len(edge) == 2 and all(map(is_quantity, edge)) for edge in edges)
 
-    def keeps_bonds(self) -> bool:
+    def keeps_operators(self) -> bool:
         """Check that no word that negates, sets a condition, chooses or relates is deleted."""
         words, classes = self.sentence.words, self.sentence.classes
-        return self._is_meant() and not any(
+        return self._is_attested() and not any(
             words[i] in WORDS["conditions"]
-            or not (_BONDS.isdisjoint(classes[i]) or self.is_deleted(i))
+            or not (_OPERATORS.isdisjoint(classes[i]) or self.is_deleted(i))
             for run in self.runs
             for i in run
             if self.labels[i] == DELETE and self.span_key(run) not in self.met
@@ -147,7 +147,7 @@ class Labelling:
         unseen = [run for run in self.runs if self.span_key(run) not in self.met]
         touched = {self.sentence.clause[i] for run in unseen for i in run}
         return (
-            self._is_meant()
+            self._is_attested()
             and all(self._keeps_verb(self.sentence.clauses[k]) for k in touched)
             and all(map(self._is_span_safe, unseen))
             and not self._has_dangling_pronoun()
@@ -157,7 +157,7 @@ class Labelling:
         words, is_name, classes = self.sentence.words, self.sentence.is_name, self.sentence.classes
         named = [i for i in run if is_name[i]]
         end = max((i for i in run if words[i] in WORDS["undoing"]), default=run.start)
-        is_undone = any(is_name[i] or self._may_be_thing(i) for i in range(run.start, end))
+        is_undone = any(is_name[i] or self._may_be_object(i) for i in range(run.start, end))
         if named and not is_undone:
             kept = {singular(words[i]) for i, k in enumerate(self.kept) if k and is_name[i]}
             is_chosen = any(not WORDS["choosing"].isdisjoint(classes[i]) for i in run)
@@ -202,9 +202,9 @@ class Labelling:
         is_choosing = not WORDS["choosing"].isdisjoint(classes) or word in WORDS["degrees"]
         is_moved = any(label == f"{KEEP}>{word}" for label in self.labels)
         is_idle = self.is_deleted(index) and "manner" not in classes
-        return is_moved or is_idle or not (is_choosing or self._may_be_thing(index))
+        return is_moved or is_idle or not (is_choosing or self._may_be_object(index))
 
-    def _may_be_thing(self, index: int) -> bool:
+    def _may_be_object(self, index: int) -> bool:
         """Check whether an unknown word may be an object: it follows an article."""
         is_unknown = self.sentence.classes[index][0][0] == "?"
         return is_unknown and self.sentence.words[max(index - 1, 0)] in WORDS["articles"]
@@ -334,7 +334,7 @@ def propose_readings(
         names = tuple(model.labels[i] for i in path)
         labelled = Labelling(sentence, names, model.left_out, model.met)
         is_safe = labelled.is_seen() if is_readable else labelled.is_safe()
-        is_possible = is_safe or (not is_readable and labelled.keeps_bonds())
+        is_possible = is_safe or (not is_readable and labelled.keeps_operators())
         if names[0] == REJECT or not is_possible:
             continue
         proposal = labelled.proposal(tokens, math.exp(score - log_total), is_safe=is_safe)
