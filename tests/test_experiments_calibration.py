@@ -29,6 +29,7 @@ from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.reliability import TALLY_PROGRAM, bin_sums, pool_bins, reliability_curve
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
+from jaxlangnav.messages import NONE
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import empty_coverage
@@ -83,6 +84,8 @@ def test_scores_by_hand() -> None:
     assert first["calibration_steps"] == 4.0
     nothing_seen = scores(tally())
     assert nothing_seen["ece"] is nothing_seen["brier"] is None
+    no_goal = scores(empty(2))
+    assert no_goal["coverage90"] is no_goal["coverage90_se"] is no_goal["nll"] is None
 
 
 def test_events_go_into_the_bin_of_their_probability() -> None:
@@ -217,9 +220,14 @@ def test_places_drawn_are_of_the_law_of_what_is_unseen() -> None:
 def test_every_step_of_an_episode_is_judged_once() -> None:
     sentences = ground_sentences([SENTENCES["behind"]])
     tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 40, 5))
+    # Three of the episodes have no goal that the belief could be compared with.
+    goal_index = tasks.scenario.goal_index.at[:3].set(NONE)
+    tasks = replace(tasks, scenario=replace(tasks.scenario, goal_index=goal_index))
     given: Any = {"params": default_params(), "config": navigator_config("informed", 16)}
     results, found = run_tasks(tasks, sentences.instructions, program=TALLY_PROGRAM, **given)
-    np.testing.assert_array_equal(found.steps.sum(axis=1), results.steps)
+    judged = np.where(np.arange(40) < 3, 0, results.steps)
+    np.testing.assert_array_equal(found.steps.sum(axis=1), judged)
+    assert not found.negative_log_likelihood[:3].any()
     assert results.is_success.mean() > 0.8
 
 

@@ -112,6 +112,11 @@ def test_too_many_things_are_refused() -> None:
         world_params(area=AREA, num_bystanders=64)
 
 
+def test_a_given_gap_is_kept_in_a_crowd() -> None:
+    assert float(LAWS["crowd"].gap) == 0.5
+    assert float(world_params(area=AREA, num_bystanders=40, gap=0.7).gap) == pytest.approx(0.7)
+
+
 def test_places_and_templates_are_not_drawn_at_once() -> None:
     both = [cell(LAWS["plain"]), tasks.cell("1H1C", "null", 0, 3.0, 1, 0)]
     with pytest.raises(ValueError, match="cannot be drawn at once"):

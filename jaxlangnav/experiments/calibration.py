@@ -204,7 +204,10 @@ def matched_object(distance: Array, is_event: Array) -> Array:
 
 
 def tally_step(before: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
-    """Compare the belief of the decision between two states of an episode with the truth."""
+    """Compare the belief of the decision between two states of an episode with the truth.
+
+    Limits: all zeros in a world without an intended object.
+    """
     scenario, belief = before.task.scenario, after.navigator.belief
     truth = scenario.goal - before.world.position + info.robot
     goals, covariance = info.goals, belief.particles.covariance
@@ -217,7 +220,7 @@ def tally_step(before: EpisodeState, info: NavigatorInfo, after: EpisodeState) -
     resampled = _resample_free(key, goals, belief, before.navigator.instruction.readings)
     level, _ = _hpd_level(_goal_density(resampled, variance), truth)
     _, log_density = _hpd_level(_goal_density(goals, variance), truth)
-    # Events: observed objects of the goal's type, none without a goal. The last entry is the robot.
+    # Events: observed objects of the goal's type. The last entry is the robot.
     is_event = _has_type(belief, scenario.object_type[scenario.goal_index])
     distance = jnp.hypot(goals.object_x[:-1] - truth[0], goals.object_y[:-1] - truth[1])
     outcome = matched_object(distance, is_event).astype(jnp.float32)
@@ -231,7 +234,8 @@ def tally_step(before: EpisodeState, info: NavigatorInfo, after: EpisodeState) -
         map=_reliability(_referent_mass(after), outcome, is_event),
     )
     stage = jnp.sum(before.steps >= jnp.asarray(STAGES)) - 1
-    is_stage = (jnp.arange(len(STAGES)) == stage).astype(jnp.float32)
+    is_stage = (jnp.arange(len(STAGES)) == stage) & (scenario.goal_index != NONE)
+    is_stage = is_stage.astype(jnp.float32)
     return jax.tree.map(lambda leaf: is_stage.reshape(-1, *(1,) * leaf.ndim) * leaf[None], sums)
 
 
@@ -255,20 +259,23 @@ def scores(tally: Tally, stage: int | None = None) -> dict[str, float | None]:
     ``ece`` and ``brier`` (None if no object of the goal's type was ever seen) of the planner's
     probabilities, ``ece_map`` and ``brier_map`` of the map's, ``ece_floor`` and ``ece_map_floor``:
     their expectation for a perfect belief with as many episodes, ``coverage90`` in percent and its
-    standard error ``coverage90_se``, ``nll`` in nats, ``calibration_events``,
-    ``calibration_steps``.
+    standard error ``coverage90_se``, ``nll`` in nats (these None if no world has a goal),
+    ``calibration_events``, ``calibration_steps``.
     """
     stages = slice(None) if stage is None else slice(stage, stage + 1)
     sums = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64)[:, stages], tally)
     steps, covered = sums.steps.sum(axis=1), sums.covered.sum(axis=1)
-    count = max(1.0, float(steps.sum()))
-    rate = float(covered.sum()) / count
+    count = float(steps.sum())
+    density: dict[str, float | None] = dict.fromkeys(("coverage90", "coverage90_se", "nll"))
+    if count:
+        rate = float(covered.sum()) / count
+        error = float(np.sqrt(((covered - rate * steps) ** 2).sum())) / count
+        nll = float(sums.negative_log_likelihood.sum()) / count
+        density = {"coverage90": 100.0 * rate, "coverage90_se": 100.0 * error, "nll": nll}
     return {
         **_bin_errors(sums.planner, ""),
         **_bin_errors(sums.map, "_map"),
-        "coverage90": 100.0 * rate,
-        "coverage90_se": 100.0 * float(np.sqrt(((covered - rate * steps) ** 2).sum())) / count,
-        "nll": float(sums.negative_log_likelihood.sum()) / count,
+        **density,
         "calibration_events": float(sums.planner.events.sum()),
-        "calibration_steps": float(steps.sum()),
+        "calibration_steps": count,
     }

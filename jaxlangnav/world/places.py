@@ -182,7 +182,7 @@ def world_params(*, area: tuple[float, float, float, float], **fields: Any) -> W
 
     Args:
         area: x_min, x_max, y_min, y_max, metres; the origin is in it.
-        **fields: other fields of ``WorldParams``.
+        **fields: other fields of ``WorldParams``; ``gap`` is 0.5 by default for over 30 objects.
 
     Raises:
         ValueError: more objects or more fixed clutter than there are slots.
@@ -194,5 +194,6 @@ def world_params(*, area: tuple[float, float, float, float], **fields: Any) -> W
             f"{count} objects and {spec.num_clutter} places of fixed clutter were asked for, but "
             f"at most {WORLD_SLOTS} and {NUM_FIXED_CLUTTER} fit: take fewer"
         )
-    # So many objects would not fit with a metre between them.
-    return strong_types(replace(spec, gap=0.5) if count > 30 else spec)
+    # So many objects would not fit with the default between them.
+    is_crowded = count > 30 and "gap" not in fields
+    return strong_types(replace(spec, gap=0.5) if is_crowded else spec)
