@@ -1,8 +1,11 @@
 """A small labelled corpus in code: sentences in random worlds, labelled by the corpus' rules."""
 
+import dataclasses
+
 import numpy as np
 from corpus_labels import annotate, behave
 
+from jaxlangnav.grounding import GroundingModel, load_shipped
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.language.corpus import ClauseLabels, Example, PlacedWorld, WorldLabels
 from jaxlangnav.language.lexicon import load_lexicon
@@ -13,6 +16,16 @@ from jaxlangnav.training.examples import labelled_instruction
 TYPES = load_lexicon().type_names
 
 
+def zeroed_model() -> GroundingModel:
+    """The shipped models with all weights zero: they know nothing."""
+    model = load_shipped()
+    parts = (
+        dataclasses.replace(part, weights={kind: 0 * w for kind, w in part.weights.items()})
+        for part in (model.annotation, model.behavior)
+    )
+    return GroundingModel(*parts, model.type_names)
+
+
 def random_placed(rng, num_objects=8):
     """Objects of random types at random places near the robot."""
     count = rng.integers(1, num_objects + 1)
@@ -21,9 +34,8 @@ def random_placed(rng, num_objects=8):
         for x, y in rng.uniform(-8, 8, (count, 2))
     )
     previous = int(rng.integers(count)) if rng.random() < 0.5 else None
-    return PlacedWorld(
-        objects=objects, robot=(0.0, 0.0, float(rng.uniform(-3, 3))), previous=previous
-    )
+    robot = 0.0, 0.0, float(rng.uniform(-3, 3))
+    return PlacedWorld(objects=objects, robot=robot, previous=previous)
 
 
 def random_topology(rng, num_objects=8, p_relation=0.15):

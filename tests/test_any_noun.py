@@ -350,11 +350,14 @@ def test_what_is_said_of_it_comes_last(model) -> None:
 
 def test_a_colour_of_the_thing_counts_or_is_noted(model) -> None:
     text = "go to the red thing behind the cone"
-    seen = read(text, model, Detector(model.type_names, ["colour"]))
+    detector = Detector(model.type_names, ["colour"])
+    seen = read(text, model, detector)
     red = type_code(ANYTHING, attribute_code("red"))
     assert seen.mentions == (CONE, red)
     assert name_of(red, model.type_names) == "red thing"
     assert "'red'" in "".join(understand(text, model).notes)
+    with pytest.raises(ValueError, match=r"'thing' \(word 15\): .* one at a time"):
+        read(f"{text} and then go to the blue thing near the car", model, detector)
 
 
 def test_everything_seen_fits_and_nothing_else() -> None:

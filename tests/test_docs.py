@@ -25,6 +25,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"(?ms)^```(\w*)\n(.*?)^```")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+IMPORT = re.compile(r"(?m)^from (jaxlangnav[\w.]*) import ([\w, ]+)$")
 NAME = re.compile(r"\]\[(jaxlangnav[\w.]+)\]|^::: (jaxlangnav[\w.]+)$", re.MULTILINE)
 
 
@@ -62,6 +63,9 @@ def test_links_and_names_lead_somewhere(page: Path) -> None:
         assert not anchor or anchor in anchors(target), link
     for names in NAME.findall(text):
         assert find(names[0] or names[1]) is not None
+    for module, names in IMPORT.findall(text):
+        for name in names.split(","):
+            assert find(f"{module}.{name.strip()}") is not None
 
 
 def commands() -> list[str]:

@@ -51,9 +51,8 @@ def test_commands_are_those_of_the_tables() -> None:
 
 def test_the_observation_says_what_is_sensed() -> None:
     params = functional.default_params(sensing_range=50.0)
-    noiseless = replace(
-        params.sensor, detection_probability=jnp.float32(1.0), noise=jnp.float32(0.0)
-    )
+    perfect = {"detection_probability": jnp.float32(1.0), "noise": jnp.float32(0.0)}
+    noiseless = replace(params.sensor, **perfect)
     observation, state = RESET(jax.random.key(3), replace(params, sensor=noiseless))
     assert observation.shape == (OBSERVATION_SIZE,)
     assert observation[:4].tolist() == [0.0, 0.0, 1.0, 0.0]

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from grounding_fixture import zeroed_model
 
 from jaxlangnav import episode, navigator
 from jaxlangnav.episode import EpisodeResult, Task, lanes, run
@@ -173,7 +174,7 @@ def test_without_weights_behind_is_not_found(in_lanes: EpisodeResult, tasks, ins
     told = replace(told, instruction_index=jnp.zeros(EPISODES, jnp.int32))
     before = lanes._run_batch._cache_size()
     trained = batch(told, instructions, lanes=7)
-    zeroed = understand(SENTENCES[0], load_shipped().zeroed()).instruction
+    zeroed = understand(SENTENCES[0], zeroed_model()).instruction
     unlearned = jax.tree.map(lambda leaf, one: leaf.at[0].set(one), instructions, zeroed)
     without = batch(told, unlearned, lanes=7)
     assert lanes._run_batch._cache_size() == before

@@ -47,11 +47,8 @@ def test_two_passes_see_the_whole_area(reach: float) -> None:
     num_lanes = int(np.ceil(13.0 / (2 * reach)))
     points = [np.zeros(2)]
     for leg in range(4 * num_lanes):
-        points.append(
-            np.array(
-                baselines._lane_waypoint(jnp.asarray(area), jnp.float32(reach), jnp.int32(leg))
-            )
-        )
+        args = jnp.asarray(area), jnp.float32(reach), jnp.int32(leg)
+        points.append(np.array(baselines._lane_waypoint(*args)))
     path = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(points)])
     x, y = np.meshgrid(np.linspace(0.01, 12.99, 40), np.linspace(-9.19, 9.19, 40))
     cells = np.stack([x.ravel(), y.ravel()], axis=1)

@@ -102,9 +102,8 @@ def test_events_go_into_the_bin_of_their_probability() -> None:
 def test_one_object_at_most_is_the_goal() -> None:
     """A false detection near the goal is not the goal, nor is anything of another type."""
     is_event = jnp.array([True, True, False, True])
-    beside, alone, far = jnp.array(
-        [[0.1, 0.4, 0.05, 3.0], [2.0, 0.7, 0.1, 0.8], [0.8, 0.9, 0.1, 3.0]]
-    )
+    beside, alone = jnp.array([[0.1, 0.4, 0.05, 3.0], [2.0, 0.7, 0.1, 0.8]])
+    far = jnp.array([0.8, 0.9, 0.1, 3.0])
     np.testing.assert_array_equal(matched_object(beside, is_event), [True, False, False, False])
     np.testing.assert_array_equal(matched_object(alone, is_event), [False, True, False, False])
     assert not matched_object(far, is_event).any()

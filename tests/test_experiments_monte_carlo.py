@@ -89,9 +89,8 @@ def test_a_world_of_ones_own_stands_as_it_is() -> None:
     np.testing.assert_array_equal(tasks.scenario.goal, np.tile(own.scenario.goal, (5, 1)))
     np.testing.assert_array_equal(tasks.scenario.area[3], own.scenario.area)
     assert len(np.unique(np.asarray(jax.random.key_data(tasks.key)), axis=0)) == 5
-    mixed = draw_tasks(
-        [one, cell("1H1C", "null", 0, 3.0, 5, 0)], np.array([1, 0]), np.array([0, 1])
-    )
+    cells = [one, cell("1H1C", "null", 0, 3.0, 5, 0)]
+    mixed = draw_tasks(cells, np.array([1, 0]), np.array([0, 1]))
     np.testing.assert_array_equal(mixed.scenario.goal[1], own.scenario.goal)
     same(take(mixed, slice(0, 1)), make_tasks(cell("1H1C", "null", 0, 3.0, 1, 0)))
 

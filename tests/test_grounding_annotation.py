@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from grounding_fixture import zeroed_model
 
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.annotation import describe_annotation, infer_annotations
@@ -38,8 +39,8 @@ def test_nested_relations_attach_to_the_inner_noun(model):
     assert said == {("hydrant", "behind", "cone"), ("cone", "near", "car")}
 
 
-def test_a_model_that_knows_nothing_finds_no_relation(model):
-    understood = understand("go to the hydrant behind the cone", model.zeroed())
+def test_a_model_that_knows_nothing_finds_no_relation():
+    understood = understand("go to the hydrant behind the cone", zeroed_model())
     assert not [a for a in understood.annotations if a["relation"] is not None]
     assert (np.asarray(understood.instruction.readings.relation) == NONE).all()
 
@@ -60,9 +61,8 @@ def reworded(text, old, /, **new):
 def test_a_new_synonym_needs_no_retraining(model, old, new):
     renamed = reworded("go to the hydrant behind the cone", old, text=new, lemma=new)
     assert not any(new in name for name in model.annotation.vocabulary.names)
-    (said, log_probability), *_ = infer_annotations(
-        renamed, model.annotation, model.type_names
-    ).clauses
+    belief = infer_annotations(renamed, model.annotation, model.type_names)
+    (said, log_probability), *_ = belief.clauses
     assert said == (((relation_symbol(HYDRANT, BEHIND, CONE), 0),),)
     assert np.exp(log_probability) > 0.9
 

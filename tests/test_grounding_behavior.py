@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from grounding_fixture import TYPES, random_topology
+from grounding_fixture import TYPES, random_topology, zeroed_model
 
 from jaxlangnav.grounding import infer_behavior, infer_behaviors, understand
 from jaxlangnav.grounding.behavior import MAX_SLOTS
@@ -61,8 +61,8 @@ def test_action_and_mode_follow_the_odds_of_the_verb_phrase(model):
         np.testing.assert_allclose(getattr(clauses, name)[0], odds / odds.sum(), rtol=1e-4)
 
 
-def test_a_model_that_knows_nothing_prefers_no_goal(model):
-    program = compiled_clause(BEHIND_CONE, model.zeroed())
+def test_a_model_that_knows_nothing_prefers_no_goal():
+    program = compiled_clause(BEHIND_CONE, zeroed_model())
     world = world_of(["hydrant", "hydrant", "cone"], [(BEHIND, 1, 2)])
     goal = infer(program, to_device(world, SLOTS), num_phrases=program.num_phrases).goal
     assert goal.max() - goal[AT, 1] >= -1e-6  # no goal is singled out

@@ -30,9 +30,7 @@ Relation = tuple
 """Figure, relation, landmark and, where there is one, rank."""
 
 
-def reading(
-    types: str, *relations: Relation, commands: list[dict], probability: float = 1.0
-) -> dict:
+def reading(types: str, *relations: Relation, commands: list, probability: float = 1.0) -> dict:
     """Build a reading; things are called a, b, c in the order of their types."""
     names = ("figure", "relation", "landmark", "rank")
     return {
@@ -282,10 +280,8 @@ def test_action_mode_and_region_are_mixed_by_the_readings() -> None:
 
 
 def test_what_one_reading_avoids_is_avoided_as_far_as_it_is_believed() -> None:
-    grounded = ground(
-        one("cone car", avoid=["b"], probability=0.6), one("cone car", probability=0.4)
-    )
-    constraint = behaviors(grounded, [world_of("cone car")]).constraint[NEAR, :2, 0]
+    first, second = one("cone car", avoid=["b"], probability=0.6), one("cone car", probability=0.4)
+    constraint = behaviors(ground(first, second), [world_of("cone car")]).constraint[NEAR, :2, 0]
     np.testing.assert_allclose(constraint, [0.0, 0.6], atol=1e-3)
 
 

@@ -57,15 +57,12 @@ def goals_of(grounded: Grounded) -> tuple[int, ...]:
 
 
 def test_readings_are_mixed_by_weight(graph) -> None:
-    grounded = rewriting(graph, (BEFORE_CAR, math.log(0.2)), (BEHIND_CAR, math.log(0.6))).ground(
-        "cone car", START
-    )
+    rewrites = (BEFORE_CAR, math.log(0.2)), (BEHIND_CAR, math.log(0.6))
+    grounded = rewriting(graph, *rewrites).ground("cone car", START)
     mixed = relations(grounded)
-    alone = {t: relations(graph.ground(t, START)) for t in (BEFORE_CAR, BEHIND_CAR)}
+    before, behind = (relations(graph.ground(t, START)) for t in (BEFORE_CAR, BEHIND_CAR))
     for relation in (FRONT, BEHIND):
-        expected = 0.25 * alone[BEFORE_CAR].get(relation, 0) + 0.75 * alone[BEHIND_CAR].get(
-            relation, 0
-        )
+        expected = 0.25 * before.get(relation, 0) + 0.75 * behind.get(relation, 0)
         assert mixed[relation] == pytest.approx(expected, abs=1e-3)
     said = {one["relation"]: one["probability"] for one in grounded.annotations}
     assert said["behind"] == pytest.approx(0.75, abs=0.01)
@@ -102,10 +99,9 @@ def test_what_cannot_be_read_is_dropped_and_counted(graph) -> None:
 
 
 def test_where_none_is_left_one_line_says_so(graph) -> None:
+    bad = ("go through the cone", -1.0), ("the cone is here", -2.0)
     with pytest.raises(ValueError, match="none of the 2 rewritings of 'x' can be read") as error:
-        rewriting(graph, ("go through the cone", -1.0), ("the cone is here", -2.0)).ground(
-            "x", START
-        )
+        rewriting(graph, *bad).ground("x", START)
     assert "go through the cone" in str(error.value)
     assert "\n" not in str(error.value)
     with pytest.raises(ValueError, match="has no rewriting of 'x'"):
@@ -159,9 +155,8 @@ def test_a_person_picks_among_rewritings(graph) -> None:
 
 def test_nouns_without_a_label_keep_their_names() -> None:
     graph = GraphGrounder(load_shipped(), ["cone"])
-    asking = ChoosingGrounder(
-        rewriting(graph, ("go to the cone near the zorbel", 0.0)), lambda *_: 0
-    )
+    source = rewriting(graph, ("go to the cone near the zorbel", 0.0))
+    asking = ChoosingGrounder(source, lambda *_: 0)
     asking.ground("x", START)
     assert FirstGrounder(asking, graph).names == ("cone", "zorbel")
 

@@ -45,9 +45,8 @@ def shown(things, robot, share: float = 1.0) -> Situation:
     coverage = replace(belief.coverage, area=jnp.asarray(AREA))
     forbidden = np.zeros((7, belief.particles.mean_x.shape[0], P), np.float32)
     forbidden[6, : len(things), : round(share * P)] = 1.0
-    made = situation(
-        replace(belief, coverage=coverage), nodes_at([], [], []), seen_goal(0.0), robot
-    )
+    belief = replace(belief, coverage=coverage)
+    made = situation(belief, nodes_at([], [], []), seen_goal(0.0), robot)
     return replace(made, forbidden_prob=jnp.asarray(forbidden))
 
 
@@ -159,9 +158,8 @@ def test_stops_are_put_out_of_the_berth_where_one_sees_in() -> None:
     area, things = jnp.asarray(AREA), things_at([(0.0, 0.0)])
     x, y = jnp.array([1.0, 5.0, 0.0]), jnp.array([0.0, 0.0, -1.0])
     out = keep_out(x, y, things, jnp.float32(4.0), area)
-    np.testing.assert_allclose(
-        out, [[CORNER_RADIUS, 5.0, 0.0], [0.0, 0.0, -CORNER_RADIUS]], atol=1e-5
-    )
+    expected = [[CORNER_RADIUS, 5.0, 0.0], [0.0, 0.0, -CORNER_RADIUS]]
+    np.testing.assert_allclose(out, expected, atol=1e-5)
     for same in (
         keep_out(x, y, things, jnp.float32(1.5), area),
         keep_out(x, y, things_at([]), jnp.float32(4.0), area),

@@ -147,9 +147,8 @@ def test_faithful_takes_the_node_of_highest_value() -> None:
 def test_what_is_to_be_avoided_costs_and_is_gone_round() -> None:
     """A cone beside the object, in a quarter of the maps and then in all."""
     aims, cone = goals(0.4, hypothesis=0.3), [(by_hand.CONE, 5.0, -1.0)]
-    freely, doubted, surely = (
-        choose(aims, places=cone, forbidden=share) for share in (0.0, 0.25, 1.0)
-    )
+    shares = 0.0, 0.25, 1.0
+    freely, doubted, surely = (choose(aims, places=cone, forbidden=share) for share in shares)
     np.testing.assert_array_equal(freely.cost, 0.0)
     assert 0.0 == float(surely.cost[0]) < float(doubted.cost[2]) <= float(surely.cost[2])
     assert int(freely.kind) == int(surely.kind) == OBJECT_NODE

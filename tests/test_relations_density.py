@@ -118,12 +118,10 @@ def test_sides_by_hand(pose: tuple, landmark: tuple | None) -> None:
         sight = np.arctan2(where[1] - y, where[0] - x)
         angles = {one: sight + turn for one, turn in TURNS.items()}
     for relation in TURNS:
-        values = {}
+        values, pdf = {}, density_of(model, relation)
         for other, angle in angles.items():
             offset = 2.0 * np.array([np.cos(angle), np.sin(angle)])
-            values[other] = float(
-                log_density(density_of(model, relation), *jnp.float32(offset), frame)
-            )
+            values[other] = float(log_density(pdf, *jnp.float32(offset), frame))
             is_so = bool(holds(relation, where + offset, where, (x, y), *own))
             assert is_so == (other == relation), (RELATIONS[relation], RELATIONS[other])
         second, best = sorted(values.values())[-2:]

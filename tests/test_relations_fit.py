@@ -163,9 +163,8 @@ def test_order_and_repetition_of_the_pairs_do_not_matter() -> None:
     one, other = fitting.fit_relations(pairs), fitting.fit_relations(shuffled)
     for left, right in zip(jax.tree.leaves(one.params), jax.tree.leaves(other.params), strict=True):
         np.testing.assert_allclose(left, right, rtol=5e-3, atol=5e-3)
-    np.testing.assert_allclose(
-        np.asarray(one.frame_posterior)[order], other.frame_posterior, atol=1e-2
-    )
+    posterior = np.asarray(one.frame_posterior)[order]
+    np.testing.assert_allclose(posterior, other.frame_posterior, atol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,8 @@ GOAL = (6.0, 0.8)
 
 
 def put(objects=((HYDRANT, *GOAL), (CONE, 4.0, 0.5)), *, seed: int = 0) -> KinematicRobot:
-    scenario = replace(
-        placed(objects, area=(0.0, 9.0, -4.5, 4.5), goal=0), goal_index=np.int32(NONE)
-    )
+    scenario = placed(objects, area=(0.0, 9.0, -4.5, 4.5), goal=0)
+    scenario = replace(scenario, goal_index=np.int32(NONE))
     sensor = replace(default_sensor(3.0), field_of_view=jnp.float32(np.pi / 2))
     return KinematicRobot(scenario, seed=seed, sensor=sensor)
 

@@ -60,10 +60,8 @@ def integral(spread: float, is_steady: bool):
     error = error * spread
 
     def turned(offset, angle):
-        cosine, sine = np.cos(angle), np.sin(angle)
-        return np.stack(
-            [cosine * offset[0] - sine * offset[1], sine * offset[0] + cosine * offset[1]]
-        )
+        (x, y), cosine, sine = offset, np.cos(angle), np.sin(angle)
+        return np.stack([cosine * x - sine * y, sine * x + cosine * y])
 
     missing = turned(SECOND, error) - FIRST[:, None] + turned(np.array([1.0, 0.0]), 0.5 * error)
     variance = 2.0 * NOISE**2 + ODOMETRY**2

@@ -226,9 +226,8 @@ def test_number_of_things_is_inferred_as_by_enumeration(pooled: int, name: str) 
 
 
 def test_nothing_seen_leaves_only_hypotheses() -> None:
-    particles, weight = estimate(
-        by_hand.readings(*[[part] for part in CASES["behind"]]), objects=[]
-    )
+    sentence = by_hand.readings(*[[part] for part in CASES["behind"]])
+    particles, weight = estimate(sentence, objects=[])
     truth, _ = exact.groundings(small_world(objects=[]), *CASES["behind"])
     assert (particles.referent == NONE).all()
     compare(weight.mean(1), truth.sum())

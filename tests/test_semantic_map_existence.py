@@ -27,7 +27,7 @@ def sensor(**values: float):
 @jax.jit
 def look(one, kind, x, is_detection, specification, growth, exposure):
     """One look of one particle at one place: the particle, and log p(look)."""
-    doubt = association.clutter_odds(specification, jnp.int32(TYPES))
+    doubt = association.clutter_odds(specification, jnp.int32(TYPES), RANGING)
     seen = association.Detections(
         kind[None], x[None], jnp.zeros(1), jnp.full(1, LOG_THING), is_detection[None]
     )
@@ -203,9 +203,8 @@ def test_new_things_where_nobody_has_looked_surprise_nobody(number: int) -> None
 
 def test_what_is_missed_now_or_was_before_surprises_by_its_misses() -> None:
     assert surprise_of() == pytest.approx(MISS, abs=0.05)
-    assert surprise_of(SEEN, (CONE, 1.0, 1.0, 3 * MISS)) == pytest.approx(
-        EXPECTED + 3 * MISS, abs=0.05
-    )
+    expected = pytest.approx(EXPECTED + 3 * MISS, abs=0.05)
+    assert surprise_of(SEEN, (CONE, 1.0, 1.0, 3 * MISS)) == expected
 
 
 def test_a_thing_off_its_place_surprises_by_the_square() -> None:

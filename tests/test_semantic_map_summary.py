@@ -51,16 +51,13 @@ def test_distinct_topologies_equal_a_plain_comparison() -> None:
 
 def test_world_of_a_particle_by_hand() -> None:
     """Slot 1 is the cone meant, the hydrant is only hypothesised; the robot comes last."""
-    belief = by_hand.with_objects(
-        by_hand.begin(config=CONFIG), [(HYDRANT, 1.0, 1.0), (CONE, 2.0, 0.0)]
-    )
+    objects = [(HYDRANT, 1.0, 1.0), (CONE, 2.0, 0.0)]
+    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), objects)
     one = jax.tree.map(lambda leaf: leaf[..., 0], belief.particles)
-    one = replace(
-        one, referent=jnp.array([NONE, 1, NONE]), is_mentioned=jnp.array([True, True, False])
-    )
-    sentence = by_hand.readings(
-        [[HYDRANT, CONE, ROBOT]], [[(0, BEHIND, 1, False), (1, LEFT, 2, True)]]
-    )
+    referent, is_mentioned = jnp.array([NONE, 1, NONE]), jnp.array([True, True, False])
+    one = replace(one, referent=referent, is_mentioned=is_mentioned)
+    edges = [(0, BEHIND, 1, False), (1, LEFT, 2, True)]
+    sentence = by_hand.readings([[HYDRANT, CONE, ROBOT]], [edges])
     world = jax.jit(behavior_world)(one, sentence, jnp.int32(0))
     robot, hypothesis = SLOTS + by_hand.M, SLOTS
     assert world.object_type.tolist() == [HYDRANT, CONE, NONE, NONE, HYDRANT, NONE, NONE, ROBOT]

@@ -57,9 +57,8 @@ def assert_same(found, expected, asked: np.ndarray) -> None:
     np.testing.assert_array_equal(np.asarray(found[1]) == -np.inf, ~asked)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         one, other = np.asarray(one), np.asarray(other)
-        shown = np.broadcast_to(
-            asked.reshape(len(asked), *(1,) * (one.ndim - 2), NUMBER), one.shape
-        )
+        shape = len(asked), *(1,) * (one.ndim - 2), NUMBER
+        shown = np.broadcast_to(asked.reshape(shape), one.shape)
         if np.issubdtype(one.dtype, np.floating):
             np.testing.assert_allclose(one[shown], other[shown], rtol=2e-6, atol=2e-6)
         else:

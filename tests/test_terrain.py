@@ -188,9 +188,8 @@ def test_without_walls_every_way_is_straight_and_a_closed_room_has_none() -> Non
     assert float(METRES(free, zero, zero, far, far)) == pytest.approx(np.hypot(3.0, 3.0))
     assert NEXT_PLACE(free, zero, zero, far, far) == (far, far)
     corners = [(2.0, -2.0), (6.0, -2.0), (6.0, 2.0), (2.0, 2.0)]
-    shut = geodesic(
-        walls(*((*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)))
-    )
+    sides = zip(corners, corners[1:] + corners[:1], strict=True)
+    shut = geodesic(walls(*((*a, *b) for a, b in sides)))
     inside, outside = (jnp.float32(4.0), zero), (jnp.float32(9.0), zero)
     assert float(METRES(shut, *inside, *outside)) >= LARGE
     assert float(METRES(shut, *inside, jnp.float32(3.0), jnp.float32(1.0))) < 2.0

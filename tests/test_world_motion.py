@@ -86,9 +86,8 @@ def test_a_heading_that_drifts_bends_the_way_and_odometry_does_not_know() -> Non
     np.testing.assert_allclose(state.odometry, [2.1, 3.3, np.arctan2(0.8, 0.6)], rtol=1e-6)
     np.testing.assert_allclose(state.heading - state.odometry[2], 0.3, atol=1e-6)
     along = np.arctan2(0.8, 0.6) + 0.2
-    np.testing.assert_allclose(
-        state.position, [1.0 + np.cos(along), 2.0 + np.sin(along)], rtol=1e-6
-    )
+    expected = [1.0 + np.cos(along), 2.0 + np.sin(along)]
+    np.testing.assert_allclose(state.position, expected, rtol=1e-6)
     still = move(KEY, start, action(0.0, 0.0), replace(steady, turn_noise=jnp.float32(0.5)))
     chex.assert_trees_all_equal(still, start)
 
@@ -146,19 +145,16 @@ def test_a_quarter_turn_of_half_a_turn_a_cycle_leaves_half_of_the_way() -> None:
     target = 0.7 + np.pi / 2
     state = MOVE(wheels(np.pi), KEY, robot(), action(np.cos(target), np.sin(target)), motion())
     assert float(state.heading) == pytest.approx(target, abs=1e-5)
-    driven = 0.5 * np.array([np.cos(target), np.sin(target)])
-    np.testing.assert_allclose(state.position, np.array([1.0, 2.0]) + driven, atol=1e-5)
-    np.testing.assert_allclose(
-        state.odometry, [*(np.array([1.5, 2.5]) + driven), target], atol=1e-5
-    )
+    x, y = 0.5 * np.cos(target), 0.5 * np.sin(target)
+    np.testing.assert_allclose(state.position, [1.0 + x, 2.0 + y], atol=1e-5)
+    np.testing.assert_allclose(state.odometry, [1.5 + x, 2.5 + y, target], atol=1e-5)
     np.testing.assert_allclose(state.distance, 3.5, atol=1e-5)
 
 
 def test_who_has_to_turn_round_turns_first_the_shorter_way() -> None:
     target = 0.7 - 3.0
-    state = MOVE(
-        wheels(1.0), KEY, robot(), action(np.cos(target), np.sin(target)), motion(noise=0.3)
-    )
+    turning = action(np.cos(target), np.sin(target))
+    state = MOVE(wheels(1.0), KEY, robot(), turning, motion(noise=0.3))
     assert float(state.heading) == pytest.approx(0.7 - 1.0, abs=1e-5)
     np.testing.assert_array_equal(state.position, robot().position)
     np.testing.assert_array_equal(state.odometry[:2], robot().odometry[:2])

@@ -14,9 +14,7 @@ GOAL, WRONG = 0, 1
 speak = jax.jit(utter)
 
 
-def seen(
-    step: int = 0, target: int = NONE, asking: bool = False, candidates=(True, True)
-) -> RobotView:
+def seen(step: int = 0, target: int = NONE, asking=False, candidates=(True, True)) -> RobotView:
     return RobotView(
         step=jnp.int32(step),
         target=jnp.int32(target),

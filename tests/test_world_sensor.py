@@ -88,9 +88,8 @@ def test_field_of_view_is_the_full_opening_angle(view: float, expected: set[int]
 def test_the_view_turns_with_the_robot() -> None:
     scene, narrow = world([(2.0, 0.0), (-2.0, 0.0)]), sensor(view=PI / 2)
     for heading, kind in ((0.0, 0), (PI, 1), (-PI, 1), (4 * PI, 0)):
-        assert [found[0] for found in seen(sense(KEY, robot(heading=heading), scene, narrow))] == [
-            kind
-        ]
+        found = seen(sense(KEY, robot(heading=heading), scene, narrow))
+        assert [first for first, *_ in found] == [kind]
 
 
 def test_empty_slots_are_not_seen_and_padding_is_clean() -> None:

@@ -158,11 +158,11 @@ class Follow:
 
     def _note_world(self, opened: "PreparedEpisode", output: Output) -> None:
         """Note object types that the world lacks, and that success cannot be judged."""
-        from jaxlangnav.task.loading import absent_types
+        from jaxlangnav.task.loading import absent_types, count_types
 
         prepared, understood = opened.prepared, opened.understood
-        scenario, names = prepared.task.scenario, understood.type_names
-        for name in absent_types(scenario, understood.annotations, names):
+        counts = count_types(prepared.task.scenario, understood.type_names)
+        for name in absent_types(counts, understood.annotations, understood.type_names):
             output.note(f"note: world {prepared.world} has no {name}")
         if prepared.unscored and not (prepared.goal_exists and self.person):
             output.note(f"note: {prepared.unscored}, so success cannot be judged")

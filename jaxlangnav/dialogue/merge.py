@@ -103,9 +103,7 @@ def _simplify(history: History) -> History:
     """Drop bare existence of related mentions; request mentions that requested ones depend on."""
     ends = [{edge.figure, edge.landmark} for edge in history.edges if edge.relation != NONE]
     related = set().union(*ends)
-    history.edges = [
-        edge for edge in history.edges if edge.relation != NONE or edge.figure not in related
-    ]
+    history.edges = [e for e in history.edges if e.relation != NONE or e.figure not in related]
     for pair in ends * len(history.mentions):
         mentions = [history.mentions[m] for m in pair]
         if any(mention.is_asked for mention in mentions if mention.type_code != ROBOT):

@@ -32,6 +32,8 @@ from jaxlangnav.language.reference import is_untyped
 from jaxlangnav.messages import NONE, ROBOT
 from jaxlangnav.relations.table import REGISTRY
 
+LogRanks = Mapping[Path, np.ndarray]
+"""Phrase → f64[5], log-probabilities of the ranks 0 to 4."""
 RankedAnnotations = tuple[tuple[AnnotationSymbol, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
 _MAX_SYMBOLS = 12
@@ -89,7 +91,7 @@ def annotation_document(
     return document | ({"rank": rank} if rank > 1 else {})
 
 
-def _likeliest_ranks(paths: list[Path], rank: Mapping[Path, np.ndarray]) -> list[tuple[int, float]]:
+def _likeliest_ranks(paths: list[Path], rank: LogRanks) -> list[tuple[int, float]]:
     """List the two likeliest ranks of a symbol with their log-probabilities."""
     if not paths:
         return [(0, 0.0)]
@@ -97,7 +99,7 @@ def _likeliest_ranks(paths: list[Path], rank: Mapping[Path, np.ndarray]) -> list
     return [(int(i), float(log_probs[i])) for i in np.argsort(-log_probs, kind="stable")[:2]]
 
 
-def _split_by_rank(paths: list[Path], rank: Mapping[Path, np.ndarray]) -> list[list[Path]]:
+def _split_by_rank(paths: list[Path], rank: LogRanks) -> list[list[Path]]:
     """Group the phrases of a symbol by their likeliest rank: ranks tell objects apart.
 
     "Avoid the nearest cone and go to the second cone" has "near the robot" for two cones.
@@ -120,16 +122,9 @@ def _untyped_phrases(phrase: Phrase, path: Path, *, is_untyped_figure: bool) -> 
 
 
 def _clause_sets(
-    space: AnnotationSpace,
-    beam: Sequence[Hypothesis],
-    root: Phrase,
-    clause: int,
-    rank: Mapping[Path, np.ndarray],
+    space: AnnotationSpace, beam: Sequence[Hypothesis], root: Phrase, clause: int, rank: LogRanks
 ) -> Iterator[tuple[RankedAnnotations, float]]:
-    """Yield the ranked annotations of each beam hypothesis of a clause, with log-probability.
-
-    ``rank`` has for each phrase f64[5], log-probabilities of the ranks 0 to 4.
-    """
+    """Yield the ranked annotations of each beam hypothesis of a clause, with log-probability."""
     phrases = {node.path: node.phrase for node in post_order(root, clause)}
     untyped = frozenset(_untyped_phrases(root, (clause,), is_untyped_figure=False))
     for hypothesis in beam:

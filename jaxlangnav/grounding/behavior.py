@@ -184,9 +184,7 @@ def _reduce(phrase: CompiledClause, scene: ObjectSets, stack: _Stack) -> tuple[_
 def _by_relation(values: Array, relation: Array) -> Array:
     """Scatter values of a phrase's L relations, f32[L, N, E, P], to all seven: f32[7, N, E, P]."""
     regions = iota(NUM_REGIONS, 3)[:, None]
-    spread = [
-        jnp.where(r == regions, value[None], 0.0) for r, value in zip(relation, values, strict=True)
-    ]
+    spread = [jnp.where(r == regions, v[None], 0.0) for r, v in zip(relation, values, strict=True)]
     return functools.reduce(jnp.add, spread)
 
 
@@ -260,11 +258,7 @@ def _infer(clause: CompiledClause, worlds: BehaviorWorld, num_phrases: Array) ->
 
 @_infer.def_vmap
 def _infer_episodes(
-    axis_size: int,
-    in_batched: Any,
-    clause: CompiledClause,
-    worlds: BehaviorWorld,
-    num_phrases: Array,
+    size: int, in_batched: Any, clause: CompiledClause, worlds: BehaviorWorld, num_phrases: Array
 ) -> tuple[Behavior, Behavior]:
     """Infer behaviors of a batch of episodes, whose axis becomes a lane axis."""
 
@@ -276,7 +270,7 @@ def _infer_episodes(
 
     clause = jax.tree.map(of_clause, clause, in_batched[0])
     worlds = jax.tree.map(of_worlds, worlds, in_batched[1])
-    shape = (axis_size, max(leaf.shape[-1] for leaf in jax.tree.leaves(worlds)))
+    shape = (size, max(leaf.shape[-1] for leaf in jax.tree.leaves(worlds)))
     worlds = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*leaf.shape[:-2], *shape)), worlds)
     with jax.numpy_rank_promotion("allow"):
         behavior = _infer_lanes(clause, worlds, jnp.max(num_phrases))

@@ -163,13 +163,14 @@ class BoundSentence:
 
         Raises:
             UnknownObjectError: the goal of a command has no label, or a noun far too many.
-            LanguageError: an attribute is used as a comparative.
+            LanguageError: an attribute is used as a comparative, or two untyped objects differ in
+                theirs.
         """
         self.detector = detector
         self.names = list(type_names)
         self.codes: list[tuple[int, ...]] = [() for _ in type_names]
         self.notes: dict[str, None] = {}
-        self._untyped = ANYTHING  # code of an untyped object
+        self._untyped: int | None = None  # code of the sentence's untyped objects
         self._last_codes: dict[str, int] = {}  # noun → code of its last mention's attributes
         clauses = [
             self._bind(clause, head_of(clause) if clause.label == "VP" else None)
@@ -192,7 +193,7 @@ class BoundSentence:
 
     def codes_of(self, mention: int) -> tuple[int, ...]:
         """List the codes that a type may have; the robot and untyped objects have one each."""
-        special = {ROBOT: ROBOT, ANYTHING: self._untyped}
+        special = {ROBOT: ROBOT, ANYTHING: self._untyped or ANYTHING}
         return (special[mention],) if mention in special else self.codes[mention]
 
     def labels_of(self, name: str) -> tuple[int, ...]:
@@ -206,7 +207,14 @@ class BoundSentence:
         rebuilt = dataclasses.replace(phrase, children=children)
         head = next((w for w in phrase.words if w.type_sense), None)
         if is_untyped(phrase):
-            self._untyped = type_code(ANYTHING, self._code(phrase, phrase.words[-1], ""))
+            word = phrase.words[-1]
+            code = type_code(ANYTHING, self._code(phrase, word, ""))
+            if self._untyped not in (None, code):
+                raise LanguageError(
+                    f"'{word.text}' (word {word.position}): two things of unnamed types that "
+                    "differ are not told apart in one sentence: say one at a time"
+                )
+            self._untyped = code
         if phrase.label != "NP" or head is None:
             return rebuilt
         noun = (head.type_sense or "").removeprefix(_TYPE)

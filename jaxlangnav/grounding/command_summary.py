@@ -124,10 +124,8 @@ def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[s
 
     def target(region: int, mention: int) -> dict[str, str]:
         code = ROBOT if mention == ROBOT else int(types[mention])
-        return {
-            "region": REGIONS[region],
-            "object": "robot" if code == ROBOT else name_of(code, names),
-        }
+        name = "robot" if code == ROBOT else name_of(code, names)
+        return {"region": REGIONS[region], "object": name}
 
     return [
         {

@@ -102,10 +102,8 @@ class TreeFeatures(Generic[AnyWorld]):
         """Compute the features of every phrase of a clause."""
         self.root, self.path, self.symbols = root, (clause,), space.symbols_in(world)
         nodes = post_order(root, clause)
-        self.phrases = {node.path: node.phrase for node in nodes}
-        self.described = {
-            node.path: space.describe(node.phrase, node.path, world) for node in nodes
-        }
+        self.phrases = {n.path: n.phrase for n in nodes}
+        self.described = {n.path: space.describe(n.phrase, n.path, world) for n in nodes}
         self._blocks: dict[tuple, Mapping[str, Block]] = {}
 
     def blocks(self, path: Path, children: Children) -> Mapping[str, Block]:

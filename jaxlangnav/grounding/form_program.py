@@ -59,12 +59,10 @@ class Destination(NamedTuple):
     previous: tuple[str, ...] = ANY
 
 
-def _description_of(
-    reading: FormReading, thing: int, ancestors: tuple[int, ...] = ()
-) -> Descriptor:
+def _description_of(reading: FormReading, thing: int, parents: tuple[int, ...] = ()) -> Descriptor:
     """Describe an object by its type and relations, and recursively its landmarks."""
-    # Cyclic relations are cut: ``ancestors`` are the objects whose description contains this one.
-    path = (*ancestors, thing)
+    # Cyclic relations are cut: ``parents`` are the objects whose description contains this one.
+    path = (*parents, thing)
     # Behavior inference treats "between" two landmarks as near each of them.
     relations = {
         (SYMBOL_OF[r.relation], r.rank, _description_of(reading, r.landmark, path))

@@ -90,17 +90,17 @@ class WrappedGrounder:
 
     def __init__(self, grounder: Grounder) -> None:
         """Store the grounder whose types are shared."""
-        self._types_of = grounder
+        self.grounder = grounder
 
     @property
     def type_names(self) -> tuple[str, ...]:
         """The types of the wrapped grounder."""
-        return self._types_of.type_names
+        return self.grounder.type_names
 
     @property
     def names(self) -> tuple[str, ...]:
         """The types, then nouns without a type."""
-        return names_of(self._types_of)
+        return names_of(self.grounder)
 
 
 class GraphGrounder:
@@ -187,13 +187,12 @@ class FirstGrounder(WrappedGrounder):
         if first.type_names != then.type_names:
             raise ValueError("the grounders have different type_names: give both one detector's")
         super().__init__(first)
-        self.first = first
         self.then = then
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Ground an instruction; if both refuse, the first's error is raised."""
         try:
-            return self.first.ground(text, context)
+            return self.grounder.ground(text, context)
         except ValueError as error:
             refusal = error
         try:
@@ -215,7 +214,6 @@ class ChoosingGrounder(WrappedGrounder):
             least: alternatives less probable than this are not asked about.
         """
         super().__init__(grounder)
-        self.grounder = grounder
         self.choose = choose
         self.least = least
 

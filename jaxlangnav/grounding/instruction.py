@@ -106,10 +106,6 @@ class GroundingModel:
     behavior: CorrespondenceModel
     type_names: tuple[str, ...]
 
-    def zeroed(self) -> "GroundingModel":
-        """Copy the models with all weights zero, an uninformative baseline."""
-        return GroundingModel(self.annotation.zeroed(), self.behavior.zeroed(), self.type_names)
-
 
 @pytree
 class Instruction:

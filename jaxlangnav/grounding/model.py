@@ -154,11 +154,6 @@ class CorrespondenceModel:
         """Number of features as the paper counts them: 2 × word features × properties."""
         return 2 * sum(weight.size for weight in self.weights.values())
 
-    def zeroed(self) -> "CorrespondenceModel":
-        """Copy the model with all weights zero, an uninformative baseline."""
-        zeros = {kind: np.zeros_like(weight) for kind, weight in self.weights.items()}
-        return dataclasses.replace(self, weights=zeros)
-
 
 def stack_columns(shape: tuple[int, ...], columns: PropertyColumns) -> np.ndarray:
     """Stack properties of the symbols of one kind, broadcast to their shape, f32[S, F]."""

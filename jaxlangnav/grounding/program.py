@@ -8,7 +8,6 @@ A phrase rarely expresses more than one relation, so of the seven regions each o
 the ``NUM_REGION_SLOTS`` with the largest upper bound on their log-odds are kept (constraints: one).
 """
 
-from collections.abc import Mapping
 from itertools import accumulate
 
 import numpy as np
@@ -26,7 +25,7 @@ from jaxlangnav.grounding.behavior_properties import (
 )
 from jaxlangnav.grounding.model import RESTRICTORS, CorrespondenceModel, senses_of
 from jaxlangnav.grounding.properties import find_ranks
-from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Path, post_order
+from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Ranks, post_order
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import AT, NONE, ROBOT
 from jaxlangnav.pytree import pytree
@@ -73,15 +72,17 @@ class CompiledClause:
     mode: Array  # f32[3] probability
 
 
+Fields = dict[str, np.ndarray]
+"""Host arrays by name: fields of a clause, or coefficients by condition."""
 CLAUSE_FIELDS = ("num_phrases", "table", "action", "mode")
 """Fields of the clause, without an axis over phrases."""
 
 
-def empty_clause() -> dict[str, np.ndarray]:
+def empty_clause() -> Fields:
     """Build the fields of a clause without phrases."""
     h, k, s = NUM_PHRASES, NUM_CHILDREN, NUM_REGION_SLOTS
     f32, i32 = np.float32, np.int32
-    fields: dict[str, np.ndarray] = {
+    fields = {
         "num_phrases": np.zeros((), i32),
         "num_children": np.full(h, PADDING, i32),
         "is_verb": np.zeros(h, bool),
@@ -105,9 +106,7 @@ def empty_clause() -> dict[str, np.ndarray]:
     return fields
 
 
-def _upper_bound(
-    fields: dict[str, np.ndarray], children: tuple[int, ...], terms: dict[str, np.ndarray]
-) -> np.ndarray:
+def _upper_bound(fields: Fields, children: tuple[int, ...], terms: Fields) -> np.ndarray:
     """Compute an upper bound on the log-odds of each relation, f32[7]."""
     is_in_child = np.isin(np.arange(NUM_REGIONS), fields["region_relation"][list(children)])
     bound = terms["always"].copy()
@@ -118,18 +117,14 @@ def _upper_bound(
     return np.asarray(bound + rest)
 
 
-def _slot_of(fields: dict[str, np.ndarray], row: int, relation: int) -> int:
+def _slot_of(fields: Fields, row: int, relation: int) -> int:
     """Find the region slot of a phrase that has a relation, or NONE."""
     slots = np.flatnonzero(fields["region_relation"][row] == relation)
     return int(slots[0]) if len(slots) else NONE
 
 
 def _fill_regions(
-    fields: dict[str, np.ndarray],
-    row: int,
-    children: tuple[int, ...],
-    terms: dict[str, np.ndarray],
-    ranks: np.ndarray,
+    fields: Fields, row: int, children: tuple[int, ...], terms: Fields, ranks: np.ndarray
 ) -> list[tuple[float, int, int, int]]:
     """Fill the region slots of a phrase; returns (bound, row, slot, table) of each."""
     bounds, slots = _upper_bound(fields, children, terms), []
@@ -143,9 +138,7 @@ def _fill_regions(
     return slots
 
 
-def _fill_constraint(
-    fields: dict[str, np.ndarray], row: int, children: tuple[int, ...], terms: dict[str, np.ndarray]
-) -> None:
+def _fill_constraint(fields: Fields, row: int, children: tuple[int, ...], terms: Fields) -> None:
     """Choose the relation of a verb phrase's constraints and fill in its coefficients."""
     relation = int(np.argmax(_upper_bound(fields, children, terms)))
     fields["constraint_relation"][row] = relation
@@ -170,12 +163,8 @@ def _check_sizes(nodes: tuple[Node, ...]) -> None:
 
 
 def compile_clause(
-    root: Phrase,
-    index: int,
-    model: CorrespondenceModel,
-    rank: Mapping[Path, int],
-    type_names: tuple[str, ...],
-) -> dict[str, np.ndarray]:
+    root: Phrase, index: int, model: CorrespondenceModel, rank: Ranks, type_names: tuple[str, ...]
+) -> Fields:
     """Contract the words of a clause: the fields of its ``CompiledClause``, host arrays.
 
     Args:

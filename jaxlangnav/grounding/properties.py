@@ -44,6 +44,7 @@ from jaxlangnav.grounding.symbols import (
     AnnotationSpace,
     BehaviorSpace,
     Path,
+    Ranks,
 )
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.language.phrase import Phrase
@@ -243,7 +244,7 @@ class Behaviors:
     """The behavior symbol space of a world's objects, with its features."""
 
     type_names: tuple[str, ...]  # object types in the order of their indices
-    rank: Mapping[Path, int]  # of each phrase's region: 0 none, 1 nearest, 2 second, ...
+    rank: Ranks
 
     @property
     def columns(self) -> Mapping[str, Sequence[str]]:
@@ -291,9 +292,7 @@ class Behaviors:
         return Described(given)
 
 
-def find_ranks(
-    phrase: Phrase, path: Path, rank: Mapping[Path, int], type_names: tuple[str, ...]
-) -> np.ndarray:
+def find_ranks(phrase: Phrase, path: Path, rank: Ranks, type_names: tuple[str, ...]) -> np.ndarray:
     """Compute the rank that a phrase gives each relation, i[7]: 0 none, 1 extreme, 2 second.
 
     A phrase that passes on the region of a child ("that is nearest to the cone") passes on its

@@ -81,14 +81,13 @@ class RewriteGrounder(WrappedGrounder):
     ) -> None:
         """Combine a source of rewritings with a grounder of the controlled language."""
         super().__init__(graph)
-        self.graph = graph
         self.source = source
         self.params = default_rewrite_params() if params is None else params
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Ground a sentence by its rewritings; see ``Grounder.ground``."""
         rewrites, notes = self._rewrites(text)
-        grounded, refusals = verify_rewrites(self.graph, rewrites, context)
+        grounded, refusals = verify_rewrites(self.grounder, rewrites, context)
         if not grounded:
             refused, reason = next(iter(refusals.items()))
             raise ValueError(

@@ -11,7 +11,7 @@ A set of symbols is a boolean vector over a space: one correspondence variable p
 
 import itertools
 import math
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Generic, NamedTuple, TypeVar
 
@@ -146,6 +146,8 @@ class BehaviorSpace(SymbolDomain[BehaviorSymbol]):
 
 Path = tuple[int, ...]
 """Clause index, then child indices from the root of the clause."""
+Ranks = Mapping[Path, int]
+"""Rank that each phrase gives its region: 0 none, 1 nearest, 2 second, ..."""
 
 
 class Node(NamedTuple):

@@ -26,6 +26,9 @@ SIDE_RANGE = 5.0
 """Maximum distance in metres of "on your left" in the corpus."""
 
 
+Edges = Iterable[Sequence[int]]
+
+
 @cached_jit()
 def _all_relations(positions: Array, viewer: Array, heading: Array) -> Array:
     """Evaluate all relations for all pairs, bool[6, N, N + 1]; landmark N is the robot."""
@@ -71,12 +74,7 @@ class World:
     is_previous: np.ndarray  # bool[N] goal of the previous command
 
     @classmethod
-    def of_edges(
-        cls,
-        object_type: Sequence[int],
-        related: Iterable[Sequence[int]],
-        ranked: Iterable[Sequence[int]] = (),
-    ) -> "World":
+    def of_edges(cls, object_type: Sequence[int], related: Edges, ranked: Edges = ()) -> "World":
         """Build a world in which only these relations hold; all slots filled, none previous.
 
         Args:

@@ -156,9 +156,7 @@ def take(particles: T, ancestors: Array) -> T:
 def pack(particles: Any) -> Array:
     """Pack records into one table, f32[rows, P], from leaves [..., P] exact in float32."""
     leaves = jax.tree.leaves(particles)
-    return jnp.concatenate(
-        [leaf.astype(jnp.float32).reshape(-1, leaf.shape[-1]) for leaf in leaves]
-    )
+    return jnp.concatenate([x.astype(jnp.float32).reshape(-1, x.shape[-1]) for x in leaves])
 
 
 def unpack(table: Array, template: T) -> T:

@@ -82,11 +82,10 @@ def condition_offsets(
         offset_y: f32[k, ...].
         variance: f32[k, ...], R > 0, square metres per axis.
     """
-    size = moments.covariance.shape[0]
+    covariance, mean_x, mean_y = moments
+    size = covariance.shape[0]
     # The means are two more columns: Σ' and μ' are then one and the same downdate.
-    table = jnp.concatenate(
-        [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]], axis=1
-    )
+    table = jnp.concatenate([covariance, mean_x[:, None], mean_y[:, None]], axis=1)
     to, origin = np.array(edges, np.int32).T
     measurements = (to, origin, is_used, offset_x, offset_y, variance[: len(edges)])
 

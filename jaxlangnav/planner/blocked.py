@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.terrain.view import rotate
+from jaxlangnav.terrain.view import Position, rotate
 
 NUM_CLOSED = 4
 """Number of abandoned waypoints that are stored; the oldest is dropped first."""
@@ -70,7 +70,7 @@ def init_progress(pose: Array) -> ProgressMonitor:
     )
 
 
-def sidestep(monitor: ProgressMonitor) -> tuple[Array, Array]:
+def sidestep(monitor: ProgressMonitor) -> Position:
     """Compute the end of the current leg of a sidestep, f32[] x and y, metres, map frame."""
     left, ahead = _ASIDE * monitor.side, jnp.where(monitor.leg == 1, -_BACK, _BEYOND)
     x, y = rotate(ahead, left, monitor.stall_heading)
@@ -88,8 +88,8 @@ def open_nodes(nodes: Nodes, monitor: ProgressMonitor) -> Nodes:
 
 def update_progress(
     monitor: ProgressMonitor,
-    waypoint: tuple[Array, Array],
-    robot: tuple[Array, Array],
+    waypoint: Position,
+    robot: Position,
     is_driving: Array,
     *,
     may_sidestep: Array,

@@ -20,6 +20,7 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import cell_centres
 from jaxlangnav.terrain import Eye
+from jaxlangnav.terrain.view import Position
 
 KEEP_AWAY = 2.0
 """Metres to keep from a forbidden object."""
@@ -113,9 +114,7 @@ def cost_at(x: Array, y: Array, zones: Zones) -> Array:
     return total
 
 
-def keep_out(
-    x: Array, y: Array, zones: Zones, range_max: Array, area: Array
-) -> tuple[Array, Array]:
+def keep_out(x: Array, y: Array, zones: Zones, range_max: Array, area: Array) -> Position:
     """Move positions out of the keep-out zones, if the object can be seen from outside.
 
     Limits: positions outside stay, as all do without forbidden objects; a position that would
@@ -137,7 +136,7 @@ def keep_out(
 def safe_fraction(
     belief: ParticleBelief,
     forbidden: Array,
-    robot: tuple[Array, Array],
+    robot: Position,
     step: Array,
     sensor: SensorParams,
     risk: Array,

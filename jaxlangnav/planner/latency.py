@@ -33,10 +33,8 @@ from jaxlangnav.planner.constraints import cost_at
 from jaxlangnav.planner.search import SearchMap
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import OPEN, Terrain
-from jaxlangnav.terrain.view import LARGE, Segment
+from jaxlangnav.terrain.view import LARGE, Position, Segment
 
-Position = tuple[Array, Array]
-"""x and y of one robot, f32[] each, metres, map frame."""
 NUM_STOPS = 6
 """K, stops of a tour."""
 _ARRIVAL = 0.5  # metres from a stop within which it counts as reached
@@ -135,11 +133,9 @@ def latency(
     radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
     fov = sensor.field_of_view
     half_width = sensor.range_max * jnp.sin(jnp.minimum(0.5 * fov, 0.5 * jnp.pi))
-    position_x = jnp.concatenate([search.x, search.partner_x])
-    position_y = jnp.concatenate([search.y, search.partner_y])
-    sight_at, length = first_sight(
-        tours, position_x, position_y, robot, radius, fov, terrain=search.terrain
-    )
+    x = jnp.concatenate([search.x, search.partner_x])
+    y = jnp.concatenate([search.y, search.partner_y])
+    sight_at, length = first_sight(tours, x, y, robot, radius, fov, terrain=search.terrain)
     own_at, partner_at = jnp.split(sight_at, 2, axis=1)  # distance at which either point is viewed
     first_at = jnp.minimum(own_at, partner_at)
     distance = search.terrain.travel.metres(

@@ -111,7 +111,6 @@ class Policy(Protocol):
 
     def check(self, sizes: MapConfig) -> None:
         """Raise a ValueError for map sizes that the policy cannot work with; by default none."""
-        return
 
 
 def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tuple[Any, Decision]:

@@ -200,10 +200,8 @@ def search_map(
     )
 
 
-def visibility(
-    view_x: Array, view_y: Array, search: SearchMap, range_max: Array, area: Array
-) -> Array:
+def visibility(x: Array, y: Array, search: SearchMap, range_max: Array, area: Array) -> Array:
     """Compute the fraction of each cell that is in view from each viewpoint, f32[A, C]."""
     softness = 0.5 * (area[1] - area[0] + area[3] - area[2]) / CELLS
-    eye = Eye(view_x[:, None], view_y[:, None], range_max)
+    eye = Eye(x[:, None], y[:, None], range_max)
     return search.terrain.view.share(eye, search.x[None, :], search.y[None, :], softness)

@@ -16,9 +16,10 @@ from jax import Array
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.planner.constraints import cost_at, keep_out
-from jaxlangnav.planner.latency import NUM_STOPS, Position, Tour, is_reached, latency
+from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_reached, latency
 from jaxlangnav.planner.search import LATTICE, SearchMap, grid, visibility
 from jaxlangnav.pytree import pytree
+from jaxlangnav.terrain.view import Position
 
 NUM_GREEDY = 3
 """Number of greedy initial tours at each decision."""

@@ -26,9 +26,7 @@ of the angle in radians. They are about as wide as ``SIGMA`` there, so that impo
 no heavy tail."""
 
 
-def log_density(
-    figure: tuple[Array, Array], landmark: tuple[Array, Array], other: tuple[Array, Array]
-) -> Array:
+def log_density(figure: _Point, landmark: _Point, other: _Point) -> Array:
     """Evaluate the log-density of a figure that lies between two landmarks.
 
         log f = −(u − ½)² / 2α² − v² / 2β² − log 2πα β d²

@@ -45,9 +45,7 @@ class ClutterOdds(NamedTuple):
     log_specific: Array  # f32[] … that it is given a specific wrong type
 
 
-def clutter_odds(
-    sensor: SensorParams, num_types: Array, model: SensorModel = RANGING
-) -> ClutterOdds:
+def clutter_odds(sensor: SensorParams, num_types: Array, model: SensorModel) -> ClutterOdds:
     """Compute the odds of clutter and confusion of a sensor; −∞ where it has none.
 
     Args:

@@ -100,8 +100,7 @@ def check_template(world: str, understood: Understanding) -> None:
         return
     counts = [("hydrant", source.num_hydrants), ("cone", source.num_cones)]
     counts = [(name, count) for name, count in counts if count]
-    missing = _missing_types(counts, understood.annotations, understood.type_names)
-    if missing:
+    if missing := absent_types(counts, understood.annotations, understood.type_names):
         raise ValueError(mismatch_message(source.name, counts, missing))
 
 
@@ -140,18 +139,11 @@ def mismatch_message(world: str, counts: Sequence[tuple[str, int]], missing: Seq
 
 
 def absent_types(
-    scenario: Scenario, annotations: Iterable[AnnotationDocument], names: Sequence[str]
-) -> list[str]:
-    """List the types that annotations mention and a world lacks, in their order."""
-    return _missing_types(count_types(scenario, names), annotations, names)
-
-
-def _missing_types(
     counts: Sequence[tuple[str, int]],
     annotations: Iterable[AnnotationDocument],
     names: Sequence[str],
 ) -> list[str]:
-    """List the types of probable annotations that are not among the counted objects."""
+    """List the types of probable annotations that are not among the objects of ``count_types``."""
     likely = [annotation for annotation in annotations if annotation["probability"] >= 0.5]
     mentioned = dict.fromkeys(item[role] for item in likely for role in ("figure", "landmark"))
     return [name for name in mentioned if name in names and name not in dict(counts)]
@@ -212,7 +204,8 @@ def _sample_task(
     )
     tasks = _sample_tasks(template, next(matches, "null"), sensing_range, seed, 1)
     prepared = _set_goal(template.name, tasks[0], understood, is_sampled=True)
-    absent = absent_types(tasks[0].scenario, understood.annotations, understood.type_names)
+    counts = count_types(tasks[0].scenario, understood.type_names)
+    absent = absent_types(counts, understood.annotations, understood.type_names)
     if prepared.goal_exists or absent:
         return prepared
     # "nearest" places each cone anywhere around its hydrant, so other relations may hold too.

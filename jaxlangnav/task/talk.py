@@ -72,8 +72,7 @@ class SimulatedPerson:
 def name_candidates(options: Sequence[Candidate]) -> dict[int, str]:
     """Name each candidate of a question by its rank in distance, by slot."""
     slots = [candidate.slot for candidate in options]
-    named = dict.fromkeys(slots[-1:], "the farthest")
-    return named | dict(zip(slots, _RANKS, strict=False))
+    return dict.fromkeys(slots[-1:], "the farthest") | dict(zip(slots, _RANKS, strict=False))
 
 
 def allow_questions(params: NavigatorParams) -> NavigatorParams:

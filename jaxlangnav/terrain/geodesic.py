@@ -14,7 +14,7 @@ from jax import Array
 from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import Terrain
-from jaxlangnav.terrain.view import LARGE, Eye, Segment, StraightLines, View
+from jaxlangnav.terrain.view import LARGE, Eye, Position, Segment, StraightLines, View
 from jaxlangnav.terrain.walls import Walls, walls
 
 CLEARANCE = 0.2
@@ -46,9 +46,7 @@ class Geodesic:
         around = jnp.min(reached + prepend_axes(last, line.ndim + 1), axis=-1, initial=no_path)
         return jnp.where(self.walls.is_between(from_x, from_y, to_x, to_y), around, line)
 
-    def next_place(
-        self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
-    ) -> tuple[Array, Array]:
+    def next_place(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Position:
         """Find the next turn of the shortest path; its end if no wall is in between, or no path."""
         if not self.turn_x.size:
             return to_x, to_y

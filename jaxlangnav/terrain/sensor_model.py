@@ -12,7 +12,7 @@ from jaxlangnav.inputs.observations import MIN_NOISE
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics.gaussian import log_normal_isotropic
 from jaxlangnav.pytree import pytree
-from jaxlangnav.terrain.view import Eye, View
+from jaxlangnav.terrain.view import Eye, Position, View
 
 
 @pytree
@@ -27,9 +27,7 @@ class SensorModel:
         """Whether a report has a range; if not, unreferenced objects stay in the particles."""
         return True
 
-    def simulate(
-        self, normal: Array, x: Array, y: Array, sensor: SensorParams
-    ) -> tuple[Array, Array]:
+    def simulate(self, normal: Array, x: Array, y: Array, sensor: SensorParams) -> Position:
         """Simulate reports of objects at f32[n] x ahead, y left; noise from normals f32[2, n]."""
         noise = sensor.noise * normal
         return x + noise[0], y + noise[1]
@@ -47,7 +45,7 @@ class SensorModel:
         return jnp.float32(0.0)
 
     def match(
-        self, report: tuple[Array, Array], mean: tuple[Array, Array], variance: Array
+        self, report: Position, mean: Position, variance: Array
     ) -> tuple[Array, Array, Array]:
         """Compute the log-likelihood of a report of an object with predicted position and variance.
 

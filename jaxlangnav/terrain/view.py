@@ -17,6 +17,8 @@ LARGE = 1e9
 """Metres that stand for infinity: a point that never comes into view, a missing path."""
 MIN_SIGHT = 0.5
 """Minimum length of path, metres, on which a point stays in a narrow view to count as observed."""
+Position = tuple[Array, Array]
+"""x and y, metres, map frame unless said otherwise."""
 
 
 class Eye(NamedTuple):
@@ -143,7 +145,7 @@ class OpenField:
         """Return None: every segment is free."""
 
 
-def rotate(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
+def rotate(x: Array, y: Array, angle: Array) -> Position:
     """Rotate offsets counter-clockwise, radians; exact for the angle zero."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return cosine * x - sine * y, sine * x + cosine * y
@@ -179,9 +181,7 @@ class Travel(Protocol):
         """Compute the shortest path length, f32[...]; at least that of the straight line."""
         ...
 
-    def next_place(
-        self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
-    ) -> tuple[Array, Array]:
+    def next_place(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Position:
         """Find the next turning point of that path, f32[] x and y of one robot."""
         ...
 
@@ -201,9 +201,7 @@ class StraightLines:
         span_x, span_y = to_x - from_x, to_y - from_y
         return jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
 
-    def next_place(
-        self, from_x: Array, from_y: Array, to_x: Array, to_y: Array
-    ) -> tuple[Array, Array]:
+    def next_place(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Position:
         """Return the end of the path."""
         return to_x, to_y
 

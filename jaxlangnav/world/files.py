@@ -53,7 +53,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.inputs.atomic_files import write_text
-from jaxlangnav.inputs.documents import parse_toml, read_document, read_shipped
+from jaxlangnav.inputs.documents import read_document, shipped_file
 from jaxlangnav.inputs.sanitize import as_text, shorten
 from jaxlangnav.inputs.schema import closest_choice
 from jaxlangnav.world.schema import (
@@ -101,8 +101,7 @@ def open_world(text: str) -> Template | WorldFile:
         ValueError: none of the three, or the file is invalid.
     """
     if text in shipped_worlds():
-        name = f"{text}.toml"
-        return world_from_dict(parse_toml(read_shipped("world", name)), file=name)
+        return load_world(shipped_file("world", f"{text}.toml"))
     is_path = "/" in text or Path(text).suffix.lower() in (".toml", ".json")
     # Unlike Path.is_file, it returns False for a name that is too long.
     if is_path or os.path.isfile(text):

@@ -304,10 +304,9 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
     table = _World(
         name=world.name,
         instruction=world.instruction or None,
-        area=_Area(*(_decimal(value) for value in scenario.area)),
+        area=_Area(*map(_decimal, scenario.area)),
         start=_Start(
-            x=_decimal(scenario.start[0]),
-            y=_decimal(scenario.start[1]),
+            *map(_decimal, scenario.start[:2]),
             heading=heading if abs(heading) <= 360.0 else math.remainder(heading, 360.0),
         ),
         goal=goal,

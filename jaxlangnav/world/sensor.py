@@ -178,6 +178,5 @@ def visible(
 
     f32[O] x ahead and f32[O] y to the left, metres, robot frame; bool[O] in view.
     """
-    return _to_robot(
-        scenario.object_x, scenario.object_y, scenario.is_object, state, scenario, sensor
-    )
+    objects = scenario.object_x, scenario.object_y, scenario.is_object
+    return _to_robot(*objects, state, scenario, sensor)
