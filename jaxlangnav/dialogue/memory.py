@@ -136,11 +136,9 @@ def task_mentions(particles: SemanticMap, words: DiscourseInfo) -> SemanticMap:
     Limits: where the task requests all mentions, nothing changes.
     """
     is_asked = _per_particle(words.is_asked, particles)
-    return replace(
-        particles,
-        is_mentioned=particles.is_mentioned & is_asked,
-        referent=jnp.where(is_asked, particles.referent, NONE),
-    )
+    is_mentioned = particles.is_mentioned & is_asked
+    referent = jnp.where(is_asked, particles.referent, NONE)
+    return replace(particles, is_mentioned=is_mentioned, referent=referent)
 
 
 def apply_answers(behavior: Behavior, particles: SemanticMap, state: Conversation) -> Behavior:

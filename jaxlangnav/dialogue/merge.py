@@ -5,7 +5,6 @@ Coreference rules identify new mentions with old ones. What exceeds the arrays' 
 the oldest relations first, and counted. All of it depends on the utterances alone.
 """
 
-import dataclasses
 import itertools
 
 from jaxlangnav.dialogue.history import (
@@ -21,6 +20,7 @@ from jaxlangnav.dialogue.memory import DiscourseInfo
 from jaxlangnav.grounding.instruction import Instruction, Referents
 from jaxlangnav.grounding.readings import move_untyped_last, topological_order
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
+from jaxlangnav.pytree import replace
 
 
 def _resolve(old: History, new: History, spoken: Referents, *, is_loose: bool) -> list[int]:
@@ -69,12 +69,10 @@ def _product(
     old: History, new: History, spoken: Referents, *, is_new_task: bool, is_loose: bool
 ) -> History:
     indices = _resolve(old, new, spoken, is_loose=is_loose)
-    mentions = [
-        dataclasses.replace(m, is_asked=m.is_asked and not is_new_task) for m in old.mentions
-    ]
+    mentions = [replace(m, is_asked=m.is_asked and not is_new_task) for m in old.mentions]
     for index, mention in zip(indices, new.mentions, strict=True):
         if index == len(mentions):
-            mentions.append(dataclasses.replace(mention))
+            mentions.append(replace(mention))
         merged = mentions[index]
         merged.is_asked = merged.is_asked or mention.is_asked
         merged.avoid = max(merged.avoid, mention.avoid)
@@ -141,7 +139,7 @@ def _fit_capacity(history: History, num_mentions: int, num_relations: int) -> Hi
     indices = [kept.index(m) if m in related else NONE for m in range(len(history.mentions))]
     mentions = [history.mentions[m] for m in kept]
     edges = topological_order([edge.renumber(indices) for edge in history.edges])
-    return dataclasses.replace(
+    return replace(
         history,
         mentions=mentions,
         edges=move_untyped_last(edges, [mention.type_code for mention in mentions]),

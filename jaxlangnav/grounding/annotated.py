@@ -4,8 +4,8 @@ It parses JSON, not language. The annotations are evidence for the map, like tho
 graph, and their probabilities become probabilities of readings.
 """
 
-import dataclasses
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -32,13 +32,11 @@ from jaxlangnav.language.phrase import Measure
 from jaxlangnav.messages import ACTIONS, AT, NONE, ROBOT
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class AnnotationGrounder:
     """Grounder of instructions in JSON that matches ``form.annotation_schema()``."""
 
-    type_names: tuple[str, ...] = dataclasses.field(
-        default_factory=lambda: load_lexicon().type_names
-    )
+    type_names: tuple[str, ...] = field(default_factory=lambda: load_lexicon().type_names)
     """Object types of the robot's detector, any names; the lexicon's by default."""
 
     def __post_init__(self) -> None:

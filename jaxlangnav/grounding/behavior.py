@@ -96,10 +96,8 @@ def _combine(left: Combinations, right: Combinations) -> Combinations:
     pair = jnp.stack(indices)
     i = jnp.where(pair < 4, 0, jnp.where(pair < 6, 1, pair - 4))
     j = jnp.where(pair < 4, pair, jnp.where(pair == 5, 1, 0))
-    return Combinations(
-        sets=take_of_beam(left.sets, i[:, None]) | take_of_beam(right.sets, j[:, None]),
-        cost=jnp.stack(values),
-    )
+    sets = take_of_beam(left.sets, i[:, None]) | take_of_beam(right.sets, j[:, None])
+    return Combinations(sets, jnp.stack(values))
 
 
 def _four_best_sets(log_odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
@@ -221,14 +219,10 @@ def _infer_lanes(clause: CompiledClause, worlds: BehaviorWorld, num_phrases: Arr
     """Infer behaviors, given leaves [..., E, 1] of the clause and [..., E, P] of the worlds."""
     scene = build_object_sets(clause, worlds)
     size, *lanes = scene.in_region.shape[1:]
-    stack = _Stack(
-        sets=jnp.zeros((MAX_DEPTH, 3 + NUM_REGION_SLOTS, _BEAM, *lanes), jnp.int32),
-        cost=jnp.zeros((MAX_DEPTH, _BEAM, *lanes), jnp.float32),
-    )
-    nothing = _SymbolOdds(
-        log_odds=jnp.zeros((_BEAM, (1 + NUM_REGION_SLOTS) * size, *lanes), jnp.float32),
-        cost=stack.cost[0],
-    )
+    sets = jnp.zeros((MAX_DEPTH, 3 + NUM_REGION_SLOTS, _BEAM, *lanes), jnp.int32)
+    cost = jnp.zeros((MAX_DEPTH, _BEAM, *lanes), jnp.float32)
+    log_odds = jnp.zeros((_BEAM, (1 + NUM_REGION_SLOTS) * size, *lanes), jnp.float32)
+    start = _Stack(sets, cost), _SymbolOdds(log_odds, cost[0])
     phrases = {
         field.name: getattr(clause, field.name)
         for field in dataclasses.fields(clause)
@@ -241,7 +235,7 @@ def _infer_lanes(clause: CompiledClause, worlds: BehaviorWorld, num_phrases: Arr
         return _reduce(replace(clause, **select_row(phrases, row)), scene, carry[0])
 
     # Phrases are processed bottom-up.
-    _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))
+    _, root = jax.lax.fori_loop(0, num_phrases, infer, start)
     return _root_marginals(clause, root, size)
 
 

@@ -172,10 +172,7 @@ class BoundSentence:
         self.notes: dict[str, None] = {}
         self._untyped: int | None = None  # code of the sentence's untyped objects
         self._last_codes: dict[str, int] = {}  # noun → code of its last mention's attributes
-        clauses = [
-            self._bind(clause, head_of(clause) if clause.label == "VP" else None)
-            for clause in tree.clauses
-        ]
+        clauses = [self._bind(c, head_of(c) if c.label == "VP" else None) for c in tree.clauses]
         self.tree = dataclasses.replace(tree, clauses=tuple(clauses))
         # Types not mentioned by the sentence: their labels, or the unused last code.
         self.codes = [

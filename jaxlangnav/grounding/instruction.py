@@ -233,9 +233,7 @@ def understand_parse(
     tree, names = bound.tree, tuple(bound.names)
     belief = infer_annotations(tree, model.annotation, names)
     kinds = zip(tree.clauses, tree.kinds, strict=True)
-    commands = [
-        i for i, (root, kind) in enumerate(kinds) if kind == COMMAND and not is_constraint(root)
-    ]
+    commands = [i for i, (c, kind) in enumerate(kinds) if kind == COMMAND and not is_constraint(c)]
     if len(commands) > NUM_CLAUSES:
         raise ValueError(
             f"the sentence has {len(commands)} commands; at most {NUM_CLAUSES} are held: "

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxlangnav.grounding.annotation import AnnotationBelief, RankedAnnotations
 from jaxlangnav.grounding.search import sum_by_key
-from jaxlangnav.grounding.symbols import OBJECT, REGION
+from jaxlangnav.grounding.symbols import RELATION
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.inputs.sanitize import as_text
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
@@ -106,11 +106,7 @@ class _ReadingBuilder:
 
     def add_clause(self, annotations: RankedAnnotations) -> None:
         """Add the annotations of one clause."""
-        relations = [
-            Relation(*symbol[1:], rank)
-            for symbol, rank in annotations
-            if symbol.kind not in (OBJECT, REGION)
-        ]
+        relations = [Relation(*s[1:], rank) for s, rank in annotations if s.kind == RELATION]
         descriptions_by_type: dict[int, set[tuple[int, int, int]]] = {}
         for figure, relation, landmark, rank in relations:
             descriptions_by_type.setdefault(figure, set()).add((relation, landmark, rank))
@@ -145,7 +141,7 @@ class _ReadingBuilder:
         # Objects and regions come last: they say that things without a relation exist.
         for symbol, _ in annotations:
             for type_ in (symbol.landmark, symbol.figure):
-                if symbol.kind in (OBJECT, REGION) and type_ >= 0:
+                if symbol.kind != RELATION and type_ >= 0:
                     is_new, index = type_ not in self.mentions, resolve(type_)
                     if is_new:
                         self.relations.append(Relation(index, NONE, NONE, 0))

@@ -160,5 +160,4 @@ def latency(
     last_at = jnp.max(jnp.where(is_relevant, own_at, 0.0), axis=1)
     all_at = jnp.where(missed > 0, later_at + _patch_travel(is_missed, area), last_at)
     total = (1.0 - search.prob_absent) * total + search.prob_absent * jnp.sum(mass) * all_at
-    is_at_first = is_reached(tours.x[:, 0], tours.y[:, 0], robot)
-    return total + jnp.where(is_at_first, LARGE, 0.0)
+    return total + jnp.where(is_reached(tours.x[:, 0], tours.y[:, 0], robot), LARGE, 0.0)

@@ -217,9 +217,7 @@ def _maximise(pairs: RelationPairs, start: _Free) -> tuple[_Free, Array, Array]:
     return unravel(optimum.point), curvature * num_pairs, is_converged
 
 
-def _standard_errors(
-    free: _Free, curvature: Array, num_pairs: Array
-) -> tuple[RelationParams, Array]:
+def _standard_errors(free: _Free, curvature: Array, counts: Array) -> tuple[RelationParams, Array]:
     """Compute standard errors of parameters and weights from the curvature (delta method)."""
     vector, unravel = ravel_pytree(free)
     covariance = np.linalg.pinv(np.asarray(curvature, np.float64), hermitian=True)
@@ -229,7 +227,7 @@ def _standard_errors(
         return params, jnp.exp(log_weight)
 
     params, weight = jax.jit(jax.jacfwd(outputs))(vector)
-    has_pairs = np.asarray(num_pairs) > 0
+    has_pairs = np.asarray(counts) > 0
 
     def error(leaf: Array) -> Array:
         jacobian = np.asarray(leaf, np.float64)

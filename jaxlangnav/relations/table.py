@@ -124,7 +124,6 @@ def to_frame(frame: ReferenceFrame, x: Array, y: Array) -> tuple[Array, Array]:
 
 def to_map(frame: ReferenceFrame, along: Array, lateral: Array) -> tuple[Array, Array]:
     """Transform frame coordinates f32[...], metres, to x and y in map axes."""
-    return (
-        along * frame.along_x + lateral * frame.lateral_x,
-        along * frame.along_y + lateral * frame.lateral_y,
-    )
+    x = along * frame.along_x + lateral * frame.lateral_x
+    y = along * frame.along_y + lateral * frame.lateral_y
+    return x, y

@@ -46,8 +46,7 @@ def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...
         return "speaks of other types"
     reading = dataclasses.replace(meaning.reading, types=types)
     label = form_instruction(Form((reading,), ()))
-    content = _content(instruction, names)
-    for actual, expected in zip(content, _content(label, names), strict=True):
+    for actual, expected in zip(_content(instruction, names), _content(label, names), strict=True):
         if actual != expected:
             return f"says {_join(actual)}, not {_join(expected)}"
     world = _world(reading)

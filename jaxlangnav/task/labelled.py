@@ -208,11 +208,10 @@ def placed_world(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     objects = zip(*(np.asarray(field)[slots].tolist() for field in fields), strict=True)
     x, y, heading = np.asarray(scenario.start).tolist()
     attributes = scenario.object_attribute
-    codes = [] if attributes is None else np.asarray(attributes)[slots].tolist()
     return PlacedWorld(
         objects=tuple((names[int(object_type)], x, y) for object_type, x, y in objects),
         robot=(x, y, heading),
-        attributes=tuple(codes),
+        attributes=() if attributes is None else tuple(np.asarray(attributes)[slots].tolist()),
     )
 
 

@@ -139,12 +139,10 @@ def mismatch_message(world: str, counts: Sequence[tuple[str, int]], missing: Seq
 
 
 def absent_types(
-    counts: Sequence[tuple[str, int]],
-    annotations: Iterable[AnnotationDocument],
-    names: Sequence[str],
+    counts: Sequence[tuple[str, int]], documents: Iterable[AnnotationDocument], names: Sequence[str]
 ) -> list[str]:
     """List the types of probable annotations that are not among the objects of ``count_types``."""
-    likely = [annotation for annotation in annotations if annotation["probability"] >= 0.5]
+    likely = [document for document in documents if document["probability"] >= 0.5]
     mentioned = dict.fromkeys(item[role] for item in likely for role in ("figure", "landmark"))
     return [name for name in mentioned if name in names and name not in dict(counts)]
 

@@ -64,8 +64,7 @@ class SensorModel:
 
         ``softness``: metres over which the object's position is spread.
         """
-        probability = jnp.minimum(sensor.detection_probability, 0.999)
-        return probability * view.share(eye, x, y, softness)
+        return jnp.minimum(sensor.detection_probability, 0.999) * view.share(eye, x, y, softness)
 
 
 RANGING = SensorModel()

@@ -147,6 +147,5 @@ def to_toml(table: dict[str, Any]) -> str:
             if isinstance(section, dict):
                 lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
             entries = section if isinstance(section, dict) else {key: section}
-            for name, item in entries.items():
-                lines.append(f"{name} = {json.dumps(item, ensure_ascii=False)}")
+            lines += [f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in entries.items()]
     return "\n".join(lines)

@@ -112,8 +112,7 @@ def stop_at_wall(before: WorldState, after: WorldState, terrain: Terrain) -> Wor
 
     Limits: without a wall on the path nothing changes.
     """
-    segment = Segment(*before.position, *after.position)
-    fraction = terrain.view.free_fraction(segment, BODY_RADIUS)
+    fraction = terrain.view.free_fraction(Segment(*before.position, *after.position), BODY_RADIUS)
     if fraction is None:
         return after
     odometry = before.odometry + fraction * (after.odometry - before.odometry)
