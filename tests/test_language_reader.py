@@ -64,6 +64,7 @@ def test_what_tells_how_or_which_stays(said, kept):
         "my dog is under the bench. mosey to the bench",
         "i lost my dog, mosey to the tree and look for it",
         "mosey back to the place where we were this morning",
+        "go to gate 3",
         # or turn the meaning round
         "i told him never to go to the tree",
         "if you see a dog, mosey to the tree",
@@ -155,7 +156,6 @@ def test_the_likelihood_is_that_of_enumeration():
 def test_labels_come_from_aligning_words(said, read, labels):
     found = align(said.split(), read.split())
     if labels is None:
-        assert found is not None
         assert any(label.startswith("K>") for label in found)
     else:
         assert found == (tuple(labels.split()) or None)

@@ -22,7 +22,6 @@ _MAX_ALARM_CHARACTERS = 10_000
 _CLASSES = ("verb", "manner", "warning", "not", "denial", "place", "when", "and", "go")
 _BREAK = re.compile(r"[^\w\s]+")
 _REPEATS = re.compile(r"(.)\1+")
-_VOWELS = "aeiou"
 _MIN_LETTERS = 4
 """Minimum length of a halting word whose misspellings are recognised."""
 
@@ -177,7 +176,7 @@ def _misspellings() -> tuple[frozenset[str], dict[str, str]]:
     for word in (word for word in halts if len(word) >= _MIN_LETTERS):
         typos[_REPEATS.sub(r"\1", word)] = word
         for i in range(1, len(word)):
-            if word[i] in _VOWELS:
+            if word[i] in "aeiou":
                 typos[word[:i] + word[i + 1 :]] = word
         for i in range(len(word) - 1):
             typos[word[:i] + word[i + 1] + word[i] + word[i + 2 :]] = word

@@ -9,9 +9,9 @@ Derived forms (plurals, -ing forms, terminals of the grammar) are generated here
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from typing import Any
+from dataclasses import replace
+from functools import cache
+from typing import Any, NamedTuple
 
 from jaxlangnav.inputs.documents import error_prefix, parse_toml, read_shipped, read_text
 from jaxlangnav.inputs.sanitize import as_text, name_fault, sanitize, shorten
@@ -37,22 +37,16 @@ LexicalEntry = tuple[Word, ...]
 """An expression of one or more words; only its head word has senses."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lexicon:
+class Lexicon(NamedTuple):
     """Expressions by class, and refused words with reasons."""
 
     type_names: tuple[str, ...]  # object types, by type index
     entries: dict[str, dict[tuple[str, ...], LexicalEntry]]  # class → words → entry
     refused: dict[str, str]  # word → why
-    refused_expressions: dict[tuple[str, ...], str] = field(default_factory=dict)  # words → why
-    tags: dict[str, str] = field(default_factory=dict)  # word → Penn tag in expressions
-    typos: dict[str, str] = field(default_factory=dict)  # short misspelled word → correction
-
-    @cached_property
-    def vocabulary(self) -> frozenset[str]:
-        """All words of the classes and of the list of refused words."""
-        known = {word for entries in self.entries.values() for key in entries for word in key}
-        return frozenset(known | set(self.refused) | {"'s"})
+    refused_expressions: dict[tuple[str, ...], str]  # words → why
+    tags: dict[str, str]  # word → Penn tag in expressions
+    typos: dict[str, str]  # short misspelled word → correction
+    vocabulary: frozenset[str]  # all words of the classes, and refused words
 
 
 def plural(noun: str) -> str:
@@ -166,6 +160,7 @@ def read_lexicon(text: str, user_text: str | None = None) -> Lexicon:
                 expressions[tuple(text.split())] = REASONS[reason]
             else:
                 refused.setdefault(text, REASONS[reason])
+    known = {word for table in entries.values() for words in table for word in words}
     return Lexicon(
         type_names=tuple(document["types"]),
         entries=entries,
@@ -173,6 +168,7 @@ def read_lexicon(text: str, user_text: str | None = None) -> Lexicon:
         refused_expressions=expressions,
         tags=document["tags"],
         typos=document.get("slips", {}),
+        vocabulary=frozenset(known | refused.keys() | {"'s"}),
     )
 
 
@@ -213,9 +209,7 @@ def merge_user_lexicon(document: dict[str, Any], user_lexicon: dict[str, Any]) -
         name = _expression(kind, where)
         for expression in [name, *_expressions(words, where)]:
             senses_index.check_name(expression, name, where)
-            listed = document["types"].setdefault(name, [])
-            if expression not in listed:
-                listed.append(expression)
+            document["types"].setdefault(name, []).append(expression)
     for name, table in classes.items():
         if name not in document["class"]:
             raise ValueError(f"[class.{shorten(name)}]: no such class")

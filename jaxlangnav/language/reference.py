@@ -106,8 +106,8 @@ class _Resolver:
             names = " or ".join(dict.fromkeys(f"the {sense[5:]}" for sense in senses))
             raise _error(word, f"is it {names}?")
         is_command = before.label == "VP" and not self.is_statement
-        is_very = is_command and (self.earlier is None or self.earlier.is_at)
-        resolved = _with_senses(pronoun, word, (sense, SAME) if is_very else (sense,))
+        is_same_object = is_command and (self.earlier is None or self.earlier.is_at)
+        resolved = _with_senses(pronoun, word, (sense, SAME) if is_same_object else (sense,))
         modifiers = _modifiers(before) if before.label == "S" else ()
         return _modify(resolved, modifiers) if modifiers else resolved
 
@@ -239,13 +239,12 @@ def join_constraints(clauses: Sequence[Phrase]) -> list[Phrase]:
         one on the very goal of the command before ("go to the car, then stay away from it").
     """
     commands = [i for i, c in enumerate(clauses) if c.label == "VP" and not is_constraint(c)]
-    joined, joined_indices = list(clauses), set()
+    joined, moved = list(clauses), set()
     for index, clause in enumerate(clauses):
         is_same = any(SAME in word.senses for word in clause.all_words())
-        if not commands or not is_constraint(clause) or is_same:
-            continue
-        joined_indices.add(index)
-        for command in [i for i in commands if i > index] or commands[-1:]:
-            tree = joined[command]
-            joined[command] = replace(tree, children=(*tree.children, clause))
-    return [clause for index, clause in enumerate(joined) if index not in joined_indices]
+        if commands and is_constraint(clause) and not is_same:
+            moved.add(index)
+            for command in [i for i in commands if i > index] or commands[-1:]:
+                tree = joined[command]
+                joined[command] = replace(tree, children=(*tree.children, clause))
+    return [clause for index, clause in enumerate(joined) if index not in moved]

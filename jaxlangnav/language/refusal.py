@@ -57,14 +57,12 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
         is_distance = refused.get(following) == REASONS["a distance"]  # "two metres"
         reason = refused[following] if is_distance else reasons[position] or UNKNOWN_HERE
         return _refusal(culprits[:1], reason)
-    upcoming = [t for t in tokens[index + 1 : index + 3] if _is_unknown(t)]
-    if stuck is not None and upcoming:
-        return _refusal(upcoming[:1], UNKNOWN_HERE)
     if stuck is None:
         where = f"'{read[-1].text[:30]}' (word {read[-1].position})"
         line = f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'"
         return LanguageError(line, position=read[-1].position)
-    return _refusal([stuck], _NO_READING)
+    upcoming = [t for t in tokens[index + 1 : index + 3] if _is_unknown(t)]
+    return _refusal(upcoming[:1] or [stuck], UNKNOWN_HERE if upcoming else _NO_READING)
 
 
 def _refusal(words: Sequence[Token | Word], reason: str) -> LanguageError:

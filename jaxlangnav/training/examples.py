@@ -210,7 +210,7 @@ class Factors(NamedTuple):
     label: np.ndarray  # bool[N] whether the phrase expresses it
     phrase: np.ndarray  # i[N] row of ``words``
     instruction: np.ndarray  # i[N] index of the factor's instruction
-    repeats: np.ndarray | None = None  # f32[N] count of each factor; 1 by default
+    repeats: np.ndarray  # f32[N] count of each factor
 
 
 class Design(NamedTuple):
@@ -245,13 +245,12 @@ def tabulate(factors: Factors, columns: dict[str, slice], num_instructions: int)
     properties = np.zeros((len(first_word), num_slots, factors.properties.shape[1]), np.float32)
     properties[word_row, slot] = factors.properties[first_row[symbol_row]]
     cell = (word_row * num_slots + slot)[inverse.ravel()] * 2 + factors.label
-    repeats = np.ones(len(cell)) if factors.repeats is None else factors.repeats
     shape = num_instructions, len(first_word) * num_slots * 2
     return Design(
         words=factors.words[first_word],
         properties=properties,
         columns=columns,
-        occurrences=csr_array((repeats, (factors.instruction, cell)), shape),
+        occurrences=csr_array((factors.repeats, (factors.instruction, cell)), shape),
         num_instructions=num_instructions,
     )
 

@@ -17,7 +17,7 @@ from jaxlangnav.language.tokens import MARKS
 
 NAME, _RELATION = "N", "rel"
 PREPOSITION, PATH_WORD = "refused:such a relation", "refused:path"
-CONTAINMENT = "refused:containment"
+CONTAINMENT, SIGN = "refused:containment", "sign"
 MOTION = "verb:"
 """Prefix of the classes of verbs of ``verbs.toml``."""
 _MAX_NAME_WORDS = 4
@@ -127,7 +127,7 @@ def _classes_of(word: str, is_name: bool) -> tuple[str, ...]:
     if known:
         return known
     if not word[0].isalpha():
-        return ("sign",)
+        return (SIGN,)
     if "'" in word:
         return ("?'",)
     return ("?" + next((end for end in _ENDINGS if word.endswith(end)), ""),)

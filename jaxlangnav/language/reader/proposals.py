@@ -23,6 +23,7 @@ from jaxlangnav.language.reader.features import (
     NAME,
     PATH_WORD,
     PREPOSITION,
+    SIGN,
     ReaderSentence,
 )
 from jaxlangnav.language.reader.model import (
@@ -42,7 +43,8 @@ _NUM_LABELLINGS = 30
 """Number of labellings that are checked."""
 _MAX_VERBATIM = 0.9
 """Limit on the probability of the unparsable verbatim sentence, in renormalising the others."""
-_OPERATORS = WORDS["contrary"] | WORDS["choosing"] | {PREPOSITION, PATH_WORD, CONTAINMENT}
+_CHOOSING = WORDS["choosing"] | {SIGN}  # "cone 3"
+_OPERATORS = WORDS["contrary"] | _CHOOSING | {PREPOSITION, PATH_WORD, CONTAINMENT}
 """Classes of words that negate, select an object or relate it to another."""
 _COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
 """Replacements of a verb that are allowed without an instance in the training data."""
@@ -113,14 +115,11 @@ class Labelling:
 
     def _is_attested(self) -> bool:
         """Check that words are put only in place of what training has them for, or "go", "stop"."""
-        return (
-            all(
-                self.span_key(run) in self.met or _COMMAND_VERBS.issuperset(self._replacements(run))
-                for run in self.runs
-            )
-            and not any(map(self._splits_quantity, self.runs))
-            and all(self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "=")
-        )
+        return all(
+            (self.span_key(run) in self.met or _COMMAND_VERBS.issuperset(self._replacements(run)))
+            and not self._splits_quantity(run)
+            for run in self.runs
+        ) and all(self._is_converse(i) for i, label in enumerate(self.labels) if label[0] == "=")
 
     def _splits_quantity(self, run: range) -> bool:
         """Check whether a span deletes one part of a quantity: "3 metres and a quarter"."""
@@ -160,7 +159,7 @@ class Labelling:
         is_undone = any(is_name[i] or self._may_be_object(i) for i in range(run.start, end))
         if named and not is_undone:
             kept = {singular(words[i]) for i, k in enumerate(self.kept) if k and is_name[i]}
-            is_chosen = any(not WORDS["choosing"].isdisjoint(classes[i]) for i in run)
+            is_chosen = any(not _CHOOSING.isdisjoint(classes[i]) for i in run)
             if is_chosen or not kept.issuperset(singular(words[i]) for i in named):
                 return False
         # Without the words between, two names would be read as one.
@@ -199,7 +198,7 @@ class Labelling:
             return PATH_WORD not in classes and before[0] != KEEP
         if self.labels[index] != DELETE:
             return True
-        is_choosing = not WORDS["choosing"].isdisjoint(classes) or word in WORDS["degrees"]
+        is_choosing = not _CHOOSING.isdisjoint(classes) or word in WORDS["degrees"]
         is_moved = any(label == f"{KEEP}>{word}" for label in self.labels)
         is_idle = self.is_deleted(index) and "manner" not in classes
         return is_moved or is_idle or not (is_choosing or self._may_be_object(index))
@@ -329,8 +328,8 @@ def propose_readings(
             return [verbatim]
     else:
         log_total += math.log1p(-min(p_verbatim, _MAX_VERBATIM))
-    best = find_best(scores + _mask(model, sentence), model.transition, _NUM_LABELLINGS)
-    for score, path in best:
+    scores += _mask(model, sentence)
+    for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
         names = tuple(model.labels[i] for i in path)
         labelled = Labelling(sentence, names, model.left_out, model.met)
         is_safe = labelled.is_seen() if is_readable else labelled.is_safe()
