@@ -15,7 +15,6 @@ import random
 import re
 import sys
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -126,7 +125,7 @@ def with_previous(parse: Parse, world: PlacedWorld) -> PlacedWorld:
     slots = {goal.split(",")[1][:-1] for goal in goals}
     if len(slots) != 1 or "robot" in slots:
         return world
-    return replace(world, previous=int(slots.pop()))
+    return world._replace(previous=int(slots.pop()))
 
 
 def labels_in(
@@ -145,7 +144,7 @@ def labels_in(
             fits &= len(goals) <= 1 or not is_restricted(labels)
         at_object = [s for s in goals if s.startswith("goal(at,")]
         if len(at_object) == 1:
-            world = replace(world, previous=int(at_object[0][8:-1]))
+            world = world._replace(previous=int(at_object[0][8:-1]))
     return all_labels, fits
 
 

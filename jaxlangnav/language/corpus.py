@@ -27,7 +27,6 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
@@ -82,8 +81,7 @@ class CorpusError(ValueError):
     """An invalid corpus; a one-line message with file, line and cause."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlacedWorld:
+class PlacedWorld(NamedTuple):
     """Objects at known positions, and the pose of the robot."""
 
     objects: tuple[tuple[str, float, float], ...]  # type, x, y; map frame, metres

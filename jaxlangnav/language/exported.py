@@ -93,13 +93,12 @@ def _productive(rules: Rules) -> Rules:
 
 
 def _reachable(rules: Rules) -> Rules:
-    reached, queue = {}, [START]
-    while queue:
-        left = queue.pop(0)
-        if left not in reached:
-            reached[left] = rules[left]
-            queue += [part for right in rules[left] for part in right if part[0] != '"']
-    return reached
+    """Select the rules of the nonterminals that are reachable from the start, breadth first."""
+    reached = [START]
+    for left in reached:  # which grows
+        parts = (part for right in rules[left] for part in right if part[0] != '"')
+        reached += [part for part in dict.fromkeys(parts) if part not in reached]
+    return {left: rules[left] for left in reached}
 
 
 def _name(left: str, form: Notation) -> str:
