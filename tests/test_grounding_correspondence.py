@@ -53,9 +53,8 @@ class Yard:
     columns = MappingProxyType(COLUMNS)
 
     def symbols_in(self, world):
-        return SymbolDomain(
-            [f"{what} {i}" for what in ("at", "left of") for i in range(len(world))]
-        )
+        names = [f"{what} {i}" for what in ("at", "left of") for i in range(len(world))]
+        return SymbolDomain(names)
 
     def describe(self, phrase, path, world):
         own = [[colour == one for one in COLOURS] for colour in world]

@@ -21,6 +21,12 @@ def project() -> dict:
     return tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
 
+def test_every_mutant_changes_one_line_that_is_there() -> None:
+    for mutant in tomllib.loads((ROOT / "scripts/mutants.toml").read_text("utf-8"))["mutant"]:
+        source = (ROOT / "jaxlangnav" / mutant["file"]).read_text("utf-8")
+        assert source.count(mutant["before"]) == 1, mutant["name"]
+
+
 def test_version_is_the_installed_one() -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+(\.?(dev|a|b|rc)\d+)?", jaxlangnav.__version__)
     assert importlib.metadata.version("jaxlangnav") == jaxlangnav.__version__

@@ -39,9 +39,8 @@ def things_at(places, share: float = 1.0) -> Zones:
 
 def shown(things, robot, share: float = 1.0) -> Situation:
     """A robot in a wide area that has seen things, all forbidden in a share of the maps."""
-    belief = by_hand.with_objects(
-        by_hand.begin(config=CONFIG), [(by_hand.CONE, *thing) for thing in things]
-    )
+    objects = [(by_hand.CONE, *thing) for thing in things]
+    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), objects)
     coverage = replace(belief.coverage, area=jnp.asarray(AREA))
     forbidden = np.zeros((7, belief.particles.mean_x.shape[0], P), np.float32)
     forbidden[6, : len(things), : round(share * P)] = 1.0

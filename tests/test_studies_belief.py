@@ -47,11 +47,8 @@ def draw(
     )
     keys = jax.random.split(jax.random.key(3), NUMBER)
     start = jnp.array([0.0, 0.0, 0.4])
-    worlds = jax.vmap(
-        lambda key: draw_own_world(
-            key, sentence, jnp.asarray(area, jnp.float32), start, params=params
-        )
-    )(keys)
+    own = sentence, jnp.asarray(area, jnp.float32), start
+    worlds = jax.vmap(lambda key: draw_own_world(key, *own, params=params))(keys)
     return jax.tree.map(np.asarray, worlds)
 
 

@@ -69,9 +69,8 @@ def test_ranks_pass_up():
     place = clause.children[0].children[0].children[1]
     assert place.label == "SBAR"
     assert find_ranks(place, (0, 0, 0, 1), labelled.rank, TYPES)[NEAR] == 1
-    assert (
-        find_ranks(clause.children[0].children[0].children[0], (0, 0, 0, 0), {}, TYPES).sum() == 0
-    )
+    noun = clause.children[0].children[0].children[0]
+    assert find_ranks(noun, (0, 0, 0, 0), {}, TYPES).sum() == 0
 
 
 def test_ranks_of_a_landmark_stay_below():
