@@ -66,15 +66,9 @@ class Sweep:
         for path, value in read_options(self.settings, self.SETTINGS).items():
             overrides.setdefault(path[-2], {})[path[-1]] = value
         config = read_config(self.config, overrides=overrides)
+        options = {"resume": self.resume, "shard": shard, "on_note": output.note}
         with progress_bar("episodes", total_episodes(config, shard=shard)) as advance:
-            document = run_sweep(
-                config,
-                self.out,
-                resume=self.resume,
-                shard=shard,
-                on_progress=advance,
-                on_note=output.note,
-            )
+            document = run_sweep(config, self.out, **options, on_progress=advance)
         output.print(f"Wrote {self.out}. See it: jaxlangnav summarize {self.out}")
         return document
 

@@ -126,9 +126,7 @@ def run_rows(options: Options, *, on_progress: OnProgress | None = None) -> dict
     """Run all rows; only episodes, seed, particles and params of the options are used."""
     return {
         "experiment": "conversation",
-        "episodes": options.episodes,
-        "seed": options.seed,
-        "num_particles": options.num_particles,
+        **{name: getattr(options, name) for name in ("episodes", "seed", "num_particles")},
         "rows": [_run_row(spec, options, on_progress) for spec in ROWS],
     }
 

@@ -143,14 +143,11 @@ def _sharded(config: NavigatorConfig, max_steps: int, program: EpisodeProgram) -
         return jax.tree.map(lambda leaf: leaf[None], result)
 
     split = PartitionSpec(_AXIS)
+    specs = split, PartitionSpec(), split, split
     # Nothing is replicated and nothing is exchanged, so there is nothing to check; the check
     # would reject the loop, whose carry starts the same on all devices and then differs.
     return jax.shard_map(
-        on_one_device,
-        mesh=mesh(),
-        in_specs=(split, PartitionSpec(), split, split),
-        out_specs=split,
-        check_vma=False,
+        on_one_device, mesh=mesh(), in_specs=specs, out_specs=split, check_vma=False
     )
 
 

@@ -130,14 +130,7 @@ def _draw(shared: dict[str, Any], *ids: ArrayLike) -> Task:
             sampled, is_custom = draw_scenario(world_keys[0], cell["params"]), cell["is_custom"]
             candidates = cell["scenario"], sampled
             scenario = jax.tree.map(lambda a, b: jnp.where(is_custom, a, b), *candidates)
-        return Task(
-            key=keys[1],
-            scenario=scenario,
-            instruction_index=cell["instruction_index"],
-            sensor=cell["sensor"],
-            motion=cell["motion"],
-            assumed_sensor=cell["assumed_sensor"],
-        )
+        return Task(key=keys[1], scenario=scenario, **cell["task"])
 
     return jax.vmap(draw)(shared, *map(jnp.asarray, ids))
 
@@ -175,14 +168,15 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, episodes: np.ndarray) -
 
 
 def _shared_fields(cell: Cell) -> dict[str, Any]:
-    """Collect the fields that all tasks of a cell share; leaves are single values."""
-    common = {name: getattr(cell, name) for name in ("sensor", "motion", "assumed_sensor")}
-    common["instruction_index"] = np.int32(cell.instruction_index)
+    """Collect what all tasks of a cell share: fields of ``Task``, and those of its worlds."""
+    task = {name: getattr(cell, name) for name in ("sensor", "motion", "assumed_sensor")}
+    task["instruction_index"] = np.int32(cell.instruction_index)
     if cell.world_params is not None:
-        return common | {"world_params": cell.world_params}
+        return {"task": task, "world_params": cell.world_params}
     # A custom world replaces a sampled one, so any template will do.
     template = (cell.world, cell.relation) if cell.scenario is None else ("1H1C", "null")
-    return common | {
+    return {
+        "task": task,
         "params": scenario_params(template=template[0], relation=template[1]),
         "is_custom": np.asarray(cell.scenario is not None),
         "scenario": make_scenario() if cell.scenario is None else cell.scenario,

@@ -167,15 +167,8 @@ def _fingerprint() -> tuple[str, ...]:
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
         features = next((line for line in lines if line.startswith(("flags", "Features"))), "")
-    return (
-        digest.hexdigest(),
-        jax.__version__,
-        jaxlib.version.__version__,
-        platform.python_version(),
-        platform.platform(),
-        platform.processor(),
-        features,
-    )
+    versions = jax.__version__, jaxlib.version.__version__, platform.python_version()
+    return digest.hexdigest(), *versions, platform.platform(), platform.processor(), features
 
 
 def _load(path: Path, leaves: list[Any]) -> Call | None:

@@ -159,15 +159,9 @@ class DriveRecorder:
         if not self._frames:
             raise ValueError("nothing was recorded: give drive on_step=recorder.on_step")
         navigator = self._navigator
-        scene = make_scene(
-            self._scenario,
-            self._robot.sensor,
-            run.state.instruction,
-            text=self._text,
-            params=navigator.params,
-            config=navigator.config,
-            type_names=navigator.type_names,
-        )
+        names = {"text": self._text, "type_names": navigator.type_names}
+        inputs = self._scenario, self._robot.sensor, run.state.instruction
+        scene = make_scene(*inputs, **names, params=navigator.params, config=navigator.config)
         recording = stack_frames(scene, self._frames, self._result(run))
         why = "" if run.ending is Ending.ARRIVED else f"{run.ending.value}: {run.why}"
         pictures = tuple(self._step_images) if self._views is not None else ()

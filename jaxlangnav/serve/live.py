@@ -15,7 +15,7 @@ from jaxlangnav.episode.recording import Recording, Snapshot, stack_frames
 from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.grounding import GraphGrounder, GroundingModel, understand
 from jaxlangnav.inputs.atomic_files import write_text
-from jaxlangnav.inputs.documents import parse_json, parse_toml
+from jaxlangnav.inputs.documents import error_prefix, parse_json, parse_toml
 from jaxlangnav.inputs.limits import RANGES
 from jaxlangnav.inputs.sanitize import sanitize, shorten
 from jaxlangnav.inputs.schema import PlainText, bad_choice
@@ -72,10 +72,8 @@ def world_names() -> tuple[str, ...]:
 
 def read_world(text: str) -> dict[str, Any]:
     """Parse a world file, TOML or JSON, and fill in defaults; ``ValueError`` if it is invalid."""
-    try:
+    with error_prefix("your world"):
         table = (parse_json if text.lstrip().startswith("{") else parse_toml)(text)
-    except ValueError as error:
-        raise ValueError(f"your world: {error}") from None
     return world_to_dict(world_from_dict(table, file="your world"))
 
 

@@ -54,9 +54,7 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Forward a valid request, or reject it."""
-        if scope["type"] == "lifespan":
-            return await self._app(scope, receive, send)
-        reason = self._reject_reason(scope)
+        reason = "" if scope["type"] == "lifespan" else self._reject_reason(scope)
         if not reason:
             return await self._app(scope, receive, send)
         if scope["type"] == "websocket":

@@ -85,6 +85,8 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
     ]
     if not is_under_way:
         summary_parts.append(f"The {panels.verdict(recording)}.")
+    objects = world.object_type, world.object_x, world.object_y
+    truth = (np.asarray(leaf)[np.asarray(world.is_object)].tolist() for leaf in objects)
     return {
         "text": sanitize(scene.text),
         "summary": " ".join(summary_parts),
@@ -100,14 +102,7 @@ def page_data(recording: Recording, *, is_under_way: bool = False) -> dict[str, 
         "goal": [float(value) for value in scene.scenario.goal] if scene.is_scored else None,
         "success_radius": scene.stop_radius,
         "walls": scene.walls.tolist(),
-        "truth": [
-            {
-                "type": int(world.object_type[slot]),
-                "x": float(world.object_x[slot]),
-                "y": float(world.object_y[slot]),
-            }
-            for slot in np.flatnonzero(world.is_object)
-        ],
+        "truth": [{"type": code, "x": x, "y": y} for code, x, y in zip(*truth, strict=True)],
         "value_colormap": [[*bytes.fromhex(color[1:])] for color in style.VALUE_STOPS],
         "types": [
             {"name": name, "color": style.type_color(type_id), "shape": style.type_marker(type_id)}

@@ -86,9 +86,7 @@ def _draw_moment(moment: StepView, *, width: int = 48) -> "RenderableType":
     scene, frame, side = moment.scene, moment.frame, Text()
     side.append(f"step {moment.step} · {float(frame.distance):.1f} m\n", style="bold")
     side.append(f"{narrative.headline(moment)}\n\n", style="italic")
-    for sentence in narrative.narrate_step(moment):
-        side.append(f"{sentence}\n")
-    side.append("\n")
+    side.append("\n".join([*narrative.narrate_step(moment), "", ""]))
     for name, frac, bar_style in (
         ("goal seen", float(frame.goal_mass.sum()), style.type_color(0)),
         ("goal unseen", float(frame.hypothesis_goal_mass.sum()), "grey50"),

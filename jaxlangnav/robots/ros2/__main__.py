@@ -72,7 +72,7 @@ def navigate(options: NavigatorOptions) -> None:
         )
     bus = RosBus(navigator.type_names, texts.append, look=look)
 
-    def report_silence() -> None:
+    def report() -> None:
         bus.tell({"status": "waiting_for_odometry"})
         bus.warn(bus.why_silent("odom"))
 
@@ -87,11 +87,7 @@ def navigate(options: NavigatorOptions) -> None:
                 reason = bus.why_silent("odom")
                 raise ValueError(f"no odometry within {options.patience:g} s: {reason}")
         robot = RosRobot(
-            bus,
-            sensor=sensor,
-            area=options.area,
-            patience=options.patience,
-            on_silence=report_silence,
+            bus, sensor=sensor, area=options.area, patience=options.patience, on_silence=report
         )
         key, limit = jax.random.key(options.seed), options.max_seconds
         session = Session(navigator, robot, bus.tell, key=key, max_seconds=limit, path=options.kept)

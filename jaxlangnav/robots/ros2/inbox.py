@@ -137,14 +137,13 @@ class Inbox:
         self._newest: tuple[float, Sequence[Detection]] | None = None
         self._last_used = -np.inf
         self._last_time = -np.inf
-        self._restarts = 0
 
     def add_odometry(self, stamp: float, pose: np.ndarray) -> None:
         """Take in odometry, see ``OdometryBuffer.add``."""
+        restarts = self.counts.restarts
         self.track.add(stamp, pose)
-        if self._restarts != self.counts.restarts:
+        if self.counts.restarts > restarts:
             # Stamps before the restart do not compare with the new clock.
-            self._restarts = self.counts.restarts
             self._newest, self._last_used = None, -np.inf
 
     def add_detections(self, stamp: float, detections: Sequence[Detection], now: float) -> None:

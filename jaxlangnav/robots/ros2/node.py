@@ -139,24 +139,22 @@ class RosBus:
         qos = load_ros("rclpy.qos")
         # Best effort matches publishers of either reliability. Deep, as a decision takes long.
         stream = qos.QoSProfile(depth=100, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
-        detections: list[tuple[str, Any, Callable[[Any], None]]]
+        readers: list[tuple[str, str, Callable[[Any], StampedDetections | None]]]
         if isinstance(look, TagSetup):
             reader = TagReader(look)
-            tag_array = ros_class("apriltag_msgs/msg/AprilTagDetectionArray")
-            detections = [
-                ("/tf", ros_class("tf2_msgs/msg/TFMessage"), self._to_inbox(reader.of_transforms)),
-                ("detections", tag_array, self._to_inbox(reader.of_tag_array)),
+            readers = [
+                ("/tf", "tf2_msgs/msg/TFMessage", reader.of_transforms),
+                ("detections", "apriltag_msgs/msg/AprilTagDetectionArray", reader.of_tag_array),
             ]
         elif look == "boxes":
-            boxes = ros_class("vision_msgs/msg/Detection3DArray")
-            detections = [("detections", boxes, self._to_inbox(self._of_boxes))]
+            readers = [("detections", "vision_msgs/msg/Detection3DArray", self._of_boxes)]
         else:
-            cloud = ros_class("sensor_msgs/msg/PointCloud2")
-            detections = [("detections", cloud, self._to_inbox(self._of_cloud))]
-        odometry = ros_class("nav_msgs/msg/Odometry")
-        for topic, cls, handler in [("odom", odometry, self._on_odometry), *detections]:
-            self._node.create_subscription(cls, topic, self._guarded(handler), stream)
-            self._topic_types[topic] = f"{cls.__module__.split('.')[0]}/msg/{cls.__name__}"
+            readers = [("detections", "sensor_msgs/msg/PointCloud2", self._of_cloud)]
+        handlers = [("odom", "nav_msgs/msg/Odometry", self._on_odometry)]
+        handlers += [(topic, name, self._to_inbox(read)) for topic, name, read in readers]
+        for topic, name, handle in handlers:
+            self._topic_types[topic] = name
+            self._node.create_subscription(ros_class(name), topic, self._guarded(handle), stream)
 
     def now(self) -> float:
         """Return the time, see ``Bus.now``."""
