@@ -287,8 +287,8 @@ def test_a_fault_of_ours_is_told_and_the_server_goes_on(
     with monkeypatch.context() as patch:
         patch.setattr("jaxlangnav.episode.recorder.play", fail)
         name = client.open("go to the hydrant")
-    with client.watch(name) as line:
-        news = until(line, lambda news: news["is_over"])
+        with client.watch(name) as line:
+            news = until(line, lambda news: news["is_over"])
     assert news["fault"] == "out of luck"
     assert client.ask(f"/episodes/{name}/world.toml")[0] == 200
 
