@@ -17,12 +17,13 @@ from test_docs import frozen
 
 import jaxlangnav
 from jaxlangnav.cli import main as cli
+from jaxlangnav.cli.settings import apply_to_episode
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.inputs import program_cache
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.follow import follow as follow_text, params_and_config, score
+from jaxlangnav.task.follow import follow as follow_text, params_and_config, prepare_episode, score
 from jaxlangnav.task.labelled import intended_goals
 from jaxlangnav.task.loading import PreparedTask, detector_of, load_task, step_limit
 from jaxlangnav.viz.narrative import closing
@@ -99,8 +100,17 @@ def test_live_draws_and_ends_with_the_verdict(capsys: pytest.CaptureFixture[str]
     told = capsys.readouterr().out
     assert "looked at" in told
     assert "\nSuccess: " in told
-    document = follow([COMMAND, "--live"], capsys)
-    assert document["success"]
+    assert follow([COMMAND, "--live"], capsys)["success"]
+
+
+def test_settings_reach_the_world_and_the_filter_which_estimates_drift_if_there_is_any() -> None:
+    understood = understand(COMMAND, load_shipped())
+    still = prepare_episode(COMMAND, understood, "1H1C", None, "informed", 0, 8)
+    opened = apply_to_episode(still, {("motion", "heading_bias"): 0.01, ("sensor", "noise"): 0.2})
+    assert opened.config.map.has_drift > still.config.map.has_drift
+    assert opened.params.map.motion is opened.prepared.task.motion
+    assert float(opened.prepared.task.motion.heading_bias) == pytest.approx(0.01)
+    assert float(opened.prepared.task.sensor.noise) == pytest.approx(0.2)
 
 
 def test_pictures_are_written_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -250,8 +260,7 @@ def test_a_world_without_a_goal_is_not_judged_where_several_fit_alike(tmp_path: 
     assert either.unscored == "2 places fit the sentence alike, and nothing says which is meant"
     recording = make_recording(3, 5)
     end = replace(recording.result, ending=np.int32(Status.ARRIVED), goal_distance=np.float32(8.3))
-    recording = dataclasses.replace(recording, result=end)
-    found = score(recording, either)
+    found = score(dataclasses.replace(recording, result=end), either)
     assert "Cannot be judged: 2 places" in " ".join(
         closing(found.last_scene, found.at(-1), found.result)
     )

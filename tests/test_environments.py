@@ -164,8 +164,7 @@ def test_step_and_reset_begins_anew(pool: Any) -> None:
     observation, after, _, is_over, _ = STEP_AND_RESET(jax.random.key(1), state, STOP, params)
     assert bool(is_over)
     assert int(after.steps) == 0
-    goals = np.asarray(pool.goal)
-    assert (goals == np.asarray(after.scenario.goal)).all(axis=1).sum() == 1
+    assert (np.asarray(pool.goal) == np.asarray(after.scenario.goal)).all(axis=1).sum() == 1
     assert observation[:4].tolist() == [0.0, 0.0, 1.0, 0.0]
     _, after, _, is_over, info = STEP_AND_RESET(
         jax.random.key(1), state, jnp.array([1.0, 0.0, -1.0]), params
@@ -180,8 +179,7 @@ def test_a_pool_holds_the_worlds_of_the_law_and_hands_them_out_evenly(pool: Any)
     assert bool(pool.is_valid.all())
     goals = np.asarray(pool.goal)
     assert len({tuple(goal) for goal in goals.tolist()}) == 64
-    keys = jax.random.split(jax.random.key(2), 6400)
-    drawn = np.asarray(PICK_MANY(keys, pool).goal)
+    drawn = np.asarray(PICK_MANY(jax.random.split(jax.random.key(2), 6400), pool).goal)
     times = (drawn[:, None] == goals).all(axis=-1).sum(axis=0)
     assert times.sum() == 6400
     # Each is handed out a hundred times, with a standard deviation of ten.

@@ -151,8 +151,7 @@ def test_the_plan_holds_every_episode_once() -> None:
 
 
 def test_a_part_of_a_billion_episodes_is_a_part() -> None:
-    config = config_from_dict(SMALL | {"episodes": 10**8, "seeds": list(range(10))})
-    plan = make_plan(config)
+    plan = make_plan(config_from_dict(SMALL | {"episodes": 10**8, "seeds": list(range(10))}))
     assert plan.episodes_of("1/1") == 10**9 * len(plan.grid.arms) * len(plan.grid.settings) // 10
     parts = [plan.episodes_of(f"{i}/1000") for i in (1, 500, 1000)]
     assert max(parts) - min(parts) <= 1024
@@ -274,8 +273,7 @@ def test_another_sweep_is_not_mixed_in(undisturbed, tmp_path):
 def test_rows_are_tidy(undisturbed: tuple[SweepConfig, Path]) -> None:
     _, whole = undisturbed
     files = sorted(whole.glob("episodes-*.parquet"))
-    schemas = {pq.read_schema(file) for file in files}
-    assert len(schemas) == 1
+    assert len({pq.read_schema(file) for file in files}) == 1
     table = pa.concat_tables([pq.read_table(file) for file in files])
     assert table.num_rows == ROWS
     assert {"world", "policy", "motion.odometry_noise", "is_success", "final_x"} <= set(

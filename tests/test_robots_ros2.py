@@ -160,8 +160,7 @@ def test_looks_by_tags_come_of_transforms_and_of_pictures_of_nothing() -> None:
 
 def test_a_look_is_carried_to_where_the_robot_is_now() -> None:
     seen = [Detection(object_type=0, range=2.0, bearing=0.0)]
-    now = np.array([1.0, 0.0, math.pi / 2])
-    (one,) = conversions.transformed(seen, np.zeros(3), now)
+    (one,) = conversions.transformed(seen, np.zeros(3), np.array([1.0, 0.0, math.pi / 2]))
     assert (one.range, one.bearing) == pytest.approx((1.0, -math.pi / 2))
     frame = np.array([3.0, -1.0, 2.0])
     np.testing.assert_allclose(

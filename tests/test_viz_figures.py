@@ -43,8 +43,7 @@ def test_a_heavier_particle_is_drawn_stronger(one):
     frame = one.at(0)
     drawn = mapping.draw_hypotheses(axes_of(one), frame)[0]
     chosen = frame.is_hypothesised & (frame.mention_type == 0)
-    weight = np.broadcast_to(frame.weight, chosen.shape)[chosen]
-    order = np.argsort(weight)
+    order = np.argsort(np.broadcast_to(frame.weight, chosen.shape)[chosen])
     assert (np.diff(drawn.get_facecolors()[order, 3]) >= -1e-9).all()
     assert (np.diff(drawn.get_sizes()[order]) >= -1e-9).all()
     # In the value figure hypotheses are empty.

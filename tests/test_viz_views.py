@@ -132,8 +132,7 @@ PAPER = "go to the hydrant behind the cone"
 
 
 def test_the_paper_s_sentence(model):
-    figure = graph_figure(parse(PAPER), model)
-    said = " ".join(text.get_text() for text in figure.texts)
+    said = " ".join(text.get_text() for text in graph_figure(parse(PAPER), model).texts)
     assert all(one in said for one in ("2,964 factors", "5,934 random variables", PAPER))
 
 

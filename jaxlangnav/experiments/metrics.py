@@ -25,7 +25,7 @@ class RowMetrics:
     success_ci: tuple[float, float]  # 95 % Wilson interval
     distance_mean: float
     distance_sd: float
-    known_distance_mean: float  # straight from start to goal
+    known_distance_mean: float  # shortest path from start to goal
     known_distance_sd: float
     spl: float  # success weighted by path length, 0 to 1
     steps_mean: float
@@ -55,10 +55,10 @@ def timeouts_text(row: Mapping[str, Any]) -> str:
 def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
     """Summarise episodes of one row, leaves [E, …].
 
-    SPL is success weighted by path length: the mean of success · l / max(l, d), with l the
-    straight-line distance to where the robot may stop and d the distance travelled.
-    ``known_distance``: f32[E] metres, straight from start to goal. Invalid worlds are counted and
-    excluded.
+    SPL is success weighted by path length: the mean of success · l / max(l, d), with l the length
+    of the shortest path to where the robot may stop and d the distance travelled.
+    ``known_distance``: f32[E] metres, shortest path from start to goal. Invalid worlds are counted
+    and excluded.
     """
     valid = np.asarray(results.is_valid)
     leaves = {name: np.asarray(leaf)[valid] for name, leaf in vars(results).items()}

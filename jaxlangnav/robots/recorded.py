@@ -194,11 +194,7 @@ class DriveRecorder:
 
 
 def record_drive(
-    robot: PhysicsRobot | KinematicRobot,
-    text: str,
-    *,
-    navigator: Navigator,
-    key: Array,
+    robot: PhysicsRobot | KinematicRobot, text: str, *, navigator: Navigator, key: Array
 ) -> tuple[NavigationRun, Recording]:
     """Drive a robot from its start by an instruction, and record the drive; see ``drive``.
 
