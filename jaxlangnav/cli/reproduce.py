@@ -65,7 +65,8 @@ class Reproduce:
     policy: str = "all"
     """One policy, several with commas between, or all; fig1 and fig4 show faithful if not given."""
     trials: checks.OptionalInt = None
-    """In table3, trials of each row; 10 if not given. Those that DIR holds are not run again."""
+    """In table3, trials of each row; 10 if not given. Those that DIR holds are run again only if
+    they crashed."""
     extra: bool = False
     """In table2, rows that the paper lacks as well: 2H2C, and three hydrants or three cones."""
     ranges: checks.Ranges = None
