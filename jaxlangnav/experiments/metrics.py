@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -92,22 +92,25 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
     )
 
 
+class Comparison(NamedTuple):
+    """Paired comparison of a second arm with a first, over the episodes that both ran."""
+
+    pairs: int  # episodes that both ran
+    success_only_first: int  # pairs
+    success_only_second: int
+    success_p: float  # two-sided exact McNemar test
+    distance_difference: float  # second minus first, mean, metres
+    distance_ci: tuple[float, float]  # 95 %, metres
+    distance_p: float  # two-sided sign-flip permutation test
+
+
 def compare(
     first_success: np.ndarray,
     second_success: np.ndarray,
     first_distance: np.ndarray,
     second_distance: np.ndarray,
-) -> dict[str, Any]:
-    """Compare a second arm with a first in the same episodes, bool[E] and f64[E] metres, in pairs.
-
-    Returns:
-        ``pairs``; ``success_only_first`` and ``success_only_second`` of them; ``success_p`` of the
-        two-sided exact McNemar test; ``distance_difference``, second minus first, mean, and its
-        95 % interval ``distance_ci``, metres; ``distance_p`` of the two-sided sign-flip test.
-
-    Raises:
-        ValueError: there are no episodes.
-    """
+) -> Comparison:
+    """Compare two arms in the same episodes, bool[E] and f64[E] metres; ``ValueError`` for none."""
     if not len(first_success):
         raise ValueError("no episode was run by both arms")
     only_first = int(np.sum(first_success & ~second_success))
@@ -118,15 +121,15 @@ def compare(
     difference = np.asarray(second_distance, np.float64) - np.asarray(first_distance, np.float64)
     mean, count = float(difference.mean()), len(difference)
     half_width = _Z95 * float(difference.std(ddof=1)) / math.sqrt(count) if count > 1 else 0.0
-    return {
-        "pairs": count,
-        "success_only_first": only_first,
-        "success_only_second": only_second,
-        "success_p": float(stats.binomtest(only_first, discordant).pvalue) if discordant else 1.0,
-        "distance_difference": mean,
-        "distance_ci": (mean - half_width, mean + half_width),
-        "distance_p": _sign_flip(difference),
-    }
+    return Comparison(
+        pairs=count,
+        success_only_first=only_first,
+        success_only_second=only_second,
+        success_p=float(stats.binomtest(only_first, discordant).pvalue) if discordant else 1.0,
+        distance_difference=mean,
+        distance_ci=(mean - half_width, mean + half_width),
+        distance_p=_sign_flip(difference),
+    )
 
 
 def _sign_flip(difference: np.ndarray) -> float:

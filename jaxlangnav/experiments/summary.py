@@ -99,7 +99,7 @@ def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, 
         if joined.num_rows:
             names = ("is_success", "is_success 2", "distance", "distance 2")
             comparison = compare(*(joined[name].to_numpy() for name in names))
-            comparisons.append({"first": first, "second": second, **comparison})
+            comparisons.append({"first": first, "second": second, **comparison._asdict()})
     return comparisons
 
 
