@@ -17,7 +17,7 @@ from jaxlangnav.language.tokens import MARKS
 
 NAME, _RELATION = "N", "rel"
 PREPOSITION, PATH_WORD = "refused:such a relation", "refused:path"
-CONTAINMENT, SIGN = "refused:containment", "sign"
+SIGN = "sign"
 MOTION = "verb:"
 """Prefix of the classes of verbs of ``verbs.toml``."""
 _MAX_NAME_WORDS = 4

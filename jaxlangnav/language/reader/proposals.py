@@ -18,7 +18,6 @@ from jaxlangnav.language.lexicon import WORDS, load_lexicon
 from jaxlangnav.language.measured import is_quantity
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.reader.features import (
-    CONTAINMENT,
     MOTION,
     NAME,
     PATH_WORD,
@@ -44,8 +43,8 @@ _NUM_LABELLINGS = 30
 _MAX_VERBATIM = 0.9
 """Limit on the probability of the unparsable verbatim sentence, in renormalising the others."""
 _CHOOSING = WORDS["choosing"] | {SIGN}  # "cone 3"
-_OPERATORS = WORDS["contrary"] | _CHOOSING | {PREPOSITION, PATH_WORD, CONTAINMENT}
-"""Classes of words that negate, select an object or relate it to another."""
+_OPERATORS = WORDS["contrary"] | _CHOOSING
+"""Classes of words that negate or select an object."""
 _COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
 """Replacements of a verb that are allowed without an instance in the training data."""
 
@@ -115,11 +114,16 @@ class Labelling:
 
     def _is_attested(self) -> bool:
         """Check that words are put only in place of what training has them for, or "go", "stop"."""
-        return all(
-            (self.span_key(run) in self.met or _COMMAND_VERBS.issuperset(self._replacements(run)))
-            and not self._splits_quantity(run)
+        return self._is_faithful() and all(
+            self.span_key(run) in self.met or _COMMAND_VERBS.issuperset(self._replacements(run))
             for run in self.runs
-        ) and all(self._is_converse(i) for i, label in enumerate(self.labels) if label[0] == "=")
+        )
+
+    def _is_faithful(self) -> bool:
+        """Check that no quantity is halved, and relations are replaced by their converse only."""
+        return not any(map(self._splits_quantity, self.runs)) and all(
+            self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "="
+        )
 
     def _splits_quantity(self, run: range) -> bool:
         """Check whether a span deletes one part of a quantity: "3 metres and a quarter"."""
@@ -130,25 +134,41 @@ class Labelling:
         edges = ((*before, *inner[:1]), (*inner[-1:], *after))
         return any(len(edge) == 2 and all(map(is_quantity, edge)) for edge in edges)
 
+    @cached_property
+    def _unmet(self) -> list[range]:
+        """Edited spans that training did not have."""
+        return [run for run in self.runs if self.span_key(run) not in self.met]
+
     def keeps_operators(self) -> bool:
-        """Check that no word that negates, sets a condition, chooses or relates is deleted."""
-        words, classes = self.sentence.words, self.sentence.classes
-        return self._is_attested() and not any(
-            words[i] in WORDS["conditions"]
-            or not (_OPERATORS.isdisjoint(classes[i]) or self.is_deleted(i))
-            for run in self.runs
-            for i in run
-            if self.labels[i] == DELETE and self.span_key(run) not in self.met
-        )
+        """Check that no word that negates, sets a condition or chooses is deleted, nor an object.
+
+        All may go with a whole clause without objects, or where the span is replaced; an object may
+        go with the whole of its clause.
+        """
+        words, classes, is_name = self.sentence.words, self.sentence.classes, self.sentence.is_name
+        kept = {singular(words[i]) for i, k in enumerate(self.kept) if k and is_name[i]}
+        deleted = [(run, i) for run in self._unmet for i in run if self.labels[i] == DELETE]
+        for span, index in deleted:
+            is_replaced = any(self._replacements(span))
+            clause = self.sentence.clauses[self.sentence.clause[index]]
+            is_lost = is_name[index] and singular(words[index]) not in kept
+            is_partial = is_replaced or any(self.kept[i] and is_name[i] for i in clause)
+            if is_partial and (is_lost or self._may_be_object(index)):
+                return False
+            is_operator = words[index] in WORDS["conditions"] or not (
+                _OPERATORS.isdisjoint(classes[index]) or self.is_deleted(index)
+            )
+            if is_operator and not is_replaced:
+                return False
+        return self._is_faithful()
 
     def is_safe(self) -> bool:
         """Check that deleted words not met in training neither select a thing nor negate."""
-        unseen = [run for run in self.runs if self.span_key(run) not in self.met]
-        touched = {self.sentence.clause[i] for run in unseen for i in run}
+        touched = {self.sentence.clause[i] for run in self._unmet for i in run}
         return (
             self._is_attested()
             and all(self._keeps_verb(self.sentence.clauses[k]) for k in touched)
-            and all(map(self._is_span_safe, unseen))
+            and all(map(self._is_span_safe, self._unmet))
             and not self._has_dangling_pronoun()
         )
 
