@@ -319,11 +319,11 @@ def test_compare_by_hand() -> None:
         np.array([1.0, 2.0, 3.0, 4.0]),
         np.array([2.0, 2.0, 5.0, 5.0]),
     )
-    assert (found["pairs"], found["success_only_first"], found["success_only_second"]) == (4, 1, 1)
-    assert found["success_p"] == 1.0
-    assert found["distance_difference"] == pytest.approx(1.0)
+    assert (found.pairs, found.success_only_first, found.success_only_second) == (4, 1, 1)
+    assert found.success_p == 1.0
+    assert found.distance_difference == pytest.approx(1.0)
     half = 1.959964 * np.std([1, 0, 2, 1], ddof=1) / 2
-    assert found["distance_ci"] == pytest.approx((1 - half, 1 + half))
+    assert found.distance_ci == pytest.approx((1 - half, 1 + half))
     empty = np.array([])
     with pytest.raises(ValueError, match="no episode"):
         compare(empty, empty, empty, empty)

@@ -21,11 +21,13 @@ from jaxlangnav.inputs.arrays import as_value_error, open_arrays, read_floats, r
 from jaxlangnav.inputs.atomic_files import read_file, replacing
 from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.language.phrase import LanguageError
-from jaxlangnav.language.reader.features import featurize
+from jaxlangnav.language.reader.features import MOTION, NAME, ReaderSentence, featurize
 
 READER_ENV = "JAXLANGNAV_READER"
 """Environment variable that names a user's reader file, in place of the package's."""
 KEEP, DELETE, REJECT = "K", "D", "X"
+COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
+"""Replacements of a verb that are allowed without an instance in the training data."""
 _MAX_BYTES = 1 << 24
 _MAX_TEXT = 1 << 22
 _MAX_FEATURES, _MAX_LABELS = 1 << 17, 512
@@ -62,6 +64,21 @@ class ReaderModel:
         scores[0] += self.begin
         scores[-1] += self.end
         return scores
+
+
+def replacement_mask(model: ReaderModel, sentence: ReaderSentence) -> np.ndarray:
+    """Mask replacements that the training data does not have for a word: 0 or -∞, [T, L]."""
+    # Verbs of ``verbs.toml`` may be replaced by "go" or "stop" without training data.
+    mask = np.zeros((len(sentence.words), len(model.labels)))
+    replacing = [(column, label) for column, label in enumerate(model.labels) if label[0] == "="]
+    for row, (word, classes) in enumerate(zip(sentence.words, sentence.classes, strict=True)):
+        is_verb = any(c.startswith(MOTION) for c in classes) and classes[0] != NAME
+        for column, label in replacing:
+            is_order = label[1:] in COMMAND_VERBS
+            is_seen = (word, label) in model.seen and not (is_order and "rel.." in classes)
+            if not (is_seen or (is_verb and is_order)):
+                mask[row, column] = -np.inf
+    return mask
 
 
 def log_partition(scores: np.ndarray, transition: np.ndarray) -> float:

@@ -12,30 +12,28 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-import numpy as np
-
 from jaxlangnav.language.lexicon import WORDS, load_lexicon
 from jaxlangnav.language.measured import is_quantity
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.reader.features import (
-    MOTION,
     NAME,
     PATH_WORD,
     PREPOSITION,
     SIGN,
     ReaderSentence,
+    find_relations,
 )
 from jaxlangnav.language.reader.model import (
+    COMMAND_VERBS,
     DELETE,
     KEEP,
     REJECT,
-    ReaderModel,
     find_best,
     load_reader,
     log_partition,
+    replacement_mask,
 )
 from jaxlangnav.language.tokens import MARKS, RawToken, strip_marks
-from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations.table import REGISTRY
 
 _NUM_LABELLINGS = 30
@@ -45,8 +43,6 @@ _MAX_VERBATIM = 0.9
 _CHOOSING = WORDS["choosing"] | {SIGN}  # "cone 3"
 _OPERATORS = WORDS["contrary"] | _CHOOSING
 """Classes of words that negate or select an object."""
-_COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
-"""Replacements of a verb that are allowed without an instance in the training data."""
 
 
 class Proposal(NamedTuple):
@@ -97,13 +93,20 @@ class Labelling:
         clause = self.sentence.clauses[self.sentence.clause[index]]
         return all(self.labels[i] == DELETE and not self.sentence.is_name[i] for i in clause)
 
+    @cached_property
+    def _kept_names(self) -> frozenset[int]:
+        """Indices of kept words of object names."""
+        return frozenset(
+            i for i, is_kept in enumerate(self.kept) if is_kept and self.sentence.is_name[i]
+        )
+
     def _has_dangling_pronoun(self) -> bool:
         """Check whether a kept pronoun may refer to an object of a deleted clause."""
         words, size = self.sentence.words, len(self.labels)
         first = next((i for i in range(size) if not self.kept[i] and self.is_deleted(i)), size)
-        names = [i for i, is_kept in enumerate(self.kept) if is_kept and self.sentence.is_name[i]]
         return any(
-            not any(name < index for name in names) or words[index - 1] in WORDS["sought"]
+            not any(name < index for name in self._kept_names)
+            or words[index - 1] in WORDS["sought"]
             for index in range(first + 1, size)
             if self.kept[index] and words[index] in WORDS["pointing"]
         )
@@ -115,7 +118,7 @@ class Labelling:
     def _is_attested(self) -> bool:
         """Check that words are put only in place of what training has them for, or "go", "stop"."""
         return self._is_faithful() and all(
-            self.span_key(run) in self.met or _COMMAND_VERBS.issuperset(self._replacements(run))
+            self.span_key(run) in self.met or COMMAND_VERBS.issuperset(self._replacements(run))
             for run in self.runs
         )
 
@@ -139,26 +142,28 @@ class Labelling:
         """Edited spans that training did not have."""
         return [run for run in self.runs if self.span_key(run) not in self.met]
 
+    def _is_lost(self, index: int) -> bool:
+        """Check whether a deleted word is, or may be, an object of which no name is kept."""
+        kept = {singular(self.sentence.words[i]) for i in self._kept_names}
+        is_named = self.sentence.is_name[index] and singular(self.sentence.words[index]) not in kept
+        return is_named or self._may_be_object(index)
+
     def keeps_operators(self) -> bool:
         """Check that no word that negates, sets a condition or chooses is deleted, nor an object.
 
-        All may go with a whole clause without objects, or where the span is replaced; an object may
-        go with the whole of its clause.
+        Words of a replaced span and of whole clauses may go, but no object beside one that is kept.
         """
-        words, classes, is_name = self.sentence.words, self.sentence.classes, self.sentence.is_name
-        kept = {singular(words[i]) for i, k in enumerate(self.kept) if k and is_name[i]}
+        words, classes = self.sentence.words, self.sentence.classes
         deleted = [(run, i) for run in self._unmet for i in run if self.labels[i] == DELETE]
         for span, index in deleted:
             is_replaced = any(self._replacements(span))
             clause = self.sentence.clauses[self.sentence.clause[index]]
-            is_lost = is_name[index] and singular(words[index]) not in kept
-            is_partial = is_replaced or any(self.kept[i] and is_name[i] for i in clause)
-            if is_partial and (is_lost or self._may_be_object(index)):
-                return False
-            is_operator = words[index] in WORDS["conditions"] or not (
+            is_chosen = words[index] in WORDS["conditions"] or not (
                 _OPERATORS.isdisjoint(classes[index]) or self.is_deleted(index)
             )
-            if is_operator and not is_replaced:
+            if (is_chosen and not is_replaced) or (
+                self._is_lost(index) and (is_replaced or not self._kept_names.isdisjoint(clause))
+            ):
                 return False
         return self._is_faithful()
 
@@ -178,7 +183,7 @@ class Labelling:
         end = max((i for i in run if words[i] in WORDS["undoing"]), default=run.start)
         is_undone = any(is_name[i] or self._may_be_object(i) for i in range(run.start, end))
         if named and not is_undone:
-            kept = {singular(words[i]) for i, k in enumerate(self.kept) if k and is_name[i]}
+            kept = {singular(words[i]) for i in self._kept_names}
             is_chosen = any(not _CHOOSING.isdisjoint(classes[i]) for i in run)
             if is_chosen or not kept.issuperset(singular(words[i]) for i in named):
                 return False
@@ -231,9 +236,11 @@ class Labelling:
     def _is_converse(self, index: int) -> bool:
         """Check that a relation replacing "with" or "that's" is the converse of the deleted one."""
         # "The house with the truck in front" is the house behind the truck.
-        new = _relations(self.labels[index][1:].split())
+        new = find_relations(self.labels[index][1:].split())
         clause = self.sentence.clauses[self.sentence.clause[index]]
-        deleted = _relations([self.sentence.words[i] for i in clause if self.labels[i] == DELETE])
+        deleted = find_relations(
+            [self.sentence.words[i] for i in clause if self.labels[i] == DELETE]
+        )
         binding = {PREPOSITION, *(WORDS["telling"] if deleted else ())}
         is_free = binding.isdisjoint(self.sentence.classes[index])
         return is_free or new <= {REGISTRY[relation].converse for relation in deleted}
@@ -290,34 +297,6 @@ class Labelling:
         )
 
 
-def _relations(words: Sequence[str]) -> set[int]:
-    """Find the relations named by expressions among words, as indices into ``RELATIONS``."""
-    text = f" {' '.join(words)} "
-    return {
-        RELATIONS.index(sense.removeprefix("relation:"))
-        for name in ("rel", "beside", "side", "rel_robot")
-        for key, entry in load_lexicon().entries[name].items()
-        if f" {' '.join(key)} " in text
-        for sense in itertools.chain(*(word.senses for word in entry))
-        if sense.startswith("relation:")
-    }
-
-
-def _mask(model: ReaderModel, sentence: ReaderSentence) -> np.ndarray:
-    """Mask replacements that the training data does not have for a word: 0 or -∞, [T, L]."""
-    # Verbs of ``verbs.toml`` may be replaced by "go" or "stop" without training data.
-    mask = np.zeros((len(sentence.words), len(model.labels)))
-    replacing = [(column, label) for column, label in enumerate(model.labels) if label[0] == "="]
-    for row, (word, classes) in enumerate(zip(sentence.words, sentence.classes, strict=True)):
-        is_verb = any(c.startswith(MOTION) for c in classes) and classes[0] != NAME
-        for column, label in replacing:
-            is_order = label[1:] in _COMMAND_VERBS
-            is_seen = (word, label) in model.seen and not (is_order and "rel.." in classes)
-            if not (is_seen or (is_verb and is_order)):
-                mask[row, column] = -np.inf
-    return mask
-
-
 def propose_readings(
     tokens: Sequence[RawToken], labels: Collection[str] = (), *, is_readable: bool = False
 ) -> list[Proposal]:
@@ -348,7 +327,7 @@ def propose_readings(
             return [verbatim]
     else:
         log_total += math.log1p(-min(p_verbatim, _MAX_VERBATIM))
-    scores += _mask(model, sentence)
+    scores += replacement_mask(model, sentence)
     for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
         names = tuple(model.labels[i] for i in path)
         labelled = Labelling(sentence, names, model.left_out, model.met)
