@@ -65,7 +65,7 @@ def _experiment(name: str, settings: Settings) -> tuple[Experiment, Options]:
     if name == "fig5":
         return paper.figure_5(ranges=ranges), options
     if name == "unknowns":
-        return unknowns.UNKNOWNS, dataclasses.replace(options, seed=settings.seed_unknowns)
+        return unknowns.UNKNOWNS, dataclasses.replace(options, seed=settings.sensitivity_seed)
     params = apply(Navigator.pretrained().params, settings.values, "params")
     return robustness.ROBUSTNESS, dataclasses.replace(options, params=params)
 
@@ -254,7 +254,7 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
             experiment, options = _experiment(name, settings)
             experiment.check(options)
         elif name in ("fig1", "fig4"):
-            check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
+            check_recording(navigator_config("faithful", settings.num_figure_particles), MAX_STEPS)
         elif name == "table3":
             from jaxlangnav.robots.libraries import check_libraries
 
@@ -323,7 +323,7 @@ def _write_page(sections: list[Section], settings: Settings, seconds: float) -> 
         "command": settings.args.command("all"),
         "versions": f"jaxlangnav {__version__}, Python {setup['python']}, {libraries}",
         "models": f"as shipped, SHA-256 {setup['models_sha256']}",
-        "seed": f"{settings.options.seed}; {settings.seed_unknowns} in the study of the "
+        "seed": f"{settings.options.seed}; {settings.sensitivity_seed} in the study of the "
         "paper's unknowns",
         "episodes": f"{settings.options.episodes} a row and policy",
         "changed numbers": ", ".join(f"{'.'.join(i)} = {value}" for i, value in values),

@@ -42,12 +42,12 @@ class Settings:
     args: Reproduce  # the other options, and how to run an experiment again
 
     @property
-    def seed_unknowns(self) -> int:
-        """Default seed of worlds that no table or tuning uses."""
+    def sensitivity_seed(self) -> int:
+        """Seed of the experiment ``unknowns``; by default, no table or tuning uses its worlds."""
         return 3000 if self.args.seed is None else self.args.seed
 
     @property
-    def particles_drawn(self) -> int:
+    def num_figure_particles(self) -> int:
         """Number of particles of the episodes of Figures 1 and 4."""
         return self.args.particles or 256
 
@@ -99,11 +99,11 @@ def _figure(
         # The paper's policy unless exactly one is given.
         known = [key for key in settings.options.policies if key in POLICIES]
         policy = known[0] if len(known) == 1 else "faithful"
-        options = None, policy, settings.options.seed, settings.particles_drawn
+        options = None, policy, settings.options.seed, settings.num_figure_particles
         with CompileClock() as clock, spinner(f"an episode in {name}"):
             understood = understand_parse(parse(TEXT), load(None))
-            opened = prepare_episode(TEXT, understood, name, *options, params=settings.params)
-            episode = record_episode(apply_to_episode(opened, settings.values))
+            prepared = prepare_episode(TEXT, understood, name, *options, params=settings.params)
+            episode = record_episode(apply_to_episode(prepared, settings.values))
         output.print_wrapped(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result
         document = {
@@ -112,7 +112,7 @@ def _figure(
             "world": name,
             "policy": policy,
             "seed": settings.options.seed,
-            "num_particles": settings.particles_drawn,
+            "num_particles": settings.num_figure_particles,
             "range": float(scene.sensor.range_max),
             "success": bool(result.is_success),
             "distance": float(result.distance),

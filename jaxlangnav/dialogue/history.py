@@ -21,7 +21,7 @@ from jaxlangnav.pytree import pytree, replace
 
 @pytree
 class Merged:
-    """Readings of all utterances, the new one merged in; its C commands come first."""
+    """Readings of all utterances, the new one merged in; the new one has up to C commands."""
 
     instruction: Instruction  # the new utterance, with the readings of all utterances
     words: DiscourseInfo  # with the goals of the old commands
@@ -99,13 +99,13 @@ class History:
 
 def histories_of(readings: Readings, words: DiscourseInfo) -> list[History]:
     """Convert the readings of one robot, leaves [K, ...], to records, the likeliest first."""
-    table, info = jax.device_get((readings, words))
-    num_mentions, num_relations = table.mention_type.shape[1], table.relation.shape[1]
+    host, info = jax.device_get((readings, words))
+    num_mentions, num_relations = host.mention_type.shape[1], host.relation.shape[1]
     histories = []
-    mention_rows = np.stack([table.mention_type, info.is_asked, info.avoid], axis=-1)
-    columns = (table.figure, table.relation, table.landmark, table.rank, info.heard)
-    for k in np.argsort(-table.log_probability, kind="stable").tolist():
-        if table.log_probability[k] == -np.inf:
+    mention_rows = np.stack([host.mention_type, info.is_asked, info.avoid], axis=-1)
+    columns = (host.figure, host.relation, host.landmark, host.rank, info.heard)
+    for k in np.argsort(-host.log_probability, kind="stable").tolist():
+        if host.log_probability[k] == -np.inf:
             continue
         mentions = [
             Mention(type_code, bool(is_asked), avoid, source=k * num_mentions + m)
@@ -118,7 +118,7 @@ def histories_of(readings: Readings, words: DiscourseInfo) -> list[History]:
             if row[0] != NONE
         ]
         goals, pinned = info.goal[k].tolist(), info.is_pinned[k].tolist()
-        log_probability = float(table.log_probability[k])
+        log_probability = float(host.log_probability[k])
         histories.append(History(mentions, edges, goals, pinned, [], log_probability))
     return histories
 
