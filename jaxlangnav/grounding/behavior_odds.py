@@ -40,7 +40,7 @@ class Combinations(NamedTuple):
 
 
 _OBJECTS, _MENTIONED, _CONSTRAINTS, _EXCLUDED = range(4)
-_SLOTS, _CONSTRAINT_REGIONS = slice(4, -1), -1
+_SLOTS, _AVOIDED_REGIONS = slice(4, -1), -1
 """Indices into ``Combinations.sets``."""
 
 
@@ -82,12 +82,12 @@ def object_odds(phrase: CompiledClause, scene: ObjectSets, given: Combinations, 
     """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
     named_mask = _named(phrase, scene)
     is_named, terms = _is_in(named_mask, size), phrase.objects
-    always, named, unnamed, child, located, elsewhere, no_child, named_located, *previous_odds = terms
+    always, named, unnamed, child, located, elsewhere, no_child, named_located, *earlier = terms
     base = jnp.where(is_named, always + named, always + unnamed)
-    base = base + jnp.where(_is_in(named_mask & scene.previous[0], size), previous_odds[0], 0.0)
+    base = base + jnp.where(_is_in(named_mask & scene.previous[0], size), earlier[0], 0.0)
     for n in range(3):
-        base = base + jnp.where(_is_in(scene.previous[n], size), previous_odds[1 + n], 0.0)
-    base = base + jnp.where(scene.previous[0] == 0, previous_odds[4], 0.0)[None]
+        base = base + jnp.where(_is_in(scene.previous[n], size), earlier[1 + n], 0.0)
+    base = base + jnp.where(scene.previous[0] == 0, earlier[4], 0.0)[None]
     base = jnp.where(_is_in(scene.all_objects, size), base, LOG_NEVER)
     objects, excluded = given.sets[:, _OBJECTS], given.sets[:, _EXCLUDED]
     in_child, is_located = _is_in(objects, size), ~_is_in(excluded, size)
@@ -119,7 +119,8 @@ def constraint_odds(
     base, child_region, child, mention, no_mention, repeated, first = phrase.constraints
     base = jnp.where(_is_in(scene.all_objects, size), base, LOG_NEVER)
     in_child, is_mentioned, is_repeated, region_in_child = (
-        _is_in(given.sets[:, i], size) for i in (_OBJECTS, _MENTIONED, _CONSTRAINTS, _CONSTRAINT_REGIONS)
+        _is_in(given.sets[:, i], size)
+        for i in (_OBJECTS, _MENTIONED, _CONSTRAINTS, _AVOIDED_REGIONS)
     )
     return (
         base[None]
