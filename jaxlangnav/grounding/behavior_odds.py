@@ -39,8 +39,7 @@ class Combinations(NamedTuple):
     cost: Array  # f32[4, E, P]
 
 
-_OBJECTS, _MENTIONED, _CONSTRAINTS, _EXCLUDED = range(4)
-_SLOTS, _AVOIDED_REGIONS = slice(4, -1), -1
+_OBJECTS, _MENTIONED, _CONSTRAINTS, _EXCLUDED, _SLOTS, _AVOIDED = 0, 1, 2, 3, slice(4, -1), -1
 """Indices into ``Combinations.sets``."""
 
 
@@ -119,8 +118,7 @@ def constraint_odds(
     base, child_region, child, mention, no_mention, repeated, first = phrase.constraints
     base = jnp.where(_is_in(scene.all_objects, size), base, LOG_NEVER)
     in_child, is_mentioned, is_repeated, region_in_child = (
-        _is_in(given.sets[:, i], size)
-        for i in (_OBJECTS, _MENTIONED, _CONSTRAINTS, _AVOIDED_REGIONS)
+        _is_in(given.sets[:, i], size) for i in (_OBJECTS, _MENTIONED, _CONSTRAINTS, _AVOIDED)
     )
     return (
         base[None]
