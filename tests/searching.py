@@ -55,8 +55,6 @@ def in_a_row(random: np.random.Generator) -> Things:
 
 _PAIR = functools.partial(pair, near=3.0, far=11.0)
 _TURNED = functools.partial(_PAIR, turned=np.pi)
-
-
 _SHORT = 1.08  # metres before a goal at which a robot halts
 
 
@@ -67,9 +65,7 @@ class Row(outside.Scenario):
     draw: Callable[[np.random.Generator], Things] = _PAIR
     area: tuple[float, float, float, float] = (0.0, 14.0, -9.0, 9.0)
     steps: int = 200
-    side: float | None = (
-        None  # radians, of the robot: where the goal, or its landmark, is said to be
-    )
+    side: float | None = None  # radians, of the robot: where goal or landmark is said to be
     relation: str | None = None  # of goal and cone
     is_cone: bool = False  # it is the cone that is on that side
 
@@ -98,10 +94,8 @@ _LARGE = functools.partial(
 )  # fmt: skip
 
 _AROUND = functools.partial(Row, area=(-14.0, 14.0, -14.0, 14.0))
-_SIDES = {
-    "right": (-0.5, "on your right"), "left": (0.5, "on your left"), "back": (1.0, "behind you"),
-    "ahead": (0.0, "in front of you"),
-}  # fmt: skip
+_SIDES = {"right": (-0.5, "on your right"), "left": (0.5, "on your left"),
+          "back": (1.0, "behind you"), "ahead": (0.0, "in front of you")}  # fmt: skip
 """In half turns from straight ahead."""
 _BESIDE = {"behind": (0.0, "behind"), "front": (1.0, "in front of"), "left": (0.5, "left of"),
            "right": (-0.5, "right of"), "near": (0.5, "near")}  # fmt: skip
@@ -123,12 +117,10 @@ def _by_robot(side: str, relation: str | None, *, is_cone: bool) -> Row:
 def _of_side(side: float, sentence: str) -> Row:
     """A place of so many metres a side."""
     return Row(
-        sentence=sentence,
-        draw=functools.partial(pair, near=0.25 * side, far=0.6 * side),
-        area=(0.0, side, -0.5 * side, 0.5 * side),
-        reach=3.0 if side < 20.0 else 5.0,
+        sentence=sentence, draw=functools.partial(pair, near=0.25 * side, far=0.6 * side),
+        area=(0.0, side, -0.5 * side, 0.5 * side), reach=3.0 if side < 20.0 else 5.0,
         steps=int(80 + 12 * side),
-    )
+    )  # fmt: skip
 
 
 ROWS = {
@@ -145,12 +137,10 @@ ROWS = {
     "near": _AROUND(sentence=f"{PLAIN} near you", draw=functools.partial(far_off, is_far=False)),
     "far": _AROUND(sentence=f"{PLAIN} far from you", draw=functools.partial(far_off, is_far=True)),
 } | {
-    "_".join([side, relation or "robot", "cone"][: 2 + is_cone]): _by_robot(
-        side, relation, is_cone=is_cone
-    )
+    "_".join([side, of or "robot", "cone"][: 2 + is_cone]): _by_robot(side, of, is_cone=is_cone)
     for side in _SIDES
-    for relation in (None, *_BESIDE)
-    for is_cone in (False, True)[: 1 + (relation is not None)]
+    for of in (None, *_BESIDE)
+    for is_cone in (False, True)[: 1 + (of is not None)]
 } | {
     f"{name}_{side}": _of_side(float(side), sentence)
     for side in (8, 14, 25, 40, 60)
@@ -162,19 +152,20 @@ def handed(row: Row, place: outside.Place, seed: int) -> float:
     """Measure the way, metres, of a search that is handed the relations' density as its map.
 
     It always makes for the place that shows most of what is left of it a metre, on cells of a
-    metre, and goes up to the goal once it has seen that and the cone that tells it.
+    metre, and goes up to the goal once it has seen that and the thing that tells it: the second.
     """
     random, (cells, joint) = np.random.default_rng([seed, 41]), _joint(row)
     is_near = np.hypot(*(cells[:, None] - cells[None]).T) <= row.reach
     at, metres, unseen, where = np.zeros(2), 0.0, np.ones(len(cells)), joint.sum(0)
-    lacking = {"goal", "cone"} if len(joint) > 1 else {"goal"}
+    lacking = {"goal", "cone"} if len(joint) > 1 or row.draw is in_a_row else {"goal"}
     while metres < row.steps:
         unseen[np.hypot(*(cells - at).T) <= row.reach] *= row.misses
         for name, thing in zip(("goal", "cone"), place.at, strict=False):
             is_seen = np.hypot(*(thing - at)) <= row.reach and random.uniform() >= row.misses
             if is_seen and name in lacking:
                 cell = np.argmin(np.hypot(*(cells - thing).T))
-                lacking, where = lacking - {name}, joint[:, cell] if name == "goal" else joint[cell]
+                lacking = lacking - {name}
+                where = joint[:, cell] if name == "goal" else joint[cell % len(joint)]
         if not lacking:
             return metres + max(float(np.hypot(*(place.at[0] - at))) - _SHORT, 0.0)
         spans = np.hypot(*(cells - at).T)
@@ -207,6 +198,21 @@ def _joint(row: Row) -> tuple[np.ndarray, np.ndarray]:
     beside = _weigh(row.relation, cells[None] - cells[:, None], turn)
     beside /= beside.sum(1, keepdims=True)
     return cells, beside * (here[:, None] if row.is_cone else here[None])
+
+
+def as_told(row: Row) -> Row:
+    """Build the row whose places are drawn by the density that ``handed`` has as its map."""
+
+    def draw(random: np.random.Generator) -> Things:
+        cells, joint = _joint(row)
+        cone, goal = divmod(random.choice(joint.size, p=joint.ravel() / joint.sum()), len(cells))
+        at = cells[[goal, cone]] + random.uniform(-0.5, 0.5, (2, 2))
+        return list(zip(("hydrant", "cone")[: 1 + (len(joint) > 1)], at, strict=False))
+
+    return dataclasses.replace(row, draw=draw)
+
+
+ROWS |= {f"{name}_told": as_told(row) for name, row in ROWS.items() if row.side is not None}
 
 
 def compare(row: Row, outcome: outside.Outcome, seed: int) -> str:
