@@ -17,6 +17,8 @@ from jaxlangnav.training.reader import (
     ReaderConfig,
     ReaderWeights,
     align,
+    fit_acceptance,
+    label_lines,
     negative_log_likelihood,
     read_reader_corpus,
     train_reader,
@@ -161,6 +163,22 @@ def test_labels_come_from_aligning_words(said, read, labels):
         assert found == (tuple(labels.split()) or None)
 
 
+def test_acceptance_is_the_share_that_was_right():
+    """One feature tells two kinds of rewritings apart: of each kind as many are right as before."""
+    rng = np.random.default_rng(0)
+    is_odd = np.arange(4000) % 2
+    is_right = rng.random(4000) < np.where(is_odd, 0.2, 0.9)
+    rows = [{"": 1.0, "odd": float(odd)} for odd in is_odd]
+    weights = fit_acceptance(rows, is_right)
+    for odd, features in enumerate(rows[:2]):
+        log_odds = sum(weights[name] * value for name, value in features.items())
+        expected = is_right[is_odd == odd].mean()
+        assert 1 / (1 + np.exp(-log_odds)) == pytest.approx(expected, abs=0.01)
+    assert (
+        fit_acceptance([*rows, {"rare": 1.0}], np.append(is_right, True)).keys() == weights.keys()
+    )
+
+
 def test_a_reader_learns_what_is_left_out_and_is_written_and_read(tmp_path: Path, monkeypatch):
     names = ["cone", "tree", "car", "bench", "box", "barrel"]
     rows = [
@@ -172,9 +190,9 @@ def test_a_reader_learns_what_is_left_out_and_is_written_and_read(tmp_path: Path
     file = tmp_path / "own.jsonl"
     file.write_text("\n".join(map(json.dumps, rows)))
     config = ReaderConfig(epochs=10, batch=48, least_features=1)
-    model, report = train_reader(read_reader_corpus(file), config=config)
+    model, report = train_reader(label_lines(read_reader_corpus(file)), config=config)
     assert report["sentences"] >= len(rows)
-    again, _ = train_reader(read_reader_corpus(file), config=config)
+    again, _ = train_reader(label_lines(read_reader_corpus(file)), config=config)
     np.testing.assert_array_equal(model.emission, again.emission)
     path = tmp_path / "own.npz"
     crf.save_reader(path, model, command="test")

@@ -84,9 +84,11 @@ class Train:
         if self.base is not None:
             raise UsageError("--base is of the other models: leave it out for the reader")
         from jaxlangnav.language.reader.model import save_reader
-        from jaxlangnav.training.reader import ReaderConfig, read_reader_corpus, train_reader
+        from jaxlangnav.training.reader import read_reader_corpus
+        from jaxlangnav.training.shipped import train_shipped_reader
 
-        model, report = train_reader(read_reader_corpus(self.corpus), config=ReaderConfig())
+        rows = read_reader_corpus(self.corpus)
+        model, report = train_shipped_reader(rows, on_progress=output.note)
         if self.out is not None:
             save_reader(self.out, model, command=self._command)
         output.print(

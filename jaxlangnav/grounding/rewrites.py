@@ -20,6 +20,7 @@ from jax import Array
 
 from jaxlangnav.grounding.command_summary import CommandSummary, summarize_commands
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, WrappedGrounder
+from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
 from jaxlangnav.grounding.search import sum_by_key
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines
@@ -141,7 +142,7 @@ def _mixture(reads: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, .
     """Mix the readings of rewritings, with the commands of the likeliest meaning."""
     groups: dict[Any, list[int]] = {}
     for index, read in enumerate(reads):
-        groups.setdefault(_meaning_key(read.grounded), []).append(index)
+        groups.setdefault(meaning_key(read.grounded.instruction), []).append(index)
     weight = np.exp(log_weights)
     ranked = sorted(groups.values(), key=lambda group: -weight[group].sum())
     alternatives = []
@@ -192,9 +193,9 @@ def _canonical(reading: Reading) -> tuple[Any, ...]:
     return tuple(sorted(reading.mentions)), tuple(sorted(edges))
 
 
-def _meaning_key(grounded: Grounded) -> tuple[Any, ...]:
+def meaning_key(instruction: Instruction) -> tuple[Any, ...]:
     """Build a key of a sentence's annotations and commands, equal for wordings of one meaning."""
-    reading, _ = unpad_readings(grounded.instruction.readings)[0]
+    reading, _ = unpad_readings(instruction.readings)[0]
 
     def description(mention: int) -> tuple[Any, ...]:
         if mention < 0:
@@ -209,7 +210,7 @@ def _meaning_key(grounded: Grounded) -> tuple[Any, ...]:
         avoided = sorted((region, description(mention)) for region, mention, _ in c.avoid)
         return (c.action, c.mode, c.region, description(c.mention), tuple(avoided))
 
-    return (_canonical(reading), tuple(map(command_key, summarize_commands(grounded.instruction))))
+    return (_canonical(reading), tuple(map(command_key, summarize_commands(instruction))))
 
 
 def _mixed_annotations(reads: Sequence[Read], weight: np.ndarray) -> tuple[Mapping[str, Any], ...]:

@@ -6,17 +6,27 @@ spelling is corrected and reported. Time is bounded: input is limited in charact
 and the parser is polynomial.
 """
 
+import math
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any, NamedTuple
 
 from jaxlangnav.language.grammar import NoParseError, load_grammar
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.measured import measures_of, split_measures
 from jaxlangnav.language.nouns import join_nouns, must_be_noun, name_nouns
-from jaxlangnav.language.phrase import COMMAND, MIN_PROBABILITY, STATEMENT, LanguageError, Parse
-from jaxlangnav.language.reader.proposals import Proposal, propose_readings
+from jaxlangnav.language.phrase import (
+    COMMAND,
+    MIN_PROBABILITY,
+    STATEMENT,
+    LanguageError,
+    Parse,
+    Phrase,
+)
+from jaxlangnav.language.reader.model import ReaderModel, load_reader
+from jaxlangnav.language.reader.proposals import Proposal, propose_readings, safe_log
 from jaxlangnav.language.reference import Antecedent, join_constraints, join_topics, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, refuse_guesses
 from jaxlangnav.language.spelling import repair
@@ -38,8 +48,7 @@ MAX_UNKNOWN = 8  # unknown words; more have very many trees
 MAX_PROPOSALS = 8
 """Number of rewritings of a sentence that are parsed, likeliest first."""
 MIN_OVERRULE = 0.7
-"""Minimum probability of a rewriting to replace the verbatim reading, or to delete words that no
-rule shows to be idle."""
+"""Minimum probability of a rewriting to replace the verbatim reading."""
 _IGNORED_SIGNS = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then", "°": "degrees"}
@@ -173,7 +182,8 @@ def parse(
         labels: names of objects that are always nouns, such as the labels of a detector.
         earlier: antecedent from earlier utterances, for "it" and "the one on the left".
         is_rewritten: whether the trained reader may rewrite it; otherwise only the grammar is used.
-        least_probability: threshold on the reader's rewriting, in [0, 1]; below, it is refused.
+        least_probability: threshold on the probability, in [0, 1], that the reader's rewriting
+            means what was said; below, it is refused.
 
     Returns:
         The most probable phrase trees, unknown words and corrections.
@@ -196,48 +206,87 @@ def parse(
     except LanguageError as error:
         if error.position is None:
             raise
-        proposals = propose_readings(sentence.tokens, sentence.labels)
-        safe = [proposal for proposal in proposals if proposal.is_safe]
-        min_prob = max(least_probability, MIN_OVERRULE)
-        for candidates, threshold in ((safe, least_probability), (proposals, min_prob)):
-            if rewritten := _parse_rewriting(sentence, candidates, None, threshold):
-                return rewritten
-        raise
-    proposals = propose_readings(sentence.tokens, sentence.labels, is_readable=True)
-    return _parse_rewriting(sentence, proposals, verbatim, MIN_OVERRULE) or verbatim
-
-
-def _parse_rewriting(
-    sentence: _Sentence, proposals: Sequence[Proposal], verbatim: Parse | None, min_prob: float
-) -> Parse | None:
-    """Parse the likeliest rewriting; ``verbatim`` if its probability is below ``min_prob``."""
-    # Probabilities of rewritings with equal meanings are summed.
-    meanings: dict[object, tuple[float, Parse]] = {}
-    proposals = proposals[:MAX_PROPOSALS]
-    probability, best, remaining = 0.0, None, sum(p.probability for p in proposals)
-    for proposal in proposals:
-        others = [prob for prob, parsed in meanings.values() if parsed is not best]
-        if probability + remaining < min_prob or (
-            probability >= min_prob and probability > max(others, default=0.0) + remaining
+        rewritings = _parse_rewritings(sentence)
+        if (
+            not rewritings
+            or load_reader().accept(acceptance_features(rewritings)) < least_probability
         ):
-            break  # the remaining rewritings cannot change the result
-        remaining -= proposal.probability
-        changes = proposal.changes
-        if sentence.earlier is not None and any(_CARRY_REQUEST.search(old) for old, _ in changes):
+            raise
+        return rewritings[0].parse
+    likeliest = _parse_rewritings(sentence, verbatim)[0]
+    return likeliest.parse if likeliest.probability >= MIN_OVERRULE else verbatim
+
+
+class Rewriting(NamedTuple):
+    """A meaning that a sentence may have in the controlled language."""
+
+    probability: float  # by the reader, of all its wordings
+    parse: Parse
+    proposal: Proposal  # its likeliest wording
+
+
+def parse_verbatim(text: str, labels: Collection[str]) -> Parse:
+    """Parse a sentence by the grammar alone, with distances; raises ``LanguageError``."""
+    sentence = _Sentence(text, labels)
+    return _parse_tokens(sentence, sentence.tokens)
+
+
+def parse_rewritings(text: str, labels: Collection[str], reader: ReaderModel) -> list[Rewriting]:
+    """Parse what a reader makes of a sentence, the likeliest meaning first."""
+    return _parse_rewritings(_Sentence(text, labels), reader=reader)
+
+
+def acceptance_features(rewritings: Sequence[Rewriting]) -> dict[str, float]:
+    """Describe the likeliest of a sentence's rewritings, at least one, for ``ReaderModel.accept``.
+
+    Its edits, and how probable it is beside the others and beside refusal.
+    """
+    best, second = rewritings[0], rewritings[1:2]
+    log_p = safe_log(best.probability)
+    return {
+        **best.proposal.features,
+        "": 1.0,
+        "log p": log_p,
+        "log p squared": 0.2 * log_p**2,
+        "log ratio": log_p - safe_log(second[0].probability if second else 0.0),
+        "log share": safe_log(best.proposal.probability) - log_p,
+        "log other": math.log(max(1.0 - best.probability, 1e-3)),
+    }
+
+
+def _parse_rewritings(
+    sentence: _Sentence, verbatim: Parse | None = None, *, reader: ReaderModel | None = None
+) -> list[Rewriting]:
+    """Parse the reader's proposals, and sum the probabilities of those of one meaning."""
+    options: dict[str, Any] = {"is_readable": verbatim is not None, "model": reader}
+    proposals = propose_readings(sentence.tokens, sentence.labels, **options)
+    meanings: dict[object, Rewriting] = {}
+    for proposal in proposals[:MAX_PROPOSALS]:
+        if sentence.earlier is not None and any(
+            _CARRY_REQUEST.search(old) for old, _ in proposal.changes
+        ):
             continue
-        if list(proposal.tokens) == sentence.tokens and verbatim is not None:
-            parsed = verbatim
-        else:
+        parsed = verbatim
+        if parsed is None or list(proposal.tokens) != sentence.tokens:
             try:
                 parsed = _parse_tokens(sentence, list(proposal.tokens), is_located=False)
             except LanguageError:
                 continue
-            parsed = replace(parsed, rewrites=changes, unread=proposal.left_out)
-        meaning = (*map(str, parsed.clauses), parsed.kinds, parsed.measures)
-        prob, first = meanings.get(meaning, (0.0, parsed))
-        meanings[meaning] = (prob + proposal.probability, first)
-        probability, best = max(meanings.values(), key=lambda pair: pair[0])
-    return best if probability >= min_prob else verbatim
+            parsed = replace(parsed, rewrites=proposal.changes, unread=proposal.left_out)
+        meaning = (*map(_meaning, parsed.clauses), parsed.kinds, parsed.measures)
+        first = meanings.get(meaning, Rewriting(0.0, parsed, proposal))
+        total = first.probability + proposal.probability
+        meanings[meaning] = first._replace(probability=total)
+    return sorted(meanings.values(), key=lambda rewriting: -rewriting.probability)
+
+
+def _meaning(phrase: Phrase) -> tuple[Any, ...]:
+    """Build a key of a tree, equal for "go to the cone", "drive up to the cone", "the cone"."""
+    children = tuple(map(_meaning, phrase.children))
+    if phrase.label not in ("VP", "PP"):
+        return (phrase.head, *children)
+    senses = {sense for word in phrase.words for sense in word.senses} - {"action:navigate"}
+    return (*sorted(senses), *children) if senses or len(children) != 1 else children[0]
 
 
 def _parse_tokens(

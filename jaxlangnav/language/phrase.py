@@ -12,8 +12,8 @@ from jaxlangnav.inputs.sanitize import sanitize
 
 COMMAND = "command"
 STATEMENT = "statement"
-MIN_PROBABILITY = 0.1
-"""Threshold on the reader's probability; below, a sentence is refused (docs/language.md)."""
+MIN_PROBABILITY = 0.7
+"""Threshold on the probability that free speech is read as it was meant (docs/language.md)."""
 
 
 class LanguageError(ValueError):

@@ -10,7 +10,7 @@ it counts ``copies`` times. The labels come from aligning the two, word by word.
 import functools
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -19,8 +19,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+import scipy.sparse
 from jax import Array
 from msgspec import Meta, field
+from scipy.optimize import minimize
+from scipy.special import expit
 
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines, shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
@@ -32,11 +35,12 @@ from jaxlangnav.language.reader.proposals import Labelling
 from jaxlangnav.language.tokens import MARKS
 
 _MAX_BYTES = 1 << 24  # of a corpus
-_REFUSAL_CUES = WORDS["contrary"] | WORDS["impossible"]
 _SIMPLE_LABELS = frozenset({"=go", "=go to", "=stop"})
 _SMALL_TALK_RATE = 0.3  # probability of adding small talk to a verbatim sentence
 _IMPOSSIBLE = -1e4  # log score of an impossible transition
 _TINY = 1e-30  # added before the logarithm of a sum that may underflow
+_MIN_JUDGED = 5  # features of the acceptance that fewer sentences have are dropped
+_ACCEPTANCE_L2 = 5.0
 _PADDING = 8  # lengths are rounded up to a multiple of this, to limit compilations
 
 
@@ -98,7 +102,9 @@ def align(source: Sequence[str], target: Sequence[str]) -> tuple[str, ...] | Non
     return None if inserted else tuple(labels)
 
 
-class _Row(Schema):
+class CorpusLine(Schema):
+    """A line of a corpus of the reader."""
+
     text: str
     read: str | None
     names: list[str] = field(default_factory=list)
@@ -108,22 +114,26 @@ class _Row(Schema):
         """Accept any characters, unlike the base class."""
 
 
-def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
+def read_reader_corpus(path: Path | None = None) -> list[CorpusLine]:
     """Read a corpus of the reader; the package's by default.
-
-    Sentences that cannot be labelled are skipped.
 
     Raises:
         ValueError: a line is invalid; the message has its number.
     """
     path = shipped_file("language", "readings.jsonl") if path is None else path
-    rows, examples = [], []
+    rows = []
     for line_no, line in read_lines(path, max_bytes=_MAX_BYTES):
         with error_prefix(f"{path.name} line {line_no}"):
             document = parse_json(line)
             if not isinstance(document, dict):
                 raise ValueError("must have text, read, and maybe names")
-            rows.append(convert(document, _Row))
+            rows.append(convert(document, CorpusLine))
+    return rows
+
+
+def label_lines(rows: Sequence[CorpusLine]) -> list[ReaderExample]:
+    """Label the words of sentences by aligning them with how they read; skip what cannot be."""
+    examples = []
     # A name that is another word as well ("keep", "drive") is one only where its line says so.
     pooled = frozenset(name for row in rows for name in row.names)
     pooled -= load_lexicon().vocabulary.union(*load_verbs().values())
@@ -227,7 +237,6 @@ def train_reader(
         features=tuple(name for name, used in zip(features, is_used, strict=True) if used),
         labels=labels,
         seen=frozenset((word, label) for word, label in pairs if label[0] == "="),
-        left_out=_deleted_trigrams(kept),
         # Edited spans with their replacement, except deletions of words that only select objects:
         # "both" may be deleted in one sentence, but not in others.
         met=frozenset(
@@ -241,6 +250,7 @@ def train_reader(
         transition=np.asarray(weights.transition),
         begin=np.asarray(weights.begin),
         end=np.asarray(weights.end),
+        acceptance={},
     )
     return model, {
         "sentences": len(kept),
@@ -250,28 +260,6 @@ def train_reader(
         "loss": loss,
         "train_s": time.perf_counter() - start_time,
     }
-
-
-def _deleted_trigrams(examples: Sequence[ReaderExample]) -> frozenset[str]:
-    """Collect deleted trigrams that begin with a negation, condition or the like: "if you could".
-
-    Not those with object names or prohibitions, as in "don't go anywhere".
-    """
-    trigrams = set()
-    for ex in examples:
-        sentence = ReaderSentence(ex.words, ex.names)
-        for index, label in enumerate(ex.labels):
-            classes = sentence.classes[index]
-            following = range(index + 1, min(index + 3, len(ex.words)))
-            names = any(sentence.is_name[i] or "det" in sentence.classes[i] for i in following)
-            forbids = "refused:negation" in classes and any(
-                sentence.is_verb(i) or not WORDS["impossible"].isdisjoint(sentence.classes[i])
-                for i in following
-            )
-            is_telling = not _REFUSAL_CUES.isdisjoint(classes)
-            if label == DELETE and is_telling and not (names or forbids):
-                trigrams.add(" ".join(ex.words[index : index + 3]))
-    return frozenset(trigrams)
 
 
 def _batches(
@@ -342,3 +330,21 @@ def _fit(
             losses.append(loss)
     weights = weights._replace(transition=weights.transition + mask)
     return jax.tree.map(np.asarray, weights), float(np.mean(losses))
+
+
+def fit_acceptance(
+    features: Sequence[Mapping[str, float]], is_right: np.ndarray
+) -> dict[str, float]:
+    """Fit a logistic model, with an L2 penalty, of whether rewritings are right, bool[N]."""
+    counts = Counter(name for row in features for name in row)
+    names = sorted(name for name, count in counts.items() if count >= _MIN_JUDGED)
+    matrix = scipy.sparse.csr_matrix([[row.get(name, 0.0) for name in names] for row in features])
+
+    def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
+        log_odds = matrix @ weights
+        value = np.logaddexp(0.0, log_odds).sum() - log_odds[is_right].sum()
+        gradient = matrix.T @ (expit(log_odds) - is_right)
+        return value + 0.5 * _ACCEPTANCE_L2 * weights @ weights, gradient + _ACCEPTANCE_L2 * weights
+
+    found = minimize(loss, np.zeros(len(names)), jac=True, method="L-BFGS-B")
+    return dict(zip(names, np.round(found.x, 3).tolist(), strict=True))

@@ -17,16 +17,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.grounding.binding import Detector
+from jaxlangnav.grounding.instruction import GroundingModel, understand_parse
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
     BEHAVIOR_KINDS,
     CorrespondenceModel,
     Vocabulary,
 )
+from jaxlangnav.grounding.rewrites import meaning_key
 from jaxlangnav.grounding.search import BEAM_WIDTH
+from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
-from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.lexicon import is_reserved, load_lexicon
+from jaxlangnav.language.parser import acceptance_features, parse_rewritings, parse_verbatim
+from jaxlangnav.language.phrase import LanguageError, Parse
+from jaxlangnav.language.reader.model import ReaderModel
 from jaxlangnav.training.examples import (
     Design,
     LabelledInstruction,
@@ -35,6 +41,13 @@ from jaxlangnav.training.examples import (
     labelled_instruction,
 )
 from jaxlangnav.training.fit import build_design, fit
+from jaxlangnav.training.reader import (
+    CorpusLine,
+    ReaderConfig,
+    fit_acceptance,
+    label_lines,
+    train_reader,
+)
 from jaxlangnav.training.scoring import (
     Scores,
     calibration_error,
@@ -247,3 +260,75 @@ def _train_model(
             "calibration_error": round(calibration_error(after), 4),
         }
     return dataclasses.replace(full, temperature=temperature), report
+
+
+# ---------------------------------------------------------------- the reader
+
+_BLOCK = 2200
+"""Lines of a corpus that are held out together: neighbours are of one author and one kind."""
+_NUM_FOLDS = 3
+"""Every third block is held out, the first ones or the second ones."""
+_JUDGED = 3
+"""Of the lines held out, one in so many is read."""
+
+
+def train_shipped_reader(
+    rows: Sequence[CorpusLine],
+    on_progress: Callable[[str], None],
+    config: ReaderConfig | None = None,
+) -> tuple[ReaderModel, dict[str, Any]]:
+    """Train a reader, and the acceptance of its rewritings on what such readers had not seen.
+
+    Returns:
+        The reader, and a report as of ``train_reader`` with ``judged``, the number of sentences
+        that the acceptance was fitted to, and ``judged_right``, those that were read right.
+
+    Raises:
+        ValueError: too few sentences to learn from.
+    """
+    config = ReaderConfig() if config is None else config
+    grounding, judged = load_shipped(), []
+    for fold in range(2):
+        on_progress(f"reading lines that are held out, part {fold + 1} of 2")
+        held = [row for i, row in enumerate(rows) if i // _BLOCK % _NUM_FOLDS == fold]
+        rest = [row for i, row in enumerate(rows) if i // _BLOCK % _NUM_FOLDS != fold]
+        reader, _ = train_reader(label_lines(rest), config=config)
+        judgements = (_judge(row, reader, grounding) for row in held[::_JUDGED])
+        judged += [judgement for judgement in judgements if judgement is not None]
+    on_progress("training on all lines")
+    model, report = train_reader(label_lines(rows), config=config)
+    is_right = np.array([right for _, right in judged])
+    acceptance = fit_acceptance([features for features, _ in judged], is_right)
+    report |= {"judged": len(judged), "judged_right": int(is_right.sum())}
+    return dataclasses.replace(model, acceptance=acceptance), report
+
+
+def _judge(
+    row: CorpusLine, reader: ReaderModel, grounding: GroundingModel
+) -> tuple[dict[str, float], bool] | None:
+    """Judge the likeliest rewriting of a sentence; None if the grammar reads it, or nothing."""
+    names = (name for name in row.names if not is_reserved(name))
+    detector = Detector(tuple(dict.fromkeys((*grounding.type_names, *names))))
+    labels = detector.plain_labels
+
+    def meaning(tree: Parse) -> tuple[Any, ...]:
+        understood = understand_parse(tree, grounding, detector)
+        if int(understood.instruction.num_clauses):
+            understood.check_task(is_first=True)
+        metres = np.round(np.asarray(understood.instruction.metres), 2).tolist()
+        return (*meaning_key(understood.instruction), *metres)
+
+    try:
+        parse_verbatim(row.text, labels)
+    except LanguageError as error:
+        rewritings = [] if error.position is None else parse_rewritings(row.text, labels, reader)
+    else:
+        return None
+    try:
+        expected = None if row.read is None else meaning(parse_verbatim(row.read, labels))
+        if not rewritings:
+            return None
+        read = meaning(rewritings[0].parse)
+    except ValueError:
+        return None
+    return acceptance_features(rewritings), read == expected

@@ -10,12 +10,13 @@ must be refused has ``X`` throughout.
 import itertools
 import json
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.special import expit
 
 from jaxlangnav.inputs.arrays import as_value_error, open_arrays, read_floats, read_text_entry
 from jaxlangnav.inputs.atomic_files import read_file, replacing
@@ -40,16 +41,21 @@ class ReaderModel:
     features: tuple[str, ...]
     labels: tuple[str, ...]
     seen: frozenset[tuple[str, str]]  # (word, label) of the training data, for replacements
-    left_out: frozenset[str]  # deleted trigrams of the training data
     met: frozenset[str]  # edited spans with their replacement, of the training data
     emission: np.ndarray  # f32[F, L]
     transition: np.ndarray  # f32[L, L]
     begin: np.ndarray  # f32[L]
     end: np.ndarray  # f32[L]
+    acceptance: Mapping[str, float]  # weights of features of a rewriting
 
     @cached_property
     def _index(self) -> dict[str, int]:
         return {name: index for index, name in enumerate(self.features)}
+
+    def accept(self, features: Mapping[str, float]) -> float:
+        """Compute the probability that a rewriting with these features means what was said."""
+        log_odds = sum(self.acceptance.get(name, 0.0) * value for name, value in features.items())
+        return float(expit(log_odds))
 
     def scores(self, words: Sequence[str], names: Collection[str]) -> np.ndarray:
         """Compute emission scores of each word's labels; ``names`` are the detector's labels.
@@ -124,7 +130,8 @@ def find_best(
 def save_reader(path: Path, model: ReaderModel, *, command: str) -> None:
     """Write a reader atomically to an ``.npz`` file; ``command`` is the training command."""
     about = {"command": command, "features": model.features, "labels": model.labels}
-    about |= {name: sorted(getattr(model, name)) for name in ("seen", "left_out", "met")}
+    about["acceptance"] = dict(model.acceptance)
+    about |= {name: sorted(getattr(model, name)) for name in ("seen", "met")}
     edges = np.stack([model.begin, model.end])
     with replacing(path) as temporary:
         np.savez_compressed(
@@ -143,7 +150,7 @@ def _read(content: bytes) -> ReaderModel:
         features, labels = tuple(about["features"]), tuple(about["labels"])
         if not (0 < len(features) <= _MAX_FEATURES and 0 < len(labels) <= _MAX_LABELS):
             raise ValueError(f"{len(features)} features and {len(labels)} labels")
-        names = (*features, *labels, *about["left_out"], *about["met"])
+        names = (*features, *labels, *about["met"], *about["acceptance"])
         if any(type(name) is not str for name in names):
             raise ValueError("a name is no text")
         edges = read_floats(archive, "transition", (len(labels) + 2, len(labels)))
@@ -151,12 +158,12 @@ def _read(content: bytes) -> ReaderModel:
             features=features,
             labels=labels,
             seen=frozenset((str(word), str(label)) for word, label in about["seen"]),
-            left_out=frozenset(about["left_out"]),
             met=frozenset(about["met"]),
             emission=read_floats(archive, "emission", (len(features), len(labels))),
             transition=edges[:-2],
             begin=edges[-2],
             end=edges[-1],
+            acceptance={name: float(w) for name, w in about["acceptance"].items()},
         )
 
 

@@ -1,33 +1,34 @@
 """Rewritings of free speech in the controlled language, with probabilities (ours).
 
-The reader labels words; a labelling is a sentence of the controlled language, or a refusal. Words
-may be deleted only if they can neither select an object nor reverse the meaning: that is checked
-for each labelling by rules, and labellings that fail must be more probable.
+The reader labels words; a labelling is a sentence of the controlled language, or a refusal. How
+likely a rewriting is to mean what was said is judged by a second model, a logistic one, on features
+of its edits: the CRF is too sure of words that it does not know.
+
+    p(right) = σ(Σ_k w_k f_k)
 """
 
 import itertools
 import math
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from jaxlangnav.language.lexicon import WORDS, load_lexicon
+from jaxlangnav.language.lexicon import WORDS
 from jaxlangnav.language.measured import is_quantity
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.reader.features import (
     NAME,
-    PATH_WORD,
     PREPOSITION,
-    SIGN,
     ReaderSentence,
     find_relations,
 )
 from jaxlangnav.language.reader.model import (
-    COMMAND_VERBS,
     DELETE,
     KEEP,
     REJECT,
+    ReaderModel,
     find_best,
     load_reader,
     log_partition,
@@ -38,11 +39,7 @@ from jaxlangnav.relations.table import REGISTRY
 
 _NUM_LABELLINGS = 30
 """Number of labellings that are checked."""
-_MAX_VERBATIM = 0.9
-"""Limit on the probability of the unparsable verbatim sentence, in renormalising the others."""
-_CHOOSING = WORDS["choosing"] | {SIGN}  # "cone 3"
-_OPERATORS = WORDS["contrary"] | _CHOOSING
-"""Classes of words that negate or select an object."""
+_SMALL = 1e-6  # smaller probabilities count as this in logarithms
 
 
 class Proposal(NamedTuple):
@@ -52,16 +49,15 @@ class Proposal(NamedTuple):
     tokens: tuple[RawToken, ...]
     left_out: tuple[str, ...]
     changes: tuple[tuple[str, str], ...]  # (as said, as read)
-    is_safe: bool = True  # its edits were met in training, or cannot turn the meaning
+    features: Mapping[str, float]  # of its edits
 
 
 @dataclass(frozen=True)
 class Labelling:
-    """A labelled sentence, with the rules that decide whether its edits are safe."""
+    """A labelled sentence and its edits."""
 
     sentence: ReaderSentence
     labels: tuple[str, ...]
-    seen: frozenset[str] = frozenset()  # deleted trigrams of the training data
     met: frozenset[str] = frozenset()  # edited spans of the training data
 
     @cached_property
@@ -93,38 +89,25 @@ class Labelling:
         clause = self.sentence.clauses[self.sentence.clause[index]]
         return all(self.labels[i] == DELETE and not self.sentence.is_name[i] for i in clause)
 
-    @cached_property
-    def _kept_names(self) -> frozenset[int]:
-        """Indices of kept words of object names."""
-        return frozenset(
-            i for i, is_kept in enumerate(self.kept) if is_kept and self.sentence.is_name[i]
-        )
-
-    def _has_dangling_pronoun(self) -> bool:
-        """Check whether a kept pronoun may refer to an object of a deleted clause."""
-        words, size = self.sentence.words, len(self.labels)
-        first = next((i for i in range(size) if not self.kept[i] and self.is_deleted(i)), size)
-        return any(
-            not any(name < index for name in self._kept_names)
-            or words[index - 1] in WORDS["sought"]
-            for index in range(first + 1, size)
-            if self.kept[index] and words[index] in WORDS["pointing"]
-        )
-
     def is_seen(self) -> bool:
         """Check whether every edited span occurs in the training data."""
         return self.met.issuperset(map(self.span_key, self.runs))
 
-    def _is_attested(self) -> bool:
-        """Check that words are put only in place of what training has them for, or "go", "stop"."""
-        return self._is_faithful() and all(
-            self.span_key(run) in self.met or COMMAND_VERBS.issuperset(self._replacements(run))
-            for run in self.runs
-        )
+    def is_faithful(self) -> bool:
+        """Check what no probability makes up for.
 
-    def _is_faithful(self) -> bool:
-        """Check that no quantity is halved, and relations are replaced by their converse only."""
-        return not any(map(self._splits_quantity, self.runs)) and all(
+        No condition and, but with its whole clause, no negation is deleted otherwise than in
+        training; no quantity is halved; relations are replaced by their converse only.
+        """
+        words, classes = self.sentence.words, self.sentence.classes
+        deleted = (i for run in self.runs if self.span_key(run) not in self.met for i in run)
+        is_contrary = any(
+            words[i] in WORDS["conditions"]
+            or not (self.is_deleted(i) or WORDS["contrary"].isdisjoint(classes[i]))
+            for i in deleted
+            if self.labels[i] == DELETE
+        )
+        return not (is_contrary or any(map(self._splits_quantity, self.runs))) and all(
             self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "="
         )
 
@@ -137,101 +120,31 @@ class Labelling:
         edges = ((*before, *inner[:1]), (*inner[-1:], *after))
         return any(len(edge) == 2 and all(map(is_quantity, edge)) for edge in edges)
 
-    @cached_property
-    def _unmet(self) -> list[range]:
-        """Edited spans that training did not have."""
-        return [run for run in self.runs if self.span_key(run) not in self.met]
-
-    def _is_lost(self, index: int) -> bool:
-        """Check whether a deleted word is, or may be, an object of which no name is kept."""
-        kept = {singular(self.sentence.words[i]) for i in self._kept_names}
-        is_named = self.sentence.is_name[index] and singular(self.sentence.words[index]) not in kept
-        return is_named or self._may_be_object(index)
-
-    def keeps_operators(self) -> bool:
-        """Check that no word that negates, sets a condition or chooses is deleted, nor an object.
-
-        Words of a replaced span and of whole clauses may go, but no object beside one that is kept.
-        """
-        words, classes = self.sentence.words, self.sentence.classes
-        deleted = [(run, i) for run in self._unmet for i in run if self.labels[i] == DELETE]
-        for span, index in deleted:
-            is_replaced = any(self._replacements(span))
-            clause = self.sentence.clauses[self.sentence.clause[index]]
-            is_chosen = words[index] in WORDS["conditions"] or not (
-                _OPERATORS.isdisjoint(classes[index]) or self.is_deleted(index)
-            )
-            if (is_chosen and not is_replaced) or (
-                self._is_lost(index) and (is_replaced or not self._kept_names.isdisjoint(clause))
-            ):
-                return False
-        return self._is_faithful()
-
-    def is_safe(self) -> bool:
-        """Check that deleted words not met in training neither select a thing nor negate."""
-        touched = {self.sentence.clause[i] for run in self._unmet for i in run}
-        return (
-            self._is_attested()
-            and all(self._keeps_verb(self.sentence.clauses[k]) for k in touched)
-            and all(map(self._is_span_safe, self._unmet))
-            and not self._has_dangling_pronoun()
-        )
-
-    def _is_span_safe(self, run: range) -> bool:
-        words, is_name, classes = self.sentence.words, self.sentence.is_name, self.sentence.classes
-        named = [i for i in run if is_name[i]]
-        end = max((i for i in run if words[i] in WORDS["undoing"]), default=run.start)
-        is_undone = any(is_name[i] or self._may_be_object(i) for i in range(run.start, end))
-        if named and not is_undone:
-            kept = {singular(words[i]) for i in self._kept_names}
-            is_chosen = any(not _CHOOSING.isdisjoint(classes[i]) for i in run)
-            if is_chosen or not kept.issuperset(singular(words[i]) for i in named):
-                return False
-        # Without the words between, two names would be read as one.
-        beside = is_name[run.start - 1 : run.start] + is_name[run.stop : run.stop + 1]
-        if beside == (True, True) and self.labels[run.start] == DELETE and not is_undone:
-            return False
-        is_refused = any(
-            words[i : min(i + len(key), run.stop)] == key and not (is_undone or self.is_deleted(i))
-            for i in run
-            for key in load_lexicon().refused_expressions  # "a bit"
-        )
-        return not is_refused and all(self._is_word_safe(i, is_undone=is_undone) for i in run)
-
-    def _is_word_safe(self, index: int, *, is_undone: bool) -> bool:
-        """Check whether a single word may be deleted or replaced."""
-        classes, word = self.sentence.classes[index], self.sentence.words[index]
-        if " ".join(self.sentence.words[index : index + 3]) in self.seen:
-            return True
-        if not WORDS["contrary"].isdisjoint(classes):
-            is_removed = word not in WORDS["conditions"] and self.is_deleted(index)
-            return is_removed or (is_undone and word == "no")
-        if not WORDS["impossible"].isdisjoint(classes) and WORDS["idle"].isdisjoint(classes):
-            if self.labels[index] != DELETE:
-                return True
-            # A clause about somebody's actions is no command.
-            clause = self.sentence.clauses[self.sentence.clause[index]]
-            words = [self.sentence.words[i] for i in clause]
-            first = next((w for w in words if w not in WORDS["calls"]), "")
-            tells = first.split("'")[0] in WORDS["subjects"] and "you" not in words
-            return tells and self.is_deleted(index)
-        if is_undone:
-            return True
-        if {PREPOSITION, PATH_WORD} & set(classes) and self._is_object_kept(index):
-            # A verb before it may replace the expression: "over to the".
-            before = next((tag for tag in self.labels[index::-1] if tag != DELETE), KEEP)
-            return PATH_WORD not in classes and before[0] != KEEP
-        if self.labels[index] != DELETE:
-            return True
-        is_choosing = not _CHOOSING.isdisjoint(classes) or word in WORDS["degrees"]
-        is_moved = any(label == f"{KEEP}>{word}" for label in self.labels)
-        is_idle = self.is_deleted(index) and "manner" not in classes
-        return is_moved or is_idle or not (is_choosing or self._may_be_object(index))
-
-    def _may_be_object(self, index: int) -> bool:
-        """Check whether an unknown word may be an object: it follows an article."""
-        is_unknown = self.sentence.classes[index][0][0] == "?"
-        return is_unknown and self.sentence.words[max(index - 1, 0)] in WORDS["articles"]
+    def edit_features(self) -> Counter[str]:
+        """Count the words that are deleted or replaced otherwise than in training, by class."""
+        sentence, counts = self.sentence, Counter[str]()
+        words, classes, is_name = sentence.words, sentence.classes, sentence.is_name
+        kept = [i for i, is_kept in enumerate(self.kept) if is_kept]
+        names = {singular(words[i]) for i in kept if is_name[i]}
+        for run in self.runs:
+            if self.span_key(run) in self.met:
+                counts["met"] += 1
+                continue
+            counts["unmet"] += 1
+            counts["inserted"] += any(self.labels[i] != DELETE for i in run)
+            for i in run:
+                edit = "word" if self.labels[i] == DELETE else "replaced"
+                edit = "clause" if self.is_deleted(i) else edit
+                counts.update(f"{edit} {name}" for name in ("", f"={words[i]}", *classes[i]))
+                counts["name lost"] += is_name[i] and singular(words[i]) not in names
+                is_noun = words[max(i - 1, 0)] in WORDS["articles"] and classes[i][0][0] == "?"
+                counts["noun lost"] += is_noun
+                counts["verb lost"] += sentence.is_verb(i) and not is_name[i]
+        is_ordered = any(sentence.is_verb(i) and not is_name[i] for i in kept)
+        counts["bare"] += not is_ordered and {KEEP, DELETE}.issuperset(self.labels)
+        counts["bare, verb lost"] += counts["bare"] * (counts["verb lost"] > 0)
+        counts["names"] += sum(is_name[i] for i in kept)
+        return counts
 
     def _is_converse(self, index: int) -> bool:
         """Check that a relation replacing "with" or "that's" is the converse of the deleted one."""
@@ -245,31 +158,7 @@ class Labelling:
         is_free = binding.isdisjoint(self.sentence.classes[index])
         return is_free or new <= {REGISTRY[relation].converse for relation in deleted}
 
-    def _is_object_kept(self, index: int) -> bool:
-        """Check whether the name after a preposition is kept."""
-        ahead = range(index + 1, len(self.labels))
-        first = next((i for i in ahead if "det" not in self.sentence.classes[i]), index)
-        return self.kept[first] and self.sentence.is_name[first]
-
-    def _keeps_verb(self, clause: Sequence[int]) -> bool:
-        """Check that the kept words of a clause are more than an object name without a verb."""
-        sentence, kept = self.sentence, [i for i in clause if self.kept[i]]
-        return (
-            not any(sentence.is_name[i] for i in kept)
-            or any(self.labels[i] not in (KEEP, DELETE) for i in clause)
-            or any(
-                sentence.is_verb(i) or not WORDS["telling"].isdisjoint(sentence.classes[i])
-                for i in kept
-                if not sentence.is_name[i]
-            )
-            or all(
-                self.kept[i] or not WORDS["idle"].isdisjoint(sentence.classes[i]) for i in clause
-            )
-        )
-
-    def proposal(
-        self, tokens: Sequence[RawToken], probability: float, *, is_safe: bool
-    ) -> Proposal:
+    def proposal(self, tokens: Sequence[RawToken], probability: float) -> Proposal:
         """Build the rewritten sentence, with the list of its edits."""
         output: list[RawToken] = []
         last = {i: tokens[run[-1]].position for run in self.runs for i in run}
@@ -293,12 +182,16 @@ class Labelling:
             tokens=tuple(strip_marks(output)),
             left_out=tuple(source for source, target in edits if source and not target),
             changes=tuple(edit for edit in edits if edit[1]),
-            is_safe=is_safe,
+            features=self.edit_features(),
         )
 
 
 def propose_readings(
-    tokens: Sequence[RawToken], labels: Collection[str] = (), *, is_readable: bool = False
+    tokens: Sequence[RawToken],
+    labels: Collection[str] = (),
+    *,
+    is_readable: bool = False,
+    model: ReaderModel | None = None,
 ) -> list[Proposal]:
     """Propose rewritings of free speech in the controlled language, with probabilities.
 
@@ -306,43 +199,61 @@ def propose_readings(
         tokens: words and marks with corrected spelling; at least one.
         labels: labels of the detector.
         is_readable: the sentence can be parsed verbatim, and is proposed among the others, or
-            alone if its probability is at least 0.5.
+            alone if its probability is at least 0.5; the others have edits of the training only.
+        model: the reader; that of ``load_reader`` by default.
 
     Returns:
-        The likeliest rewritings, best first, conditioned on not being verbatim unless
-        ``is_readable``. The remaining probability is that of refusal or unlikely rewritings.
+        The likeliest rewritings, best first. The remaining probability is that of refusal, of the
+        verbatim sentence, or of unlikely rewritings.
     """
-    model = load_reader()
+    model = load_reader() if model is None else model
     sentence = ReaderSentence(tuple(token.text for token in tokens), frozenset(labels))
     scores = model.scores(sentence.words, sentence.labels)
     log_total = log_partition(scores, model.transition)
-    kept = model.labels.index(KEEP)
-    moves = (len(scores) - 1) * model.transition[kept, kept]
-    p_verbatim = math.exp(scores[:, kept].sum() + moves - log_total)
+
+    def probability(label: str) -> float:
+        """Compute the probability that all words have one label."""
+        if label not in model.labels:
+            return 0.0
+        index = model.labels.index(label)
+        moves = (len(scores) - 1) * model.transition[index, index]
+        return math.exp(scores[:, index].sum() + moves - log_total)
+
+    p_verbatim, p_refused = map(probability, (KEEP, REJECT))
     proposals: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
-        verbatim = Proposal(probability=p_verbatim, tokens=tuple(tokens), left_out=(), changes=())
+        verbatim = Proposal(p_verbatim, tuple(tokens), (), (), {})
         proposals[sentence.words] = verbatim
         if p_verbatim >= 0.5:
             return [verbatim]
-    else:
-        log_total += math.log1p(-min(p_verbatim, _MAX_VERBATIM))
     scores += replacement_mask(model, sentence)
     for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
-        names = tuple(model.labels[i] for i in path)
-        labelled = Labelling(sentence, names, model.left_out, model.met)
-        is_safe = labelled.is_seen() if is_readable else labelled.is_safe()
-        is_possible = is_safe or (not is_readable and labelled.keeps_operators())
-        if names[0] == REJECT or not is_possible:
+        labelled = Labelling(sentence, tuple(model.labels[i] for i in path), model.met)
+        is_refused = labelled.labels[0] == REJECT or not labelled.is_faithful()
+        if is_refused or (is_readable and not labelled.is_seen()):
             continue
-        proposal = labelled.proposal(tokens, math.exp(score - log_total), is_safe=is_safe)
+        proposal = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in proposal.tokens)
         if not words or words == sentence.words:
             continue
         if previous := proposals.get(words):
-            proposal = previous._replace(
-                probability=previous.probability + proposal.probability,
-                is_safe=previous.is_safe or is_safe,
-            )
-        proposals[words] = proposal
-    return sorted(proposals.values(), key=lambda p: -p.probability)
+            total = previous.probability + proposal.probability
+            proposals[words] = previous._replace(probability=total)
+        else:
+            proposals[words] = proposal
+    total = sum(proposal.probability for proposal in proposals.values())
+    about = {
+        "words": 0.1 * len(sentence.words),
+        "verbatim": safe_log(p_verbatim),
+        "refused": safe_log(p_refused),
+        "rest": math.log(max(1.0 - total, 1e-3)),
+    }
+    return [
+        proposal._replace(features={**proposal.features, **about})
+        for proposal in sorted(proposals.values(), key=lambda p: -p.probability)
+    ]
+
+
+def safe_log(probability: float) -> float:
+    """Compute the logarithm of a probability, at least that of ``_SMALL``."""
+    return math.log(max(probability, _SMALL))
