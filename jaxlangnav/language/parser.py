@@ -245,7 +245,7 @@ def acceptance_features(rewritings: Sequence[Rewriting]) -> dict[str, float]:
     log_p = safe_log(best.probability)
     return {
         **best.proposal.features,
-        "": 1.0,
+        "bias": 1.0,
         "log p": log_p,
         "log p squared": 0.2 * log_p**2,
         "log ratio": log_p - safe_log(second[0].probability if second else 0.0),

@@ -40,7 +40,7 @@ _SMALL_TALK_RATE = 0.3  # probability of adding small talk to a verbatim sentenc
 _IMPOSSIBLE = -1e4  # log score of an impossible transition
 _TINY = 1e-30  # added before the logarithm of a sum that may underflow
 _MIN_JUDGED = 5  # features of the acceptance that fewer sentences have are dropped
-_ACCEPTANCE_L2 = 5.0
+_ACCEPTANCE_L2 = 10.0
 _PADDING = 8  # lengths are rounded up to a multiple of this, to limit compilations
 
 

@@ -96,18 +96,14 @@ class Labelling:
     def is_faithful(self) -> bool:
         """Check what no probability makes up for.
 
-        No condition and, but with its whole clause, no negation is deleted otherwise than in
-        training; no quantity is halved; relations are replaced by their converse only.
+        No clause with a condition is deleted otherwise than in training; no quantity is halved;
+        relations are replaced by their converse only.
         """
-        words, classes = self.sentence.words, self.sentence.classes
-        deleted = (i for run in self.runs if self.span_key(run) not in self.met for i in run)
-        is_contrary = any(
-            words[i] in WORDS["conditions"]
-            or not (self.is_deleted(i) or WORDS["contrary"].isdisjoint(classes[i]))
-            for i in deleted
-            if self.labels[i] == DELETE
-        )
-        return not (is_contrary or any(map(self._splits_quantity, self.runs))) and all(
+        words = self.sentence.words
+        unmet = (run for run in self.runs if self.span_key(run) not in self.met)
+        if any(words[i] in WORDS["conditions"] and self.is_deleted(i) for run in unmet for i in run):
+            return False
+        return not any(map(self._splits_quantity, self.runs)) and all(
             self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "="
         )
 
