@@ -64,7 +64,7 @@ _CARRY_REQUEST = re.compile(
 """Requests to carry an object mentioned before, which no robot here can do."""
 
 
-class _Sentence:
+class Sentence:
     """A sentence text with corrected spelling."""
 
     def __init__(
@@ -164,7 +164,7 @@ def split_text(text: str, labels: Collection[str] = ()) -> list[RawToken]:
     Raises:
         LanguageError: it has too many words or characters.
     """
-    return _Sentence(text, labels).tokens
+    return Sentence(text, labels).tokens
 
 
 def parse(
@@ -196,24 +196,24 @@ def parse(
         raise LanguageError(f"the instruction is of type {type(text).__name__}, but must be a text")
     if len(text) > MAX_CHARACTERS:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
-    sentence = _Sentence(text, labels, earlier)
+    sentence = Sentence(text, labels, earlier)
     if not sentence.tokens:
         raise LanguageError("the instruction is empty")
     if not is_rewritten:
-        return _parse_tokens(sentence, sentence.tokens, is_measured=False)
+        return parse_tokens(sentence, sentence.tokens, is_measured=False)
     try:
-        verbatim = _parse_tokens(sentence, sentence.tokens)
+        verbatim = parse_tokens(sentence, sentence.tokens)
     except LanguageError as error:
         if error.position is None:
             raise
-        rewritings = _parse_rewritings(sentence)
+        rewritings = parse_rewritings(sentence)
         if (
             not rewritings
             or load_reader().accept(acceptance_features(rewritings)) < least_probability
         ):
             raise
         return rewritings[0].parse
-    likeliest = _parse_rewritings(sentence, verbatim)[0]
+    likeliest = parse_rewritings(sentence, verbatim)[0]
     return likeliest.parse if likeliest.probability >= MIN_OVERRULE else verbatim
 
 
@@ -223,17 +223,6 @@ class Rewriting(NamedTuple):
     probability: float  # by the reader, of all its wordings
     parse: Parse
     proposal: Proposal  # its likeliest wording
-
-
-def parse_verbatim(text: str, labels: Collection[str]) -> Parse:
-    """Parse a sentence by the grammar alone, with distances; raises ``LanguageError``."""
-    sentence = _Sentence(text, labels)
-    return _parse_tokens(sentence, sentence.tokens)
-
-
-def parse_rewritings(text: str, labels: Collection[str], reader: ReaderModel) -> list[Rewriting]:
-    """Parse what a reader makes of a sentence, the likeliest meaning first."""
-    return _parse_rewritings(_Sentence(text, labels), reader=reader)
 
 
 def acceptance_features(rewritings: Sequence[Rewriting]) -> dict[str, float]:
@@ -254,8 +243,8 @@ def acceptance_features(rewritings: Sequence[Rewriting]) -> dict[str, float]:
     }
 
 
-def _parse_rewritings(
-    sentence: _Sentence, verbatim: Parse | None = None, *, reader: ReaderModel | None = None
+def parse_rewritings(
+    sentence: Sentence, verbatim: Parse | None = None, *, reader: ReaderModel | None = None
 ) -> list[Rewriting]:
     """Parse the reader's proposals, and sum the probabilities of those of one meaning."""
     options: dict[str, Any] = {"is_readable": verbatim is not None, "model": reader}
@@ -269,7 +258,7 @@ def _parse_rewritings(
         parsed = verbatim
         if parsed is None or list(proposal.tokens) != sentence.tokens:
             try:
-                parsed = _parse_tokens(sentence, list(proposal.tokens), is_located=False)
+                parsed = parse_tokens(sentence, list(proposal.tokens), is_located=False)
             except LanguageError:
                 continue
             parsed = replace(parsed, rewrites=proposal.changes, unread=proposal.left_out)
@@ -289,10 +278,10 @@ def _meaning(phrase: Phrase) -> tuple[Any, ...]:
     return (*sorted(senses), *children) if senses or len(children) != 1 else children[0]
 
 
-def _parse_tokens(
-    sentence: _Sentence, words: list[RawToken], *, is_measured: bool = True, is_located: bool = True
+def parse_tokens(
+    sentence: Sentence, words: list[RawToken], *, is_measured: bool = True, is_located: bool = True
 ) -> Parse:
-    """Parse the tokens of an instruction; ``is_located``: locate the cause of a failure."""
+    """Parse tokens by the grammar alone; ``is_located``: locate the cause of a failure."""
     spoken, measures = split_measures(words) if is_measured else (words, [])
     _check_symbols(spoken)
     tokens = join_nouns([_to_token(token) for token in spoken], sentence.labels)

@@ -101,7 +101,9 @@ class Labelling:
         """
         words = self.sentence.words
         unmet = (run for run in self.runs if self.span_key(run) not in self.met)
-        if any(words[i] in WORDS["conditions"] and self.is_deleted(i) for run in unmet for i in run):
+        if any(
+            words[i] in WORDS["conditions"] and self.is_deleted(i) for run in unmet for i in run
+        ):
             return False
         return not any(map(self._splits_quantity, self.runs)) and all(
             self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "="
