@@ -47,6 +47,8 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # unknown words; more have very many trees
 MAX_PROPOSALS = 8
 """Number of rewritings of a sentence that are parsed, likeliest first."""
+_MIN_LIKELIHOOD = 0.03
+"""Minimum probability of a rewriting by the reader, however well its edits are judged."""
 MIN_OVERRULE = 0.7
 """Minimum probability of a rewriting to replace the verbatim reading."""
 _IGNORED_SIGNS = set("\"'[]*`“”")
@@ -207,10 +209,9 @@ def parse(
         if error.position is None:
             raise
         rewritings = parse_rewritings(sentence)
-        if (
-            not rewritings
-            or load_reader().accept(acceptance_features(rewritings)) < least_probability
-        ):
+        if not rewritings or rewritings[0].probability < _MIN_LIKELIHOOD:
+            raise
+        if load_reader().accept(acceptance_features(rewritings)) < least_probability:
             raise
         return rewritings[0].parse
     likeliest = parse_rewritings(sentence, verbatim)[0]
@@ -236,9 +237,7 @@ def acceptance_features(rewritings: Sequence[Rewriting]) -> dict[str, float]:
         **best.proposal.features,
         "bias": 1.0,
         "log p": log_p,
-        "log p squared": 0.2 * log_p**2,
         "log ratio": log_p - safe_log(second[0].probability if second else 0.0),
-        "log share": safe_log(best.proposal.probability) - log_p,
         "log other": math.log(max(1.0 - best.probability, 1e-3)),
     }
 

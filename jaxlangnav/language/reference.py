@@ -131,10 +131,10 @@ def _with_senses(phrase: Phrase, word: Word, senses: tuple[str, ...]) -> Phrase:
 
 
 def _is_definite(leaf: Phrase) -> bool:
-    """Check for a definite singular noun phrase ("the cone") without "other"."""
-    is_definite = any(word.text in ("the", "that", "this") for word in leaf.words)
+    """Check for a definite singular noun phrase ("the cone", "cone") without "other"."""
+    determiners = {word.text for word in leaf.words if word.tag == "DT"}
     is_other = leaf.has_sense("other", "anaphor", "place", SAME)
-    return is_definite and leaf.words[-1].tag == "NN" and not is_other
+    return determiners <= {"the", "that", "this"} and leaf.words[-1].tag == "NN" and not is_other
 
 
 def _modifiers(statement: Phrase) -> tuple[Phrase, ...]:

@@ -120,28 +120,18 @@ class Labelling:
 
     def edit_features(self) -> Counter[str]:
         """Count the words that are deleted or replaced otherwise than in training, by class."""
-        sentence, counts = self.sentence, Counter[str]()
-        words, classes, is_name = sentence.words, sentence.classes, sentence.is_name
-        kept = [i for i, is_kept in enumerate(self.kept) if is_kept]
-        names = {singular(words[i]) for i in kept if is_name[i]}
+        words, classes, is_name = self.sentence.words, self.sentence.classes, self.sentence.is_name
+        kept = [singular(words[i]) for i, label in enumerate(self.kept) if label and is_name[i]]
+        counts = Counter({"names": len(kept)})
         for run in self.runs:
             if self.span_key(run) in self.met:
-                counts["met"] += 1
                 continue
             counts["unmet"] += 1
-            counts["inserted"] += any(self.labels[i] != DELETE for i in run)
             for i in run:
                 edit = "word" if self.labels[i] == DELETE else "replaced"
                 edit = "clause" if self.is_deleted(i) else edit
-                counts.update(f"{edit} {name}" for name in ("", f"={words[i]}", *classes[i]))
-                counts["name lost"] += is_name[i] and singular(words[i]) not in names
-                is_noun = words[max(i - 1, 0)] in WORDS["articles"] and classes[i][0][0] == "?"
-                counts["noun lost"] += is_noun
-                counts["verb lost"] += sentence.is_verb(i) and not is_name[i]
-        is_ordered = any(sentence.is_verb(i) and not is_name[i] for i in kept)
-        counts["bare"] += not is_ordered and {KEEP, DELETE}.issuperset(self.labels)
-        counts["bare, verb lost"] += counts["bare"] * (counts["verb lost"] > 0)
-        counts["names"] += sum(is_name[i] for i in kept)
+                counts.update(f"{edit} {name}" for name in ("", *classes[i]))
+                counts["name lost"] += is_name[i] and singular(words[i]) not in kept
         return counts
 
     def _is_converse(self, index: int) -> bool:
@@ -217,7 +207,7 @@ def propose_readings(
         moves = (len(scores) - 1) * model.transition[index, index]
         return math.exp(scores[:, index].sum() + moves - log_total)
 
-    p_verbatim, p_refused = map(probability, (KEEP, REJECT))
+    p_verbatim = probability(KEEP)
     proposals: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
         verbatim = Proposal(p_verbatim, tuple(tokens), (), (), {})
@@ -239,13 +229,7 @@ def propose_readings(
             proposals[words] = previous._replace(probability=total)
         else:
             proposals[words] = proposal
-    total = sum(proposal.probability for proposal in proposals.values())
-    about = {
-        "words": 0.1 * len(sentence.words),
-        "verbatim": safe_log(p_verbatim),
-        "refused": safe_log(p_refused),
-        "rest": math.log(max(1.0 - total, 1e-3)),
-    }
+    about = {"words": 0.1 * len(sentence.words), "refused": safe_log(probability(REJECT))}
     return [
         proposal._replace(features={**proposal.features, **about})
         for proposal in sorted(proposals.values(), key=lambda p: -p.probability)
