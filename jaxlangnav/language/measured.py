@@ -96,11 +96,6 @@ def _load_motions() -> tuple[_Motion, ...]:
     )
 
 
-def is_quantity(word: str) -> bool:
-    """Check whether a word is a number, a fraction, a sign of a number or a unit of length."""
-    return word[0].isdigit() or word in _QUANTITIES
-
-
 def _value(text: str) -> float:
     if text[0].isdigit():
         return float(text)

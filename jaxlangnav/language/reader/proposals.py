@@ -15,15 +15,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from jaxlangnav.language.lexicon import WORDS
-from jaxlangnav.language.measured import is_quantity
 from jaxlangnav.language.nouns import singular
-from jaxlangnav.language.reader.features import (
-    NAME,
-    PREPOSITION,
-    ReaderSentence,
-    find_relations,
-)
+from jaxlangnav.language.reader.features import NAME, ReaderSentence
 from jaxlangnav.language.reader.model import (
     DELETE,
     KEEP,
@@ -35,7 +28,6 @@ from jaxlangnav.language.reader.model import (
     replacement_mask,
 )
 from jaxlangnav.language.tokens import MARKS, RawToken, strip_marks
-from jaxlangnav.relations.table import REGISTRY
 
 _NUM_LABELLINGS = 30
 """Number of labellings that are checked."""
@@ -93,31 +85,6 @@ class Labelling:
         """Check whether every edited span occurs in the training data."""
         return self.met.issuperset(map(self.span_key, self.runs))
 
-    def is_faithful(self) -> bool:
-        """Check what no probability makes up for.
-
-        No clause with a condition is deleted otherwise than in training; no quantity is halved;
-        relations are replaced by their converse only.
-        """
-        words = self.sentence.words
-        unmet = (run for run in self.runs if self.span_key(run) not in self.met)
-        if any(
-            words[i] in WORDS["conditions"] and self.is_deleted(i) for run in unmet for i in run
-        ):
-            return False
-        return not any(map(self._splits_quantity, self.runs)) and all(
-            self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "="
-        )
-
-    def _splits_quantity(self, run: range) -> bool:
-        """Check whether a span deletes one part of a quantity: "3 metres and a quarter"."""
-        words = self.sentence.words
-        deleted = [words[i] for i in run if self.labels[i] == DELETE]
-        inner = [word for word in deleted if word not in ("and", "a", "an", "another")]
-        before, after = words[run.start - 1 : run.start], words[run.stop : run.stop + 1]
-        edges = ((*before, *inner[:1]), (*inner[-1:], *after))
-        return any(len(edge) == 2 and all(map(is_quantity, edge)) for edge in edges)
-
     def edit_features(self) -> Counter[str]:
         """Count the words that are deleted or replaced otherwise than in training, by class."""
         words, classes, is_name = self.sentence.words, self.sentence.classes, self.sentence.is_name
@@ -133,18 +100,6 @@ class Labelling:
                 counts.update(f"{edit} {name}" for name in ("", *classes[i]))
                 counts["name lost"] += is_name[i] and singular(words[i]) not in kept
         return counts
-
-    def _is_converse(self, index: int) -> bool:
-        """Check that a relation replacing "with" or "that's" is the converse of the deleted one."""
-        # "The house with the truck in front" is the house behind the truck.
-        new = find_relations(self.labels[index][1:].split())
-        clause = self.sentence.clauses[self.sentence.clause[index]]
-        deleted = find_relations(
-            [self.sentence.words[i] for i in clause if self.labels[i] == DELETE]
-        )
-        binding = {PREPOSITION, *(WORDS["telling"] if deleted else ())}
-        is_free = binding.isdisjoint(self.sentence.classes[index])
-        return is_free or new <= {REGISTRY[relation].converse for relation in deleted}
 
     def proposal(self, tokens: Sequence[RawToken], probability: float) -> Proposal:
         """Build the rewritten sentence, with the list of its edits."""
@@ -217,8 +172,7 @@ def propose_readings(
     scores += replacement_mask(model, sentence)
     for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
         labelled = Labelling(sentence, tuple(model.labels[i] for i in path), model.met)
-        is_refused = labelled.labels[0] == REJECT or not labelled.is_faithful()
-        if is_refused or (is_readable and not labelled.is_seen()):
+        if labelled.labels[0] == REJECT or (is_readable and not labelled.is_seen()):
             continue
         proposal = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in proposal.tokens)
