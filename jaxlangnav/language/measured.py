@@ -68,8 +68,6 @@ def _alternatives(texts: Iterable[str]) -> str:
 _TENS = _alternatives(name for name, value in _NUMBERS.items() if value in range(20, 100, 10))
 _ONES = _alternatives(name for name, value in _NUMBERS.items() if 0 < value < 10)
 _NUMBER = rf"\d+(?:\.\d+)?|(?:{_TENS})[ -](?:{_ONES})|{_alternatives(_NUMBERS)}"
-_FRACTIONS = {"half", "third", "thirds", "quarter", "quarters", "minus", "negative", "point"}
-_QUANTITIES = (_FRACTIONS | _UNITS.keys() | _NUMBERS.keys()) - {"a", "an"}
 _DISTANCE = re.compile(
     r"(?<![^ ])(?:(?P<half>(?:one |a )?half) (?:an? )?|(?P<number>\d+(?:\.\d+)?) ?"
     rf"|(?P<word>{_NUMBER}) )"
