@@ -68,6 +68,8 @@ def _alternatives(texts: Iterable[str]) -> str:
 _TENS = _alternatives(name for name, value in _NUMBERS.items() if value in range(20, 100, 10))
 _ONES = _alternatives(name for name, value in _NUMBERS.items() if 0 < value < 10)
 _NUMBER = rf"\d+(?:\.\d+)?|(?:{_TENS})[ -](?:{_ONES})|{_alternatives(_NUMBERS)}"
+_FRACTIONS = {"half", "third", "thirds", "quarter", "quarters", "minus", "negative", "point"}
+_QUANTITIES = (_FRACTIONS | _UNITS.keys() | _NUMBERS.keys()) - {"a", "an"}
 _DISTANCE = re.compile(
     r"(?<![^ ])(?:(?P<half>(?:one |a )?half) (?:an? )?|(?P<number>\d+(?:\.\d+)?) ?"
     rf"|(?P<word>{_NUMBER}) )"
@@ -92,6 +94,11 @@ def _load_motions() -> tuple[_Motion, ...]:
         _Motion(re.compile(expand(row["said"])), "turn" in row, row.get("turn", row.get("toward")))
         for row in _TABLE["motions"]
     )
+
+
+def is_quantity(word: str) -> bool:
+    """Check whether a word is a number, a fraction, a sign of a number or a unit of length."""
+    return word[0].isdigit() or word in _QUANTITIES
 
 
 def _value(text: str) -> float:

@@ -49,7 +49,7 @@ MAX_PROPOSALS = 8
 """Number of rewritings of a sentence that are parsed, likeliest first."""
 _MIN_LIKELIHOOD = 0.03
 """Minimum probability of a rewriting by the reader, however well its edits are judged."""
-MIN_OVERRULE = 0.7
+MIN_OVERRULE = 0.75
 """Minimum probability of a rewriting to replace the verbatim reading."""
 _IGNORED_SIGNS = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}

@@ -269,18 +269,14 @@ def _train_model(
 
 # ---------------------------------------------------------------- the reader
 
-_BLOCK = 2200
+_MAX_BLOCK = 2200
 """Lines of a corpus that are held out together: neighbours are of one author and one kind."""
-_NUM_FOLDS = 3
-"""Every third block is held out, the first ones or the second ones."""
 _JUDGED = 2
 """Of the lines held out, one in so many is read."""
 
 
 def train_shipped_reader(
-    rows: Sequence[CorpusLine],
-    on_progress: Callable[[str], None],
-    config: ReaderConfig | None = None,
+    rows: Sequence[CorpusLine], on_progress: Callable[[str], None]
 ) -> tuple[ReaderModel, dict[str, Any]]:
     """Train a reader, and the acceptance of its rewritings on what such readers had not seen.
 
@@ -291,20 +287,22 @@ def train_shipped_reader(
     Raises:
         ValueError: too few sentences to learn from.
     """
-    config = ReaderConfig() if config is None else config
-    grounding, judged = load_shipped(), []
+    config, grounding, judged = ReaderConfig(), load_shipped(), []
+    # Of every three blocks the first is held out, then the second.
+    fold_of = np.arange(len(rows)) // min(_MAX_BLOCK, len(rows) // 6 + 1) % 3
     for fold in range(2):
         on_progress(f"reading lines that are held out, part {fold + 1} of 2")
-        held = [row for i, row in enumerate(rows) if i // _BLOCK % _NUM_FOLDS == fold]
-        rest = [row for i, row in enumerate(rows) if i // _BLOCK % _NUM_FOLDS != fold]
-        reader, _ = train_reader(label_lines(rest), config=config)
-        judgements = (_judge(row, reader, grounding) for row in held[::_JUDGED])
-        judged += [judgement for judgement in judgements if judgement is not None]
+        held = list(itertools.compress(rows, fold_of == fold))[::_JUDGED]
+        rest = label_lines(list(itertools.compress(rows, fold_of != fold)))
+        reader, _ = train_reader(rest, config=config)
+        judged += [one for row in held if (one := _judge(row, reader, grounding)) is not None]
+    if not judged:
+        raise ValueError("the corpus has too little free speech that the grammar does not read")
     on_progress("training on all lines")
     model, report = train_reader(label_lines(rows), config=config)
-    is_right = np.array([right for _, right in judged])
-    acceptance = fit_acceptance([features for features, _ in judged], is_right)
-    report |= {"judged": len(judged), "judged_right": int(is_right.sum())}
+    features, is_right = zip(*judged, strict=True)
+    report |= {"judged": len(judged), "judged_right": sum(is_right)}
+    acceptance = fit_acceptance(features, np.array(is_right))
     return dataclasses.replace(model, acceptance=acceptance), report
 
 

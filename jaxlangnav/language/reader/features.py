@@ -245,4 +245,3 @@ def _in_clause(
     if k and sentence.clauses[k - 1]:
         features += [f"last clause={codes[k - 1]}"]
     return [*features, f"clauses={min(k, 2)}{min(count - 1 - k, 2)}"]
-

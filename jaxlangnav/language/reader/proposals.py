@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+from jaxlangnav.language.measured import is_quantity
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.reader.features import NAME, ReaderSentence
 from jaxlangnav.language.reader.model import (
@@ -84,6 +85,15 @@ class Labelling:
     def is_seen(self) -> bool:
         """Check whether every edited span occurs in the training data."""
         return self.met.issuperset(map(self.span_key, self.runs))
+
+    def splits_quantity(self, run: range) -> bool:
+        """Check whether a span deletes one part of a quantity: "3 metres and a quarter"."""
+        words = self.sentence.words
+        deleted = [words[i] for i in run if self.labels[i] == DELETE]
+        inner = [word for word in deleted if word not in ("and", "a", "an", "another")]
+        before, after = words[run.start - 1 : run.start], words[run.stop : run.stop + 1]
+        edges = ((*before, *inner[:1]), (*inner[-1:], *after))
+        return any(len(edge) == 2 and all(map(is_quantity, edge)) for edge in edges)
 
     def edit_features(self) -> Counter[str]:
         """Count the words that are deleted or replaced otherwise than in training, by class."""
@@ -172,7 +182,8 @@ def propose_readings(
     scores += replacement_mask(model, sentence)
     for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
         labelled = Labelling(sentence, tuple(model.labels[i] for i in path), model.met)
-        if labelled.labels[0] == REJECT or (is_readable and not labelled.is_seen()):
+        is_refused = labelled.labels[0] == REJECT or (is_readable and not labelled.is_seen())
+        if is_refused or any(map(labelled.splits_quantity, labelled.runs)):
             continue
         proposal = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in proposal.tokens)
