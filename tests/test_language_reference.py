@@ -40,6 +40,10 @@ RESTRICTED = "NP[]{NP[the hydrant], PP[behind]{NP[the cone]}}"
     [
         (f"{STATED}go to the hydrant", RESTRICTED),
         ("go to the hydrant. it is behind the cone", RESTRICTED),
+        (
+            "hydrant is behind the cone. go to hydrant",
+            "NP[]{NP[hydrant], PP[behind]{NP[the cone]}}",
+        ),
         ("there is a hydrant behind the cone. find the hydrant", RESTRICTED),
         (f"{STATED}park near it", "NP[]{NP[it], PP[behind]{NP[the cone]}}"),
         # Another thing of the kind, and a thing told apart already, are left alone.
@@ -135,7 +139,6 @@ def tree(text: str) -> list[str]:
         ("keep going until you reach the cone", "go to the cone"),
         ("drop us off behind the car", "stop behind the car"),
         ("go to the bench, no, the tree", "go to the tree"),
-        ("go to the cone and the tree", "go to the cone then the tree"),
         ("go to the tree but don't go near the car", "go to the tree but avoid the car"),
         ("let 's go to teh cone", "let's go to the cone"),
         ("go to the car beside which a cone stands", "go to the car near a cone"),

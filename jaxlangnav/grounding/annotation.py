@@ -36,8 +36,7 @@ LogRanks = Mapping[Path, np.ndarray]
 """Phrase → f64[5], log-probabilities of the ranks 0 to 4."""
 RankedAnnotations = tuple[tuple[AnnotationSymbol, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
-_MAX_SYMBOLS = 12
-"""Maximum number of annotations of a clause (untrained weights express many)."""
+_MAX_SYMBOLS = 12  # maximum number of annotations of a clause (untrained weights express many)
 
 
 @dataclasses.dataclass(frozen=True)

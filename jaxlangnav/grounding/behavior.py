@@ -48,8 +48,7 @@ from jaxlangnav.numerics.batching import materialize, select_row
 from jaxlangnav.pytree import replace
 
 _BEAM = 4
-_COST_EMPTY = 1e6
-"""Cost of a hypothesis that does not exist."""
+_COST_EMPTY = 1e6  # cost of a hypothesis that does not exist
 _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
 """Index pairs into two sorted lists of four that include the four smallest sums."""
 _OBJECTS, _REGIONS, _CONSTRAINTS, _LOCATED = 0, 1, 1 + NUM_REGION_SLOTS, 2 + NUM_REGION_SLOTS

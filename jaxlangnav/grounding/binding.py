@@ -33,8 +33,7 @@ from jaxlangnav.language.tokens import normalize
 from jaxlangnav.messages import NONE, ROBOT
 
 _TYPE = "type:"
-_MAX_LISTED = 12
-"""Labels that an error message lists."""
+_MAX_LISTED = 12  # labels that an error message lists
 
 
 class UnknownObjectError(ValueError):

@@ -31,8 +31,7 @@ from jaxlangnav.relations.table import NUM_RANKS, SYMBOL_OF
 
 _MIN_GOAL_PROB = 0.05
 """Probability below which a command has no goal, and the next one no previous goal."""
-_MIN_CONSTRAINT_PROB = 0.5
-"""Probability below which a constraint is not listed."""
+_MIN_CONSTRAINT_PROB = 0.5  # probability below which a constraint is not listed
 _NUM_SLOTS = 9
 """Slots of a world, eight objects and the robot, so that one compiled program serves all."""
 

@@ -31,8 +31,7 @@ from jaxlangnav.pytree import pytree, replace
 
 MAX_REWRITES = 16
 """Maximum number of rewritings of one sentence that are read, likeliest first."""
-_MIN_REPORTED = 0.005
-"""Fractions of the weight below this are not reported."""
+_MIN_REPORTED = 0.005  # fractions of the weight below this are not reported
 
 Rewrite = tuple[str, float]
 """A sentence of the controlled language, and its log-probability; they need not sum to one."""
@@ -228,8 +227,7 @@ def _mixed_annotations(reads: Sequence[Read], weight: np.ndarray) -> tuple[Mappi
 
 # ---------------------------------------------------------------- recorded rewritings
 
-_MAX_FILE_BYTES = 32 * 1024 * 1024
-"""Size limit of a file of rewritings in bytes."""
+_MAX_FILE_BYTES = 32 * 1024 * 1024  # size limit of a file of rewritings in bytes
 
 
 class _Recorded(Schema):

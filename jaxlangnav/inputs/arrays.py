@@ -14,8 +14,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-_MAX_HEADER_BYTES = 4096
-"""Limit of a header's bytes; NumPy's own have 128."""
+_MAX_HEADER_BYTES = 4096  # limit of a header's bytes; NumPy's own have 128
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 

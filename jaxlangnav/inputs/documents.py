@@ -20,10 +20,8 @@ from jaxlangnav.inputs.sanitize import shorten
 
 MAX_NEST = 32
 """Limit of the nesting depth of tables and lists."""
-_MAX_BITS = 64
-"""Limit of an integer's size."""
-_MAX_TEXT = 200
-"""Length to which a parser's error message is shortened."""
+_MAX_BITS = 64  # limit of an integer's size
+_MAX_TEXT = 200  # length to which a parser's error message is shortened
 # The parser's time is quadratic in the parts of a dotted key. Matches only where a key may start.
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"""(?<![\w"'-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_NEST}}}""")

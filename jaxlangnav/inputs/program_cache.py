@@ -33,8 +33,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 _MAX_PROGRAMS = 24
 """Limit of files, the least recently used of which are deleted; a cycle's has 5 MB."""
-_MAX_BYTES = 1 << 28
-"""Size limit of a program's file."""
+_MAX_BYTES = 1 << 28  # size limit of a program's file
 _SUFFIX = ".program"
 _SETTINGS = (
     "jax_enable_x64",

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 MAX_NAME = 100
 """Limit of the length of a name: of a world, of an object in it, of a sweep."""
-_MAX_SHOWN = 60
-"""Length to which a value is shortened in a message."""
+_MAX_SHOWN = 60  # length to which a value is shortened in a message
 
 
 def is_printable(character: str) -> bool:

@@ -44,8 +44,7 @@ from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
 
 MAX_CORPUS_BYTES = 64 << 20
 """Size limit of a corpus; the one of the package has about a million bytes."""
-_MAX_OBJECTS = 32
-"""Maximum number of objects of a world."""
+_MAX_OBJECTS = 32  # maximum number of objects of a world
 _MAX_MESSAGE = 1200
 """Maximum length of an error message, which may list the phrases of the longest sentence."""
 ROBOT_LABEL = "robot"

@@ -22,8 +22,7 @@ _MAX_ALARM_CHARACTERS = 10_000
 _CLASSES = ("verb", "manner", "warning", "not", "denial", "place", "when", "and", "go")
 _BREAK = re.compile(r"[^\w\s]+")
 _REPEATS = re.compile(r"(.)\1+")
-_MIN_LETTERS = 4
-"""Minimum length of a halting word whose misspellings are recognised."""
+_MIN_LETTERS = 4  # minimum length of a halting word whose misspellings are recognised
 
 
 class Act(enum.StrEnum):

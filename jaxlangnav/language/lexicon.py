@@ -21,8 +21,7 @@ from jaxlangnav.language.tokens import is_word, normalize
 
 USER_LEXICON = "JAXLANGNAV_LEXICON"
 """Environment variable that names a user lexicon file, merged into the package's."""
-_MAX_FILE_BYTES = 256 * 1024
-"""Size limit of a user lexicon in bytes."""
+_MAX_FILE_BYTES = 256 * 1024  # size limit of a user lexicon in bytes
 TYPE_CLASS = "type"
 _WORDS = parse_toml(read_shipped("language", "words.toml"))
 WORDS = {name: frozenset(w) for name, w in _WORDS.items() if isinstance(w, list)}

@@ -47,10 +47,7 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # unknown words; more have very many trees
 MAX_PROPOSALS = 8
 """Number of rewritings of a sentence that are parsed, likeliest first."""
-_MIN_LIKELIHOOD = 0.03
-"""Minimum probability of a rewriting by the reader, however well its edits are judged."""
-MIN_OVERRULE = 0.75
-"""Minimum probability of a rewriting to replace the verbatim reading."""
+_MIN_LIKELIHOOD = 0.03  # of a rewriting by the reader, however well its edits are judged
 _IGNORED_SIGNS = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then", "°": "degrees"}
@@ -215,7 +212,7 @@ def parse(
             raise
         return rewritings[0].parse
     likeliest = parse_rewritings(sentence, verbatim)[0]
-    return likeliest.parse if likeliest.probability >= MIN_OVERRULE else verbatim
+    return likeliest.parse if likeliest.probability >= MIN_PROBABILITY else verbatim
 
 
 class Rewriting(NamedTuple):

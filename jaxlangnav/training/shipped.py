@@ -267,12 +267,8 @@ def _train_model(
     return dataclasses.replace(full, temperature=temperature), report
 
 
-# ---------------------------------------------------------------- the reader
-
-_MAX_BLOCK = 2200
-"""Lines of a corpus that are held out together: neighbours are of one author and one kind."""
-_JUDGED = 2
-"""Of the lines held out, one in so many is read."""
+_MAX_BLOCK = 2200  # lines held out together: neighbours are of one author and one kind
+_JUDGED = 2  # of the lines held out, one in so many is read
 
 
 def train_shipped_reader(

@@ -8,14 +8,16 @@ of any detector.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from itertools import accumulate, pairwise
+from itertools import accumulate, chain, pairwise
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, WORDS, load_lexicon
 from jaxlangnav.language.nouns import load_nouns, singular
 from jaxlangnav.language.tokens import MARKS
+from jaxlangnav.messages import RELATIONS
 
 NAME, _RELATION = "N", "rel"
+PREPOSITION = "refused:such a relation"
 SIGN = "sign"
 MOTION = "verb:"
 """Prefix of the classes of verbs of ``verbs.toml``."""
@@ -245,3 +247,16 @@ def _in_clause(
     if k and sentence.clauses[k - 1]:
         features += [f"last clause={codes[k - 1]}"]
     return [*features, f"clauses={min(k, 2)}{min(count - 1 - k, 2)}"]
+
+
+def find_relations(words: Sequence[str]) -> set[int]:
+    """Find the relations named by expressions among words, as indices into ``RELATIONS``."""
+    text = f" {' '.join(words)} "
+    return {
+        RELATIONS.index(sense.removeprefix("relation:"))
+        for name in ("rel", "beside", "side", "rel_robot")
+        for key, entry in load_lexicon().entries[name].items()
+        if f" {' '.join(key)} " in text
+        for sense in chain(*(word.senses for word in entry))
+        if sense.startswith("relation:")
+    }

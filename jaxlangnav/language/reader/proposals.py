@@ -15,9 +15,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+from jaxlangnav.language.lexicon import WORDS
 from jaxlangnav.language.measured import is_quantity
 from jaxlangnav.language.nouns import singular
-from jaxlangnav.language.reader.features import NAME, ReaderSentence
+from jaxlangnav.language.reader.features import (
+    NAME,
+    PREPOSITION,
+    ReaderSentence,
+    find_relations,
+)
 from jaxlangnav.language.reader.model import (
     DELETE,
     KEEP,
@@ -29,9 +35,9 @@ from jaxlangnav.language.reader.model import (
     replacement_mask,
 )
 from jaxlangnav.language.tokens import MARKS, RawToken, strip_marks
+from jaxlangnav.relations.table import REGISTRY
 
-_NUM_LABELLINGS = 30
-"""Number of labellings that are checked."""
+_NUM_LABELLINGS = 30  # labellings that are checked
 _SMALL = 1e-6  # smaller probabilities count as this in logarithms
 
 
@@ -86,7 +92,13 @@ class Labelling:
         """Check whether every edited span occurs in the training data."""
         return self.met.issuperset(map(self.span_key, self.runs))
 
-    def splits_quantity(self, run: range) -> bool:
+    def is_faithful(self) -> bool:
+        """Check that no quantity is halved, and relations are replaced by their converse only."""
+        return not any(map(self._splits_quantity, self.runs)) and all(
+            self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "="
+        )
+
+    def _splits_quantity(self, run: range) -> bool:
         """Check whether a span deletes one part of a quantity: "3 metres and a quarter"."""
         words = self.sentence.words
         deleted = [words[i] for i in run if self.labels[i] == DELETE]
@@ -94,6 +106,18 @@ class Labelling:
         before, after = words[run.start - 1 : run.start], words[run.stop : run.stop + 1]
         edges = ((*before, *inner[:1]), (*inner[-1:], *after))
         return any(len(edge) == 2 and all(map(is_quantity, edge)) for edge in edges)
+
+    def _is_converse(self, index: int) -> bool:
+        """Check that a relation replacing "with" or "that's" is the converse of the deleted one."""
+        # "The house with the truck in front" is the house behind the truck.
+        new = find_relations(self.labels[index][1:].split())
+        clause = self.sentence.clauses[self.sentence.clause[index]]
+        deleted = find_relations(
+            [self.sentence.words[i] for i in clause if self.labels[i] == DELETE]
+        )
+        binding = {PREPOSITION, *(WORDS["telling"] if deleted else ())}
+        is_free = binding.isdisjoint(self.sentence.classes[index])
+        return is_free or new <= {REGISTRY[relation].converse for relation in deleted}
 
     def edit_features(self) -> Counter[str]:
         """Count the words that are deleted or replaced otherwise than in training, by class."""
@@ -182,8 +206,8 @@ def propose_readings(
     scores += replacement_mask(model, sentence)
     for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
         labelled = Labelling(sentence, tuple(model.labels[i] for i in path), model.met)
-        is_refused = labelled.labels[0] == REJECT or (is_readable and not labelled.is_seen())
-        if is_refused or any(map(labelled.splits_quantity, labelled.runs)):
+        is_refused = labelled.labels[0] == REJECT or not labelled.is_faithful()
+        if is_refused or (is_readable and not labelled.is_seen()):
             continue
         proposal = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in proposal.tokens)
