@@ -9,8 +9,7 @@ from jaxlangnav.pytree import replace
 
 NOT_FINITE = (np.nan, np.inf, -np.inf)
 HUGE = (1e20, -1e20, 3e38)
-TINY = 1e-40
-"""A subnormal number."""
+TINY = 1e-40  # A subnormal number
 INTEGERS = (-1, -2, -7, 15, 99, 2**31 - 1, -(2**31))
 """Type indices that are none: NONE and ROBOT among them."""
 SPECIFICATIONS = {

@@ -21,8 +21,7 @@ import jaxlangnav
 from jaxlangnav import messages
 
 AREA = (-2.0, 12.0, -9.0, 9.0)
-REACH = 1.5
-"""Metres from the goal at which a stop is right."""
+REACH = 1.5  # metres from the goal at which a stop is right
 SENTENCE = "go to the hydrant behind the cone"
 
 

@@ -19,10 +19,8 @@ from jaxlangnav.semantic_map.proposal.utterance import ground_words
 K, M, J, D = 2, 3, 2, 6
 """Readings, mentions, relations, detections."""
 CONFIG = MapConfig(num_particles=64, num_objects=6, num_cells=32)
-SEEDS = 128
-"""Lanes of the shared programs."""
-STEPS = 8
-"""Steps of one call of the shared programs."""
+SEEDS = 128  # lanes of the shared programs
+STEPS = 8  # steps of one call of the shared programs
 HYDRANT, CONE, CAR = 0, 1, 2
 AREA = (0.0, 10.0, -5.0, 5.0)
 OFTEN = {"xla_backend_optimization_level": 1, "xla_llvm_disable_expensive_passes": False}

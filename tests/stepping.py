@@ -14,8 +14,7 @@ from jaxlangnav import messages, navigator
 _OFTEN = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
 """As users compile, also where tests are compiled briefly: it runs long."""
 LANES, DETECTIONS = 20, 16
-FEW = 8
-"""Detections that the program holds which ``Navigator.step`` compiles first."""
+FEW = 8  # detections that the program holds which ``Navigator.step`` compiles first
 
 
 @functools.lru_cache

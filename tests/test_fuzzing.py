@@ -11,8 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "scripts"))
 from fuzz import Count, Target, run_once, throw, write_failures
 from fuzz_targets import TARGETS
 
-RUNS = 30
-"""Of each target; a few seconds in all."""
+RUNS = 30  # of each target; a few seconds in all
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)

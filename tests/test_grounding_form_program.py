@@ -24,8 +24,7 @@ from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, REGIONS, RELATIONS, RO
 
 START = Context(is_under_way=False)
 SLOTS, WORLDS = 9, 48
-DOUBT = 0.02
-"""By how much the trained graph may doubt what a form is sure of."""
+DOUBT = 0.02  # by how much the trained graph may doubt what a form is sure of
 Relation = tuple
 """Figure, relation, landmark and, where there is one, rank."""
 

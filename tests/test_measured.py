@@ -83,8 +83,7 @@ def test_places_follow_one_another() -> None:
     assert half.end == pytest.approx((math.sqrt(2.0), -math.sqrt(2.0)), abs=1e-6)
 
 
-START = (4.0, 0.0)
-"""Where the robot is as it hears; it looks along x."""
+START = (4.0, 0.0)  # where the robot is as it hears; it looks along x
 THINGS = [(CONE, 7.0, 0.0)]
 ENDS = {
     "turn left": (4.0, 0.5),

@@ -25,8 +25,7 @@ WORLD = [(CONE, 4.0, 0.5), (HYDRANT, 6.4, 0.8), (CONE, 2.5, -3.5)]
 RANGE = 3.0
 
 
-STEP = api._step
-"""Compiled once for all files that drive the robot."""
+STEP = api._step  # compiled once for all files that drive the robot
 
 
 @dataclasses.dataclass

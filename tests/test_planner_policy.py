@@ -101,8 +101,7 @@ def test_visibility_is_a_disc() -> None:
 # The faithful policy on one frontier, one visited place and one seen object, all set by hand.
 
 CELL = 10.0 / 24
-FRONT = (9.5 * CELL, 19.5 * CELL - 5.0)
-"""The only cell that nobody has looked at, near (4, 3)."""
+FRONT = (9.5 * CELL, 19.5 * CELL - 5.0)  # the only cell that nobody has looked at, near (4, 3)
 
 
 def nodes() -> Nodes:

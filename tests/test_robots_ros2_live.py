@@ -14,8 +14,7 @@ rclpy = pytest.importorskip("rclpy")
 TEXT = "go to the hydrant behind the cone"
 AREA = ("--area", "0", "13", "-9.2", "9.2")
 """That of the robot's world, seed 0."""
-LIMIT = 1200.0
-"""Seconds for a whole episode, compilation and a busy machine included."""
+LIMIT = 1200.0  # seconds for a whole episode, compilation and a busy machine included
 
 
 class Person:

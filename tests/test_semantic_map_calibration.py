@@ -18,10 +18,8 @@ HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 ALPHA, DETECTION, NOISE, ODOMETRY = 0.5, 0.9, 0.1, 0.02
 MISLEADING = float(by_hand.params().misleading)
 X_MIN, X_MAX, Y_MIN, Y_MAX = by_hand.AREA
-DRAWS = 7
-"""Posterior draws a truth is ranked among: few, for particles share ancestors."""
-SAME = 0.6
-"""Metres within which a seen hydrant is the true one."""
+DRAWS = 7  # posterior draws a truth is ranked among: few, for particles share ancestors
+SAME = 0.6  # metres within which a seen hydrant is the true one
 
 
 @dataclasses.dataclass

@@ -23,8 +23,7 @@ OBJECTS = [
 ]
 VIEWER = (0.0, 0.0, 0.3)
 ALPHA = 3.0
-GRID_ERROR = 0.013
-"""Share by which the oracle's grid may be wrong."""
+GRID_ERROR = 0.013  # share by which the oracle's grid may be wrong
 EMPTY = (0, NONE, NONE, False)
 CASES = {
     "null": ([HYDRANT], [EMPTY]),

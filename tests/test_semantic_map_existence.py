@@ -159,8 +159,7 @@ CAR = by_hand.CAR
 P, D = by_hand.CONFIG.num_particles, by_hand.D
 SENSOR = by_hand.sensor(noise=0.1)
 LOG_NEW = float(np.log(0.3 / 100.0))
-MISS = float(-np.log(0.05))
-"""Nats of a miss by the default detector."""
+MISS = float(-np.log(0.05))  # nats of a miss by the default detector
 
 
 @jax.jit

@@ -37,8 +37,7 @@ from jaxlangnav.world.state import NUM_SLOTS, Scenario
 
 NUM_WORLDS, ROUND, LANES, STEPS = 3, 256, 32, 120
 MOST_THINGS, RANGE, EXTENT = 6, 8.0, 10.0
-AVOIDED = 1.2
-"""Metres within which a thing to be avoided has been approached."""
+AVOIDED = 1.2  # metres within which a thing to be avoided has been approached
 SENTENCES = [(text, read_label(label)) for text, label in SPOKEN if label != "REFUSED"]
 COMMANDS = [(text, told) for text, told in SENTENCES if told and "between" not in text]
 """Sentences that send somewhere; ``test_follow_between`` drives those of two landmarks."""
