@@ -12,7 +12,7 @@ from jaxlangnav.inputs.sanitize import sanitize
 
 COMMAND = "command"
 STATEMENT = "statement"
-MIN_PROBABILITY = 0.75
+MIN_PROBABILITY = 0.7
 """Threshold on the probability that free speech is read as it was meant (docs/language.md)."""
 
 
