@@ -5,6 +5,7 @@ import json
 import math
 from pathlib import Path
 from types import SimpleNamespace as Message
+from unittest.mock import Mock
 
 import jax
 import numpy as np
@@ -15,7 +16,7 @@ from test_robots_drive import TEXT, goal_distance, put
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.libraries import load_ros
 from jaxlangnav.robots.robot import Detection, Ending, NavigationRun, WaypointStatus
-from jaxlangnav.robots.ros2 import conversions, node
+from jaxlangnav.robots.ros2 import conversions, node, simulation
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.bags import Loopback
 from jaxlangnav.robots.ros2.inbox import Inbox
@@ -28,9 +29,9 @@ def quaternion(x: float, y: float, z: float, w: float) -> Message:
     return Message(x=x, y=y, z=z, w=w)
 
 
-def odometry(x: float, y: float, yaw: float) -> Message:
+def pose(x: float, y: float, yaw: float) -> Message:
     turn = quaternion(*conversions.quaternion_of(yaw))
-    return Message(pose=Message(pose=Message(position=Message(x=x, y=y), orientation=turn)))
+    return Message(position=Message(x=x, y=y), orientation=turn)
 
 
 def cloud(found, **other) -> Message:
@@ -54,8 +55,8 @@ def test_a_heading_survives_a_quaternion(yaw) -> None:
     assert conversions.yaw_of(quaternion(-x, -y, -z, -w)) == pytest.approx(yaw, abs=1e-12)
 
 
-def test_odometry_by_hand() -> None:
-    np.testing.assert_allclose(conversions.pose_of(odometry(1.0, -2.0, 0.5)), [1.0, -2.0, 0.5])
+def test_a_pose_by_hand() -> None:
+    np.testing.assert_allclose(conversions.pose_of(pose(1.0, -2.0, 0.5)), [1.0, -2.0, 0.5])
 
 
 def test_a_cloud_holds_a_look_and_an_empty_one_too() -> None:
@@ -470,6 +471,24 @@ def test_messages_that_no_wheel_has_are_said_to_be_of_an_installation() -> None:
         load_ros("tf2_msgs.msg")
 
 
+def test_a_goal_that_is_none_is_refused_and_the_next_one_is_taken(monkeypatch) -> None:
+    goals, handlers, said = [], [], []
+    rclpy = Mock(**{"create_node.return_value.get_logger.return_value.warning": said.append})
+    monkeypatch.setattr(simulation, "load_ros", lambda _: rclpy)
+    monkeypatch.setattr(simulation, "ros_class", lambda _: None)
+    rclpy.create_node().create_subscription = lambda *given: handlers.append(given[2])
+    robot = Mock(
+        seconds=1.0, pose=lambda: np.zeros(3), go_to=lambda *given, **_: goals.append(given)
+    )
+    simulation.RobotServer(robot)
+    unfilled = pose(1.0, 0.0, 0.0)
+    unfilled.orientation.w = 0.0
+    for one in (unfilled, pose(math.nan, 0.0, 0.0), pose(2.0, 1.0, 0.0)):
+        handlers[0](Message(pose=one))
+    assert ["length 0" in said[0], "finite numbers" in said[1], len(said)] == [True, True, 2]
+    np.testing.assert_allclose(goals, [[[[2.0, 1.0]]]])
+
+
 CLOUDS = [
     ({"fields": []}, "has fields none"),
     ({"width": 2}, "16 bytes, but 2 points"),
@@ -485,6 +504,7 @@ OPTIONS = [
     ({"area": (1.0, 0.0, 0.0, 1.0)}, "area is 1 0 0 1, but must be x_min x_max"),
     ({"patience": -1.0}, "patience is -1, but must be more than 0 s"),
     ({"max_seconds": 0.0}, "max-seconds is 0, but must be"),
+    ({"camera": (0.1, 0.0, 0.0)}, "--camera is used with --look tf only"),
     ({"tasks": 0}, "tasks is 0, but must be at least 1"),
     ({"field_of_view": 9000.0}, "field"),
 ]
@@ -497,7 +517,7 @@ def refusals(kept: Path):
         yield lambda one=one: conversions.detections_of_cloud(cloud(found, **one), 2), said
     for last, said in ((0.0, "length 0"), (math.nan, "nan")):
         yield lambda last=last: conversions.yaw_of(quaternion(0.0, 0.0, 0.0, last)), said
-    yield lambda: conversions.pose_of(odometry(math.inf, 0.0, 0.0)), "a place is two numbers"
+    yield lambda: conversions.pose_of(pose(math.inf, 0.0, 0.0)), "a place is two finite numbers"
     for one in ([], ["tag36h11:7"], ["=cone"], ["tag36h11:7=dragon"]):
         told = "tag36h11:7=hydrant"
         yield lambda one=one: node.read_tag_types(one, ("hydrant", "cone")), told

@@ -42,7 +42,7 @@ def there_and_back(store, message):
 
 def test_odometry_and_looks_survive_their_bytes(scribe, store) -> None:
     read = there_and_back(store, scribe.odometry(HERE, scribe.time(12.25)))
-    np.testing.assert_allclose(conversions.pose_of(read), [1.0, -2.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(conversions.pose_of(read.pose.pose), [1.0, -2.0, 0.5], atol=1e-12)
     assert conversions.seconds_of(read.header.stamp) == 12.25
     found = [Detection(object_type=3, range=2.0, bearing=-0.4)]
     (one,) = conversions.detections_of_cloud(
@@ -76,9 +76,9 @@ def test_the_bytes_are_those_of_rclpy(scribe, store) -> None:
 
     ours = scribe.odometry(HERE, scribe.time(12.25))
     theirs = deserialize_message(bytes(store.serialize_cdr(ours, ours.__msgtype__)), Odometry)
-    np.testing.assert_allclose(conversions.pose_of(theirs), [1.0, -2.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(conversions.pose_of(theirs.pose.pose), [1.0, -2.0, 0.5], atol=1e-12)
     back = store.deserialize_cdr(serialize_message(theirs), ours.__msgtype__)
-    np.testing.assert_allclose(conversions.pose_of(back), [1.0, -2.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(conversions.pose_of(back.pose.pose), [1.0, -2.0, 0.5], atol=1e-12)
 
 
 class ReplayBus:
@@ -107,7 +107,7 @@ class ReplayBus:
             self.played += 1
             if topic == "odom":
                 stamp = conversions.seconds_of(message.header.stamp)
-                self.inbox.add_odometry(stamp, conversions.pose_of(message))
+                self.inbox.add_odometry(stamp, conversions.pose_of(message.pose.pose))
             elif topic == "detections":
                 stamp = conversions.seconds_of(message.header.stamp)
                 self.inbox.add_detections(stamp, conversions.detections_of_cloud(message, 15), time)

@@ -118,6 +118,9 @@ def _validate(options: NavigatorOptions) -> None:
         value = getattr(options, name)
         if not value > 0.0:
             raise ValueError(f"{name.replace('_', '-')} is {value:g}, but must be more than 0 s")
+    for name in ("tags", "camera", "tag_depth"):
+        if options.look != "tf" and getattr(options, name) != getattr(NavigatorOptions, name):
+            raise ValueError(f"--{name.replace('_', '-')} is used with --look tf only: add that")
     if options.tasks is not None:
         check_minimum(1, tasks=options.tasks)
 

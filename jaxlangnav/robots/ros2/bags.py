@@ -90,7 +90,7 @@ class RecordedLoopback(Loopback):
         """Record and deliver a message of the robot, see ``Loopback.publish``."""
         if topic == "odom":
             message = self._builder.odometry(what, self._builder.time(stamp))
-            what = pose_of(message)
+            what = pose_of(message.pose.pose)
         else:
             message = self._builder.cloud(what, self._builder.time(stamp))
             what = detections_of_cloud(message, self._num_types)

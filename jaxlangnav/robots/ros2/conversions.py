@@ -49,12 +49,11 @@ def seconds_of(stamp: Any) -> float:
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
-def pose_of(odometry: Any) -> np.ndarray:
-    """Read a nav_msgs/Odometry: f64[3], x, y, heading, odometry frame, or raise a ValueError."""
-    pose = odometry.pose.pose
+def pose_of(pose: Any) -> np.ndarray:
+    """Read a geometry_msgs/Pose: f64[3], x, y, heading, or raise a ValueError."""
     x, y = float(pose.position.x), float(pose.position.y)
     if not all(map(math.isfinite, (x, y))):
-        raise ValueError(f"odometry says ({x:g}, {y:g}), but a place is two numbers")
+        raise ValueError(f"a pose says ({x:g}, {y:g}), but a place is two finite numbers")
     return np.array([x, y, yaw_of(pose.orientation)])
 
 

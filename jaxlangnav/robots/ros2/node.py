@@ -98,6 +98,18 @@ class TagReader:
         return transform.child_frame_id in self._setup.types or image == self._image
 
 
+def guarded(handle: Callable[[Any], None], refuse: Callable[[str], Any]) -> Callable[[Any], None]:
+    """Wrap a handler: an invalid message is dropped, and ``refuse`` is handed the reason."""
+
+    def on_message(message: Any) -> None:
+        try:
+            handle(message)
+        except ValueError as error:
+            refuse(sanitize(str(error)))
+
+    return on_message
+
+
 _SPIN_SECONDS = 0.05  # maximum wait for a message before the time is checked
 _WARNING_SECONDS, _WARNING_PREFIX = 5.0, 16  # between warnings with so long a common prefix
 
@@ -131,7 +143,7 @@ class RosBus:
         self._goal_topic = self._node.create_publisher(pose_stamped, "goal_pose", 1)
         self._status_topic = self._node.create_publisher(string, "navigator_status", profile)
         for topic in ("instruction", "utterance"):
-            on_text = self._guarded(lambda message: self.say(message.data))
+            on_text = guarded(lambda message: self.say(message.data), self._refuse)
             self._node.create_subscription(string, topic, on_text, 10)
         self._subscribe_to_robot(look)
 
@@ -154,7 +166,9 @@ class RosBus:
         handlers += [(topic, name, self._to_inbox(read)) for topic, name, read in readers]
         for topic, name, handle in handlers:
             self._topic_types[topic] = name
-            self._node.create_subscription(ros_class(name), topic, self._guarded(handle), stream)
+            self._node.create_subscription(
+                ros_class(name), topic, guarded(handle, self._refuse), stream
+            )
 
     def now(self) -> float:
         """Return the time, see ``Bus.now``."""
@@ -199,20 +213,12 @@ class RosBus:
         self._executor.shutdown()
         self._node.destroy_node()
 
-    def _guarded(self, handle: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Wrap a handler: an invalid message is counted, logged, and dropped."""
-
-        def on_message(message: Any) -> None:
-            try:
-                handle(message)
-            except ValueError as error:
-                self.inbox.counts.malformed += 1
-                self.warn(str(error))
-
-        return on_message
+    def _refuse(self, reason: str) -> None:
+        self.inbox.counts.malformed += 1
+        self.warn(reason)
 
     def _on_odometry(self, message: Any) -> None:
-        pose, stamp = pose_of(message), message.header.stamp
+        pose, stamp = pose_of(message.pose.pose), message.header.stamp
         self._frame, self._base_frame = message.header.frame_id, message.child_frame_id
         self._stamp = stamp
         self.inbox.add_odometry(seconds_of(stamp), pose)

@@ -24,7 +24,8 @@ from jaxlangnav.robots.libraries import check_libraries, load_ros, ros_class
 from jaxlangnav.robots.motion.mover import TICK
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.physics.tags import Gates
-from jaxlangnav.robots.ros2.conversions import MessageBuilder, compose, inverse, yaw_of
+from jaxlangnav.robots.ros2.conversions import MessageBuilder, compose, inverse, pose_of
+from jaxlangnav.robots.ros2.node import guarded
 from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import Scenario
 
@@ -82,7 +83,8 @@ class RobotServer:
         self._odometry = publish(ros_class("nav_msgs/msg/Odometry"), "odom", 10)
         self._detections = publish(ros_class("sensor_msgs/msg/PointCloud2"), "detections", 10)
         pose_stamped = ros_class("geometry_msgs/msg/PoseStamped")
-        self._node.create_subscription(pose_stamped, "goal_pose", self._on_goal, 1)
+        on_goal = guarded(self._on_goal, self._node.get_logger().warning)
+        self._node.create_subscription(pose_stamped, "goal_pose", on_goal, 1)
 
     def run(self, seconds: float) -> None:
         """Run in real time for some seconds; infinity: until the process ends."""
@@ -115,8 +117,7 @@ class RobotServer:
             publisher.publish(message)
 
     def _on_goal(self, message: Any) -> None:
-        position, heading = message.pose.position, yaw_of(message.pose.orientation)
-        goal = compose(self._origin, np.array([position.x, position.y, heading]))
+        goal = compose(self._origin, pose_of(message.pose))
         self._last_goal = self.robot.seconds
         offset = compose(inverse(self.robot.pose()), goal)
         if np.hypot(*offset[:2]) < _STOP_TOLERANCE and abs(offset[2]) < _STOP_TOLERANCE:
