@@ -194,7 +194,7 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 def test_own_world_ends_at_the_hydrant(capsys: pytest.CaptureFixture[str]) -> None:
     example = runpy.run_path(str(EXAMPLES / "own_world.py"))
     end = example["main"]("go to the hydrant behind the cone")
-    assert np.linalg.norm(end - example["THINGS"]["hydrant"]) <= 1.5
+    assert np.linalg.norm(end - example["OBJECTS"]["hydrant"]) <= 1.5
     assert "arrived at" in capsys.readouterr().out
     # Other sentences, the same compiled program and the same world.
     example["main"]("go to the tree", "go to the bench")

@@ -118,14 +118,9 @@ def test_an_episode_over_bad_loopback_with_the_node_started_anew(begin, tmp_path
     assert ended(robot)[0] < 1.5
 
 
-@pytest.fixture
-def needs_physics() -> None:
+def test_the_husky_behind_topics_with_either_side_started_anew(begin, tmp_path) -> None:
     for module in ("mujoco", "cv2", "pupil_apriltags"):
         pytest.importorskip(module)
-
-
-@pytest.mark.usefixtures("needs_physics")
-def test_the_husky_behind_topics_with_either_side_started_anew(begin, tmp_path) -> None:
     person, kept = Person(), tmp_path / "words.json"
     options = ("--kept", str(kept), "--patience", str(LIMIT), *AREA)
     robot, node = begin("robot", "--robot", "husky"), begin("navigator", *options)

@@ -81,12 +81,14 @@ class Follow:
     weights: checks.File = None
     """Trained models, written by jaxlangnav train; the shipped ones if not given."""
     json: bool = False
-    """Print one JSON document: success, distance, trajectory, annotations, pictures, ..."""
+    """Print one JSON document: success, distance, trajectory, annotations, pictures, ...
+    known_distance is the way to the goal, straight_distance that until it may stop."""
     settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:
         """Run the episode, print its narrative, and write figures if a folder is given."""
         script = self._check()
+        values = read_options(self.settings, self.SETTINGS)
         understood, models, detector = understand_text(
             self.text, output, world=self.world, weights=self.weights
         )
@@ -96,7 +98,7 @@ class Follow:
         from jaxlangnav.task.loading import step_limit
         from jaxlangnav.task.talk import padded
 
-        opened = self._open(understood)
+        opened = self._open(understood, values)
         dialogue = None
         if script or self.ask or self.talk or self.person:
             grounder = GraphGrounder.of_detector(models, detector)
@@ -138,14 +140,13 @@ class Follow:
             checks.check_extra("--mp4 is written by OpenCV", "cv2", "robot")
         return script
 
-    def _open(self, understood: "Understanding") -> "PreparedEpisode":
+    def _open(self, understood: "Understanding", values: dict[Any, Any]) -> "PreparedEpisode":
         """Open the world, set the parameters, and check their validity."""
         from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
         from jaxlangnav.task.follow import prepare_episode
         from jaxlangnav.task.talk import allow_questions
 
-        values = read_options(self.settings, self.SETTINGS)
         options = self.range, self.policy, self.seed, self.particles
         opened = prepare_episode(self.text, understood, self.world, *options)
         opened = apply_to_episode(opened, values)
@@ -259,5 +260,4 @@ class Follow:
         document["pictures"] = [str(path) for path in paths]
         write_text(document_text(document), self.out / "episode.json")
         names = ", ".join(path.name for path in paths)
-        output.print("")
-        output.print(f"Wrote {names} and episode.json into {self.out}")
+        output.print(f"\nWrote {names} and episode.json into {self.out}")

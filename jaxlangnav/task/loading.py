@@ -18,7 +18,7 @@ from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.grounding.worlds import explain_mismatch
-from jaxlangnav.messages import SensorParams, default_sensor
+from jaxlangnav.messages import SensorParams
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import intended_goals, is_among, placed_world, with_goal
 from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
@@ -74,11 +74,12 @@ def load_task(
     """
     source = open_world(world)
     if isinstance(source, WorldFile):
+        given = {} if sensing_range is None else {"range_max": jnp.float32(sensing_range)}
         task = Task(
             key=jax.random.key(seed),
             scenario=source.scenario,
             instruction_index=jax.device_put(np.int32(0)),
-            sensor=sensor_of(world, sensing_range),
+            sensor=replace(source.sensor, **given),
             motion=source.motion,
         )
         texts = (source.instruction or "", understood.parse.instruction)
@@ -110,15 +111,6 @@ def detector_of(world: str, type_names: Sequence[str]) -> Detector:
     if isinstance(source, WorldFile):
         return Detector(source.type_names, source.attribute_groups)
     return Detector(type_names)
-
-
-def sensor_of(world: str, sensing_range: float | None) -> SensorParams:
-    """Return the sensor parameters of a world, with another range if one is given, metres."""
-    source = open_world(world)
-    sensor = source.sensor if isinstance(source, WorldFile) else default_sensor()
-    if sensing_range is None:
-        return sensor
-    return replace(sensor, range_max=jnp.float32(sensing_range))
 
 
 def step_limit(scenario: Scenario, sensor: SensorParams) -> int:

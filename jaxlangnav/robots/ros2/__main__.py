@@ -121,8 +121,7 @@ def _validate(options: NavigatorOptions) -> None:
     for name in ("tags", "camera", "tag_depth"):
         if options.look != "tf" and getattr(options, name) != getattr(NavigatorOptions, name):
             raise ValueError(f"--{name.replace('_', '-')} is used with --look tf only: add that")
-    if options.tasks is not None:
-        check_minimum(1, tasks=options.tasks)
+    check_minimum(1, tasks=1 if options.tasks is None else options.tasks)
 
 
 def main() -> int:
