@@ -260,4 +260,5 @@ class Follow:
         document["pictures"] = [str(path) for path in paths]
         write_text(document_text(document), self.out / "episode.json")
         names = ", ".join(path.name for path in paths)
-        output.print(f"\nWrote {names} and episode.json into {self.out}")
+        output.print("")
+        output.print(f"Wrote {names} and episode.json into {self.out}")

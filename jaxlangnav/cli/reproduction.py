@@ -124,12 +124,10 @@ def _run_conversation(settings: Settings, output: Output) -> StudyResult:
         document = spoken.run_rows(options, on_progress=advance)
     output.print(spoken.CONVERSATION.render(document))
 
-    def write(out: Path) -> list[Path]:
-        page = write_text(spoken.CONVERSATION.markdown(document), out / "conversation.md")
-        text = document_text({**document, "files": [page]})
-        return [page, write_text(text, out / "conversation.json")]
-
-    return document, write
+    return document, lambda out: [
+        write_text(spoken.CONVERSATION.markdown(document), out / "conversation.md"),
+        write_text(document_text(document), out / "conversation.json"),
+    ]
 
 
 def _run_table3(settings: Settings, output: Output) -> StudyResult:
