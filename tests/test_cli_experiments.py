@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from test_cli_hostile import document
 
-from jaxlangnav.cli import reproduction
+from jaxlangnav.cli import main as cli, reproduction
 from jaxlangnav.grounding.weights import load, load_shipped
 
 CORPUS_39 = str(resources.files("jaxlangnav.language") / "data" / "corpus39.jsonl")
@@ -30,9 +30,8 @@ def test_train_writes_weights_that_other_commands_take(tmp_path, capsys):
     kept, shipped = load(file), load_shipped()
     assert kept.annotation.num_features == shipped.annotation.num_features
     assert kept.behavior.num_features == report["behavior"]["features"]
-    grounded = document(
-        ["ground", "go to the hydrant", "--world", "2H1C", "--weights", str(file)], capsys
-    )
+    words = ["ground", "go to the hydrant", "--world", "2H1C", "--weights", str(file)]
+    grounded = document(words, capsys)
     assert grounded["behaviors"][0]["goal"]["object"] == "hydrant"
 
 
@@ -73,11 +72,8 @@ def test_reproduce_table2_takes_the_detector_and_the_odometry(tmp_path, capsys):
     assert len(usual["bounds"]) == 7
     assert "| 2H1C | 3 | null | limit | ≤ 50 |" in (tmp_path / "table2.md").read_text("utf-8")
     assert all(Path(name).stat().st_size > 0 for name in usual["files"])
-    other = document(
-        [*words, "--sensor.field-of-view", "90 deg", "--sensor.detection-probability", "60 %",
-         "--motion.odometry-noise", "0"],
-        capsys,
-    )  # fmt: skip
+    worse = ["--sensor.field-of-view", "90 deg", "--sensor.detection-probability", "60 %"]
+    other = document([*words, *worse, "--motion.odometry-noise", "0"], capsys)
     noise = other["noise"]
     assert noise["field_of_view"] == pytest.approx(1.5708, abs=1e-4)
     assert (noise["detection_probability"], noise["odometry_noise"]) == (0.6, 0.0)
@@ -99,11 +95,8 @@ def test_reproduce_table2_has_rows_and_ranges_that_the_paper_lacks(tmp_path, cap
     assert rows[:2] == [("1H1C", None, 2.0), ("1H1C", None, 10.0)]
     assert len(rows) == 2 * 15
     extra = {world: {one for name, one, _ in rows if name == world} for world, _, _ in rows[14:]}
-    assert extra == {
-        "2H2C": {None, "behind", "nearest"},
-        "1H3C": {None, "behind"},
-        "3H1C": {None, "behind", "nearest"},
-    }
+    every = {None, "behind", "nearest"}
+    assert extra == {"2H2C": every, "1H3C": {None, "behind"}, "3H1C": every}
     limits = {(one["world"], one["relation"]): one["success"] for one in found["bounds"]}
     assert limits["3H1C", None] == pytest.approx(100 / 3)
     # At another range than the paper's there is nothing to set beside.
@@ -135,9 +128,8 @@ def test_reproduce_fig4_tells_where_the_goal_is_believed_to_be(tmp_path, capsys)
     assert min(first["unseen_left"], first["unseen_right"]) > 0.2
     assert last["goal_seen"] > 0.9
     names = {Path(name).name for name in found["files"]}
-    assert names == {
-        "figure4.png", "figure4.svg", "figure4.html", "figure4.md", "figure4_manifest.json",
-    }  # fmt: skip
+    ends = ".png", ".svg", ".html", ".md", "_manifest.json"
+    assert names == {f"figure4{end}" for end in ends}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
@@ -152,7 +144,15 @@ def test_all_writes_one_page_of_its_parts(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(reproduction, "REPORTED", ("fig3", "table2"))
     words = ["reproduce", "all", "--episodes", "2", "--policy", "known", "--seed", "4", "--out"]
     words += [str(tmp_path), "--sensor.detection-probability", "0.9"]
+    with monkeypatch.context() as broken:
+        broken.setattr(reproduction, "_write_page", None)
+        assert cli.main(words) == 1
+    capsys.readouterr()
+    # What was finished is taken as it is found, and kept no longer than until all is.
+    part = tmp_path / "fig3_part.json"
+    part.write_text(part.read_text("utf-8").replace('"figure3"', '"finished"'), "utf-8")
     found = document(words, capsys)
+    assert (found["fig3"]["experiment"], part.exists()) == ("finished", False)
     assert set(found) == {"fig3", "table2", "report"}
     page = Path(found["report"]).read_text("utf-8")
     assert "jaxlangnav reproduce all --episodes 2 --policy known --seed 4" in page

@@ -34,7 +34,7 @@ class Reproduce:
     worth, of informed. time: where a decision cycle's time goes. table3: robots with bodies, in
     physics with rendered cameras. robustness: places unlike the paper's: crowds, bystanders, false
     detections, wrong labels, misses, false sentences, areas of 8 to 60 m. all: the paper's
-    experiments but table3, and one page, report.html.
+    experiments but table3, and one page, report.html; it goes on where it was interrupted.
 
     Policies: informed (ours), faithful (the paper's), frontier (nearest frontier, no language),
     lawnmower (a sweep of the area), arc (a sweep that knows by what law the worlds are drawn),

@@ -10,20 +10,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from jaxlangnav import __version__
+from jaxlangnav.cli import runtime
 from jaxlangnav.cli.output import Document, Output, document_text
-from jaxlangnav.cli.runtime import (
-    duration_text,
-    expected_duration,
-    progress_bar,
-    save_duration,
-    spinner,
-)
 from jaxlangnav.cli.settings import apply
 from jaxlangnav.cli.study import FACTOR_GRAPH, FIGURE_1, FIGURE_4, Settings, Study, StudyResult
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments import conversation as spoken, paper, robustness, unknowns
-from jaxlangnav.experiments.archive import manifest, write_manifest
+from jaxlangnav.experiments.archive import manifest, pytree_hash, read_part, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.reliability import pool_bins, reliability_curve
@@ -52,8 +48,6 @@ _CURVE_NAMES = {
     "behind": "“… behind the cone”",
     "nearest": "“… nearest to the cone”",
 }
-
-
 GRIDS = ("table2", "fig5", "unknowns", "robustness")  # experiments over episodes
 
 
@@ -72,7 +66,7 @@ def _experiment(name: str, settings: Settings) -> tuple[Experiment, Options]:
 
 def _run_table1(settings: Settings, output: Output) -> StudyResult:
     """Run the paper's evaluation of language understanding (Table 1)."""
-    with progress_bar("splits", _NUM_SPLITS) as advance:
+    with runtime.progress_bar("splits", _NUM_SPLITS) as advance:
         document = evaluate(splits=_NUM_SPLITS, seed=settings.options.seed, on_progress=advance)
     table = table_1(document)
     output.print(table.text())
@@ -86,7 +80,7 @@ def _episode_study(name: str, settings: Settings) -> Study:
 
     def run(settings: Settings, output: Output) -> StudyResult:
         total = experiment.total_episodes(options)
-        with progress_bar("episodes", total) as advance:
+        with runtime.progress_bar("episodes", total) as advance:
             document = experiment.run(options, out=settings.args.out, on_progress=advance)
         output.print(experiment.render(document))
         wall, compiling = document["wall_s"], document["compile_s"]
@@ -106,7 +100,7 @@ def _episode_study(name: str, settings: Settings) -> Study:
 
 def _run_timing(settings: Settings, output: Output) -> StudyResult:
     """Measure the run time of each part of a decision cycle with the settings' parameters."""
-    with spinner("timing the parts of a cycle"):
+    with runtime.spinner("timing the parts of a cycle"):
         document: dict[str, Any] = cycle_parts(params=settings.params)
     total, parts = document["cycle_us"], document["parts_us"]
     for part, micros in sorted(parts.items(), key=lambda item: -item[1]):
@@ -120,7 +114,7 @@ def _run_timing(settings: Settings, output: Output) -> StudyResult:
 def _run_conversation(settings: Settings, output: Output) -> StudyResult:
     """Run episodes with a simulated speaker, policy ``informed`` only."""
     options = settings.options
-    with progress_bar("episodes", options.episodes * len(spoken.ROWS)) as advance:
+    with runtime.progress_bar("episodes", options.episodes * len(spoken.ROWS)) as advance:
         document = spoken.run_rows(options, on_progress=advance)
     output.print(spoken.CONVERSATION.render(document))
 
@@ -139,7 +133,7 @@ def _run_table3(settings: Settings, output: Output) -> StudyResult:
     plan = TrialPlan(trials=args.trials or 10, seed=args.seed or 0, policy=policy, out=args.out)
     total = len(TABLE3) * (plan.trials + 1)
     output.note(f"{total} runs of two robots, two at a time")
-    with progress_bar("runs", total) as advance:
+    with runtime.progress_bar("runs", total) as advance:
         document = reproduce_table3(plan, on_progress=advance)
     table = Table.of(document["rows"], TRIAL_COLUMNS, title=_TITLE3, caption=_CAPTION3)
     output.print(table.text())
@@ -273,18 +267,18 @@ def _num_items(name: str, settings: Settings) -> int:
 
 def _estimate(name: str, settings: Settings) -> float:
     """Estimate the duration of an experiment in seconds, compilation included."""
-    return expected_duration(name, _num_items(name, settings), default=_DURATIONS[name])
+    return runtime.expected_duration(name, _num_items(name, settings), default=_DURATIONS[name])
 
 
 def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, Any], Study]:
     """Run an experiment, print its results, write its files and draw its figures."""
     study = _episode_study(name, settings) if name in GRIDS else STUDIES[name]
-    output.note(f"{name}: about {duration_text(_estimate(name, settings))}")
+    output.note(f"{name}: about {runtime.duration_text(_estimate(name, settings))}")
     begin = time.perf_counter()
     document, write = study.run(settings, output)
     document |= {"wall_s": time.perf_counter() - begin, "files": []} | document
     if not document.get("resumed"):
-        save_duration(name, document["wall_s"], _num_items(name, settings))
+        runtime.save_duration(name, document["wall_s"], _num_items(name, settings))
     if settings.args.out is not None:
         document["files"] += [str(path) for path in write(settings.args.out)]
     for path in document["files"]:
@@ -293,18 +287,34 @@ def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, An
 
 
 def run_all(settings: Settings, output: Output) -> Document:
-    """Run all experiments; with a folder, ``report.html`` is written after each."""
+    """Run all experiments; with a folder, ``report.html`` is written after each.
+
+    A run that was interrupted goes on: the folder keeps what is finished until all is.
+    """
     begin = time.perf_counter()
     seconds = {name: _estimate(name, settings) for name in REPORTED}
-    parts = ", ".join(f"{name} {duration_text(each)}" for name, each in seconds.items())
-    output.note(f"about {duration_text(sum(seconds.values()))}: {parts}")
+    parts = ", ".join(f"{name} {runtime.duration_text(each)}" for name, each in seconds.items())
+    output.note(f"about {runtime.duration_text(sum(seconds.values()))}: {parts}")
     documents: dict[str, Any] = {"report": None}
     sections = []
+    models, out = pytree_hash(load_shipped()), settings.args.out
+    paths = {} if out is None else {name: out / f"{name}_part.json" for name in REPORTED}
     for name in REPORTED:
-        documents[name], study = run_one(name, settings, output)
-        sections.append(study.section(documents[name], settings.args.command(name)))
-        if settings.args.out is not None:
+        origin = [settings.args.command(name), __version__, models]
+        if part := read_part(paths.get(name), origin):
+            output.note(f"{name}: finished by the run that was interrupted")
+        else:
+            document, study = run_one(name, settings, output)
+            section = dataclasses.asdict(study.section(document, origin[0]))
+            part = {"origin": origin, "document": document, "section": section}
+            if out is not None:
+                write_text(document_text(part), paths[name])
+        documents[name] = part["document"]
+        sections.append(msgspec.convert(part["section"], Section, dec_hook=lambda to, x: to(x)))
+        if out is not None:
             documents["report"] = str(_write_page(sections, settings, time.perf_counter() - begin))
+    for path in paths.values():
+        path.unlink()
     if documents["report"] is not None:
         output.print(f"Wrote {documents['report']}")
     return documents

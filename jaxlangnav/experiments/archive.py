@@ -1,5 +1,6 @@
 """Result files: Parquet and JSON with a manifest of their provenance, and a compile timer."""
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.metadata
@@ -51,6 +52,15 @@ def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, An
         },
         "repeats": _REPRODUCIBILITY,
     }
+
+
+def read_part(path: Path | None, origin: list[str]) -> Any:
+    """Read what a run of equal origin has finished, None unless all of its files are there."""
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        part = json.loads(path.read_text("utf-8") if path else "null")
+        if part["origin"] == origin and all(map(os.path.isfile, part["document"]["files"])):
+            return part
+    return None
 
 
 def write_manifest(document: Mapping[str, Any], path: Path) -> Path:

@@ -11,12 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.dialogue import (
-    DIALOGUE_PROGRAM,
-    DialogueParams,
-    DialogueResult,
-    ground_dialogue,
-)
+from jaxlangnav.experiments import dialogue
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
@@ -81,14 +76,14 @@ def _run_row(spec: DialogueSpec, options: Options, on_progress: OnProgress | Non
     params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(spec.cost))
     navigator, person = replace(params, planner=planner), params_of(**spec.person)
-    sentence = ground_dialogue(spec.text, _TRUE_TEXT, _FALSE_TEXT)
-    dialogues: DialogueResult = run_tasks(
+    sentence = dialogue.ground_dialogue(spec.text, _TRUE_TEXT, _FALSE_TEXT)
+    dialogues: dialogue.DialogueResult = run_tasks(
         tasks,
         sentence,
-        params=DialogueParams(navigator=navigator, person=person, sentence=sentence),
+        params=dialogue.DialogueParams(navigator=navigator, person=person, sentence=sentence),
         config=navigator_config("informed", options.num_particles),
         on_progress=on_progress,
-        program=DIALOGUE_PROGRAM,
+        program=dialogue.DIALOGUE_PROGRAM,
     )
     metrics = summarize(dialogues.result, known_distances(tasks))
     dialogues = jax.tree.map(lambda leaf: leaf[dialogues.result.is_valid], dialogues)

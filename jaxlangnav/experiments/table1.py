@@ -24,15 +24,9 @@ from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.training import scoring
 from jaxlangnav.training.examples import LabelledInstruction, labelled_instruction
 from jaxlangnav.training.fit import Fit, fit
-from jaxlangnav.training.scoring import (
-    ExactScores,
-    Results,
-    Scores,
-    score_annotations,
-    score_behaviors,
-)
 from jaxlangnav.training.shipped import MODELS, TrainingData, training_data
 
 HELD_OUT_FRACTION = 1 / 3
@@ -84,7 +78,7 @@ def _score_models(
     held_out: np.ndarray,
     on_progress: OnProgress | None,
     **options: Any,
-) -> dict[str, Results]:
+) -> dict[str, scoring.Results]:
     annotation, behavior = (fitted[name].models for name in MODELS)
     splits, sentences = held_out.shape
     count = itertools.count(1)
@@ -99,8 +93,8 @@ def _score_models(
     options["on_sentence"] = report
     inputs = held_out, load_lexicon().type_names
     return {
-        "annotation": score_annotations(instructions, annotation, *inputs, **options),
-        "behavior": score_behaviors(instructions, annotation, behavior, *inputs, **options),
+        "annotation": scoring.score_annotations(instructions, annotation, *inputs, **options),
+        "behavior": scoring.score_behaviors(instructions, annotation, behavior, *inputs, **options),
     }
 
 
@@ -178,7 +172,7 @@ def evaluate(
 def _oov_accuracy(
     name: str,
     instructions: Sequence[LabelledInstruction],
-    scores: Sequence[Scores],
+    scores: Sequence[scoring.Scores],
     held_out: np.ndarray,
 ) -> dict[str, float | None]:
     """Compute the accuracy on held-out instructions, bool[K, I], with an unseen word."""
@@ -198,14 +192,14 @@ def _oov_accuracy(
     return {"accuracy_mean": accuracy, "share": round(fraction, 4)}
 
 
-def _accuracy(scores: Sequence[Scores | ExactScores]) -> dict[str, float]:
+def _accuracy(scores: Sequence[scoring.Scores | scoring.ExactScores]) -> dict[str, float]:
     """Compute the mean accuracy over splits and half its 95 % interval, percent."""
     accuracy = np.array([100.0 * score.accuracy for score in scores])
     interval = float(1.96 * accuracy.std(ddof=1) / np.sqrt(len(accuracy)))
     return {"accuracy_mean": round(float(accuracy.mean()), 2), "accuracy_ci95": round(interval, 2)}
 
 
-def _row(fitted: FittedSplits, results: Results, seconds: float) -> dict[str, Any]:
+def _row(fitted: FittedSplits, results: scoring.Results, seconds: float) -> dict[str, Any]:
     beams = {str(beam): _accuracy(scores) for beam, scores in results.by_width.items()}
     first = next(iter(beams.values()))
     if results.exact:

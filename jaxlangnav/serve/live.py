@@ -26,15 +26,7 @@ from jaxlangnav.task.loading import detector_of, step_limit
 from jaxlangnav.task.talk import YOU, Dialogue, add_talk, allow_questions, name_candidates, padded
 from jaxlangnav.viz.html import page_data
 from jaxlangnav.viz.sentences import percent
-from jaxlangnav.world.files import (
-    MAX_FILE_BYTES,
-    WorldFile,
-    open_world,
-    shipped_worlds,
-    to_toml,
-    world_from_dict,
-    world_to_dict,
-)
+from jaxlangnav.world import files
 from jaxlangnav.world.templates import TEMPLATE_NAMES
 
 MAX_UTTERANCE_LENGTH = 1000  # characters
@@ -48,7 +40,7 @@ class Request(Struct, forbid_unknown_fields=True, kw_only=True):
 
     text: PlainText
     world: Annotated[str, Meta(max_length=64)] = "1H1C"
-    document: Annotated[str, Meta(max_length=MAX_FILE_BYTES)] = ""
+    document: Annotated[str, Meta(max_length=files.MAX_FILE_BYTES)] = ""
     """A world file, TOML or JSON, that replaces ``world`` unless empty."""
     range: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] | None = None
     policy: Literal["informed", "faithful"] = "informed"
@@ -67,14 +59,14 @@ class Message(Struct, forbid_unknown_fields=True):
 
 def world_names() -> tuple[str, ...]:
     """List the names of the available worlds: templates and shipped ones."""
-    return *TEMPLATE_NAMES, *shipped_worlds()
+    return *TEMPLATE_NAMES, *files.shipped_worlds()
 
 
 def read_world(text: str) -> dict[str, Any]:
     """Parse a world file, TOML or JSON, and fill in defaults; ``ValueError`` if it is invalid."""
     with error_prefix("your world"):
         table = (parse_json if text.lstrip().startswith("{") else parse_toml)(text)
-    return world_to_dict(world_from_dict(table, file="your world"))
+    return files.world_to_dict(files.world_from_dict(table, file="your world"))
 
 
 class LiveEpisode:
@@ -130,7 +122,7 @@ class LiveEpisode:
                 raise ValueError(bad_choice("world", self.request.world, world_names()))
             return self.request.world
         path = folder / "your world.toml"
-        write_text(to_toml(read_world(self.request.document)) + "\n", path)
+        write_text(files.to_toml(read_world(self.request.document)) + "\n", path)
         return str(path)
 
     def start(self) -> None:
@@ -252,19 +244,19 @@ class LiveEpisode:
 
     def world(self) -> str:
         """Serialize the world of this episode as a TOML world file."""
-        prepared, source = self._opened.prepared, open_world(self._world)
+        prepared, source = self._opened.prepared, files.open_world(self._world)
         task = prepared.task
-        if isinstance(source, WorldFile):
+        if isinstance(source, files.WorldFile):
             world = dataclasses.replace(source, scenario=task.scenario, sensor=task.sensor)
         else:
-            world = WorldFile(
+            world = files.WorldFile(
                 name=prepared.world,
                 scenario=task.scenario,
                 sensor=task.sensor,
                 motion=task.motion,
                 instruction=sanitize(" ".join(self._opened.text.split())),
             )
-        return to_toml(world_to_dict(world)) + "\n"
+        return files.to_toml(files.world_to_dict(world)) + "\n"
 
 
 def warm_up(model: GroundingModel, folder: Path) -> None:

@@ -28,15 +28,7 @@ from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.loading import (
-    PreparedTask,
-    check_template,
-    count_types,
-    detector_of,
-    load_task,
-    mismatch_message,
-    step_limit,
-)
+from jaxlangnav.task import loading
 from jaxlangnav.world.files import open_world
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import NUM_SLOTS
@@ -49,7 +41,7 @@ class PreparedEpisode:
 
     text: str
     understood: Understanding
-    prepared: PreparedTask
+    prepared: loading.PreparedTask
     params: NavigatorParams
     config: NavigatorConfig
 
@@ -99,7 +91,7 @@ def follow(
         ValueError: the sentence, the world or an option is refused; one line.
     """
     model = load_shipped() if model is None else model
-    understood = understand(text, model, detector_of(str(world), model.type_names))
+    understood = understand(text, model, loading.detector_of(str(world), model.type_names))
     opened = prepare_episode(
         text, understood, str(world), sensing_range, policy, seed, particles, params=params
     )
@@ -121,14 +113,14 @@ def prepare_episode(
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
-    check_template(world, understood)
+    loading.check_template(world, understood)
     defaults, config = params_and_config(world, policy, particles)
     params = defaults if params is None else replace(params, policy=defaults.policy)
-    prepared = load_task(world, understood, sensing_range=sensing_range, seed=seed)
+    prepared = loading.load_task(world, understood, sensing_range=sensing_range, seed=seed)
     motion = prepared.task.motion
     if prepared.is_sampled and not prepared.goal_exists:
-        counts = count_types(prepared.task.scenario, understood.type_names)
-        raise ValueError(mismatch_message(prepared.world, counts, ()))
+        counts = loading.count_types(prepared.task.scenario, understood.type_names)
+        raise ValueError(loading.mismatch_message(prepared.world, counts, ()))
     return PreparedEpisode(
         text=text,
         understood=understood,
@@ -196,13 +188,15 @@ def precompile_cycle(opened: PreparedEpisode) -> None:
 def record_episode(opened: PreparedEpisode, max_steps: int | None = None) -> Recording:
     """Record one episode and evaluate its success; steps as of ``follow``."""
     task = opened.prepared.task
-    max_steps = step_limit(task.scenario, task.sensor) if max_steps is None else max_steps
+    max_steps = loading.step_limit(task.scenario, task.sensor) if max_steps is None else max_steps
     frames, results = zip(*opened.play(max_steps), strict=True)
     recording = stack_frames(opened.scene(), list(frames), results[-1])
     return score(recording, opened.prepared)
 
 
-def score(recording: Recording, prepared: PreparedTask, *, has_person: bool = False) -> Recording:
+def score(
+    recording: Recording, prepared: loading.PreparedTask, *, has_person: bool = False
+) -> Recording:
     """Evaluate the success of an episode by the command's action.
 
     To navigate is to stop within 1.5 m of the goal; to find is to stop with the goal in view. Where
