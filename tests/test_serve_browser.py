@@ -18,7 +18,7 @@ if CHROMIUM is None:
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::ResourceWarning")]
 SCREENSHOTS = os.environ.get("JAXLANGNAV_SCREENSHOTS")
-LONG = 60_000  # milliseconds: a cold engine compiles
+LONG = 180_000  # milliseconds: a cold engine compiles, on a busy machine too
 FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
