@@ -183,12 +183,12 @@ def attributes_of(phrase: Phrase) -> tuple[list[tuple[Word, str]], list[Word]]:
     """Extract the attribute values of a noun phrase from its adjectives.
 
     Returns:
-        Words with their attribute value, and adjectives without one.
+        Words with their attribute value, and modifiers without one: "tall", "construction".
     """
     known = load_nouns().attributes
     words = [w for w in phrase.words if w.tag in ("JJ", "NN") and not w.senses]
     attributes = [(word, known[word.text]) for word in words if word.text in known]
-    unused = [w for w in words if w.tag == "JJ" and w.text not in known]
+    unused = [word for word in words if word.text not in known]
     return attributes, [w for w in unused if w.text not in WORDS["shading"] or not attributes]
 
 

@@ -26,7 +26,7 @@ from jaxlangnav.language.phrase import (
     Phrase,
 )
 from jaxlangnav.language.reader.model import ReaderModel, load_reader
-from jaxlangnav.language.reader.proposals import Proposal, propose_readings, safe_log
+from jaxlangnav.language.reader.proposals import MIN_OVERRULING, Proposal, propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, join_topics, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, refuse_guesses
 from jaxlangnav.language.spelling import repair
@@ -47,7 +47,7 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # unknown words; more have very many trees
 MAX_PROPOSALS = 8
 """Number of rewritings of a sentence that are parsed, likeliest first."""
-_MIN_LIKELIHOOD = 0.03  # of a rewriting by the reader, however well its edits are judged
+_MIN_P = 1e-6  # smaller probabilities count as this in logarithms
 _IGNORED_SIGNS = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then", "°": "degrees"}
@@ -144,14 +144,15 @@ def _compounds() -> dict[str, tuple[str, ...]]:
     return {"".join(words): words for words in entries if len(words) > 1}
 
 
-def _check_symbols(spoken: list[RawToken]) -> None:
-    for index, (text, position) in enumerate((token.text, token.position) for token in spoken):
-        if text in MARKS or text[0].isalpha() or text in load_lexicon().vocabulary:
+def _check_symbols(tokens: list[Token]) -> None:
+    for index, (text, position) in enumerate((token.text, token.position) for token in tokens):
+        is_noun = tokens[index].terminal == NOUN  # "room 12"
+        if is_noun or not text or text[0].isalpha() or text in load_lexicon().vocabulary:
             continue
         reason = "this sign is not supported; use words"
         if text[0].isdigit():
             reason = "numbers are not supported; name a place, as in 'behind the cone'"
-            following = spoken[index + 1].text if index + 1 < len(spoken) else ""
+            following = tokens[index + 1].text if index + 1 < len(tokens) else ""
             is_distance = load_lexicon().refused.get(following) == REASONS["a distance"]
             reason = REASONS["a distance"] if is_distance or text[-1] == "m" else reason
         raise LanguageError.at(text[:30], position, reason)
@@ -203,16 +204,15 @@ def parse(
     try:
         verbatim = parse_tokens(sentence, sentence.tokens)
     except LanguageError as error:
-        if error.position is None:
-            raise
-        rewritings = parse_rewritings(sentence)
-        if not rewritings or rewritings[0].probability < _MIN_LIKELIHOOD:
-            raise
-        if load_reader().accept(acceptance_features(rewritings)) < least_probability:
+        rewritings = [] if error.position is None else parse_rewritings(sentence)
+        is_accepted = rewritings and (
+            load_reader().accept(acceptance_features(rewritings)) >= least_probability
+        )
+        if not is_accepted:
             raise
         return rewritings[0].parse
-    likeliest = parse_rewritings(sentence, verbatim)[0]
-    return likeliest.parse if likeliest.probability >= MIN_PROBABILITY else verbatim
+    likeliest = next(iter(parse_rewritings(sentence, verbatim)), None)
+    return likeliest.parse if likeliest and likeliest.probability >= MIN_OVERRULING else verbatim
 
 
 class Rewriting(NamedTuple):
@@ -228,23 +228,26 @@ def acceptance_features(rewritings: Sequence[Rewriting]) -> dict[str, float]:
 
     Its edits, and how probable it is beside the others and beside refusal.
     """
-    best, second = rewritings[0], rewritings[1:2]
-    log_p = safe_log(best.probability)
-    return {
-        **best.proposal.features,
-        "bias": 1.0,
-        "log p": log_p,
-        "log ratio": log_p - safe_log(second[0].probability if second else 0.0),
-        "log other": math.log(max(1.0 - best.probability, 1e-3)),
+    best = rewritings[0]
+    second_probability = rewritings[1].probability if rewritings[1:] else 0.0
+    probabilities = {
+        "log p": best.probability,
+        "log other": 1.0 - best.probability,
+        "log second": second_probability,
+        "log refused": best.proposal.refusal_probability,
     }
+    logs = {name: math.log(max(p, _MIN_P)) for name, p in probabilities.items()}
+    return {**best.proposal.features, **logs, "bias": 1.0}
 
 
 def parse_rewritings(
     sentence: Sentence, verbatim: Parse | None = None, *, reader: ReaderModel | None = None
 ) -> list[Rewriting]:
     """Parse the reader's proposals, and sum the probabilities of those of one meaning."""
-    options: dict[str, Any] = {"is_readable": verbatim is not None, "model": reader}
-    proposals = propose_readings(sentence.tokens, sentence.labels, **options)
+    is_readable = verbatim is not None
+    proposals = propose_readings(
+        sentence.tokens, sentence.labels, is_readable=is_readable, model=reader
+    )
     meanings: dict[object, Rewriting] = {}
     for proposal in proposals[:MAX_PROPOSALS]:
         if sentence.earlier is not None and any(
@@ -279,8 +282,8 @@ def parse_tokens(
 ) -> Parse:
     """Parse tokens by the grammar alone; ``is_located``: locate the cause of a failure."""
     spoken, measures = split_measures(words) if is_measured else (words, [])
-    _check_symbols(spoken)
     tokens = join_nouns([_to_token(token) for token in spoken], sentence.labels)
+    _check_symbols(tokens)
     tokens = [
         replace(token, terminal=UNKNOWN)  # "the lily"
         if token.terminal == UNKNOWN_ADVERB and must_be_noun(tokens, index)

@@ -129,8 +129,9 @@ def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
     is_motion = any(w.text in ("to", "toward", "towards") for c in clause.children for w in c.words)
     for phrase in clause.walk():
         guessed = [w for w in phrase.words if w.position in unknown and phrase is not clause]
-        if len(guessed) > 2 or (verbs and guessed):
-            raise _refusal((verbs or guessed)[:1], "one of too many unknown words")
+        is_motion &= not guessed
+        if len(guessed) > 2:
+            raise _refusal(guessed[:1], "one of too many unknown words")
     if verbs and not is_motion:
         raise _refusal(verbs[:1], "a verb I do not know; say for example 'go to the cone'")
 
@@ -146,6 +147,14 @@ def _check_one(phrase: Phrase) -> None:
     is_modified = bool(modifiers) and (not is_ranked or any(word.type_sense for word in words))
     if leaf.has_sense("anaphor") and not is_known and not is_modified:
         raise _refusal(leaf.words[-1:], _OF_WHAT)
+
+
+def _check_place(phrase: Phrase) -> None:
+    """Refuse "go to the area": only relations say which place is meant."""
+    is_modified = phrase.label == "NP"
+    for np in phrase.children[1 if is_modified else 0 :]:
+        if np.label == "NP" and not np.children and np.has_sense("place"):
+            raise _refusal(np.words[-1:], "which one? say where, as in 'the spot behind the cone'")
 
 
 def _check_landmark(phrase: Phrase) -> None:
@@ -187,6 +196,7 @@ def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
                 _check_compound(phrase)
             if phrase.children:
                 _check_one(phrase)
+                _check_place(phrase)
                 _check_landmark(phrase)
                 _check_between(phrase)
         _check_unknown(clause, unknown)

@@ -8,9 +8,10 @@ it counts ``copies`` times. The labels come from aligning the two, word by word.
 """
 
 import functools
+import sys
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -19,7 +20,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import scipy.sparse
 from jax import Array
 from msgspec import Meta, field
 from scipy.optimize import minimize
@@ -39,7 +39,7 @@ _SIMPLE_LABELS = frozenset({"=go", "=go to", "=stop"})
 _SMALL_TALK_RATE = 0.3  # probability of adding small talk to a verbatim sentence
 _IMPOSSIBLE = -1e4  # log score of an impossible transition
 _TINY = 1e-30  # added before the logarithm of a sum that may underflow
-_MIN_JUDGED = 5  # features of the acceptance that fewer sentences have are dropped
+_MIN_JUDGED = 20  # features of the acceptance that fewer sentences have are dropped
 _ACCEPTANCE_L2 = 10.0
 _PADDING = 8  # lengths are rounded up to a multiple of this, to limit compilations
 
@@ -52,7 +52,7 @@ class ReaderConfig(NamedTuple):
     rate: float = 0.12  # of Adam, with cosine decay to 0
     l2: float = 2e-5
     least_features: int = 3  # rarer features are dropped
-    least_labels: int = 3  # sentences; rarer labels are dropped
+    least_labels: int = 3  # different sentences; rarer labels are dropped
     smallest: float = 0.03  # smaller weights are set to 0
     seed: int = 0
 
@@ -68,7 +68,7 @@ class ReaderExample(NamedTuple):
 class ReaderWeights(NamedTuple):
     """Trainable weights of the CRF."""
 
-    emission: Array  # f32[F + 1, L]; row 0 is padding
+    emission: Array  # f32[F, L]
     transition: Array  # f32[L, L]
     begin: Array  # f32[L]
     end: Array  # f32[L]
@@ -77,7 +77,7 @@ class ReaderWeights(NamedTuple):
 class Batch(NamedTuple):
     """A padded batch of sentences of similar length."""
 
-    features: np.ndarray  # i32[B, T, K] rows of the emission; 0: none
+    features: np.ndarray  # i32[B, T, K] rows of the emission; F: none
     labels: np.ndarray  # i32[B, T]
     is_word: np.ndarray  # f32[B, T]
     weight: np.ndarray  # f32[B] 0 of padding
@@ -135,12 +135,18 @@ def label_lines(rows: Sequence[CorpusLine]) -> list[ReaderExample]:
     """Label the words of sentences by aligning them with how they read; skip what cannot be."""
     examples = []
     # A name that is another word as well ("keep", "drive") is one only where its line says so.
-    pooled = frozenset(name for row in rows for name in row.names)
+    pooled = frozenset(name.lower() for row in rows for name in row.names)
     pooled -= load_lexicon().vocabulary.union(*load_verbs().values())
+
+    @functools.cache  # thousands of names: one set for all lines that add none, or the same
+    def with_names(more: frozenset[str]) -> frozenset[str]:
+        return pooled | more
+
     for row in rows:
-        names = pooled.union(row.names)
+        names = with_names(frozenset(map(str.lower, row.names)) - pooled)
         words = tuple(token.text for token in split_text(row.text, names))
-        labels = (REJECT,) * len(words) if row.read is None else align(words, row.read.split())
+        read = None if row.read is None else row.read.lower().split()
+        labels = (REJECT,) * len(words) if read is None else align(words, read)
         if words and labels is not None:
             examples += [ReaderExample(words, labels, names)] * row.copies
     return examples
@@ -182,7 +188,8 @@ def vary_sentences(examples: Sequence[ReaderExample], seed: int) -> list[ReaderE
 
 def negative_log_likelihood(weights: ReaderWeights, batch: Batch) -> Array:
     """Compute Σ −log p(labels | words) over a batch by the forward algorithm, f32[], nats."""
-    scores = weights.emission.at[0].set(0.0)[batch.features].sum(axis=2)  # [B, T, L]
+    rows = weights.emission.at[batch.features].get(mode="fill", fill_value=0.0)
+    scores = rows.sum(axis=2)  # [B, T, L]
     exp_transition = jnp.exp(weights.transition)  # a matrix product in place of L² exponentials
 
     def step(alpha: Array, inputs: tuple[Array, Array]) -> tuple[Array, None]:
@@ -214,7 +221,7 @@ def train_reader(
         ValueError: too few sentences to learn from.
     """
     start_time = time.perf_counter()
-    label_counts = Counter(label for ex in examples for label in set(ex.labels))
+    label_counts = Counter(label for ex in set(examples) for label in set(ex.labels))
     names = frozenset.intersection(*(ex.names for ex in examples))
     frequent = sorted(label for label, n in label_counts.items() if n >= config.least_labels)
     # A label that inserts an object name would insert it for any sentence.
@@ -224,28 +231,20 @@ def train_reader(
     if len(kept) < config.batch:
         raise ValueError(f"{len(kept)} sentences are too few to train on: {config.batch} at least")
     kept = vary_sentences(kept, config.seed)
-    feature_names = [featurize(ex.words, ex.names) for ex in kept]
+    feature_names = [
+        [[*map(sys.intern, word)] for word in featurize(ex.words, ex.names)] for ex in kept
+    ]
     counts = Counter(name for sentence in feature_names for word in sentence for name in set(word))
     features = tuple(sorted(name for name, n in counts.items() if n >= config.least_features))
     batches = _batches(kept, feature_names, features, labels, config)
+    del feature_names  # gigabytes
     weights, loss = _fit(batches, len(features), labels, config)
-    emission = np.where(np.abs(weights.emission[1:]) < config.smallest, 0.0, weights.emission[1:])
+    emission = np.where(np.abs(weights.emission) < config.smallest, 0.0, weights.emission)
     is_used = np.abs(emission).max(axis=1) > 0
-    pairs = (pair for ex in kept for pair in zip(ex.words, ex.labels, strict=True))
-    labelled = [Labelling(ReaderSentence(ex.words, ex.names), ex.labels) for ex in kept]
     model = ReaderModel(
         features=tuple(name for name, used in zip(features, is_used, strict=True) if used),
         labels=labels,
-        seen=frozenset((word, label) for word, label in pairs if label[0] == "="),
-        # Edited spans with their replacement, except deletions of words that only select objects:
-        # "both" may be deleted in one sentence, but not in others.
-        met=frozenset(
-            labelling.span_key(run)
-            for labelling in labelled
-            for run in labelling.runs
-            if any(labelling.labels[i] != DELETE for i in run)
-            or any(WORDS["choosing"].isdisjoint(labelling.sentence.classes[i]) for i in run)
-        ),
+        met=met_spans(kept),
         emission=np.round(emission[is_used], 3),
         transition=np.asarray(weights.transition),
         begin=np.asarray(weights.begin),
@@ -262,6 +261,22 @@ def train_reader(
     }
 
 
+def met_spans(examples: Iterable[ReaderExample]) -> frozenset[str]:
+    """Collect the edited spans of labelled sentences, as ``Labelling.span_key`` formats them.
+
+    Without deletions of words that only select objects: "both" may be deleted in one sentence, but
+    not in others.
+    """
+    labellings = (Labelling(ReaderSentence(ex.words, ex.names), ex.labels) for ex in examples)
+    return frozenset(
+        labelling.span_key(run)
+        for labelling in labellings
+        for run in labelling.runs
+        if any(labelling.labels[i] != DELETE for i in run)
+        or any(WORDS["choosing"].isdisjoint(labelling.sentence.classes[i]) for i in run)
+    )
+
+
 def _batches(
     examples: Sequence[ReaderExample],
     feature_names: Sequence[list[list[str]]],
@@ -270,7 +285,7 @@ def _batches(
     config: ReaderConfig,
 ) -> list[Batch]:
     """Pack sentences of similar length into padded batches."""
-    feature_index = {name: index for index, name in enumerate(features, start=1)}
+    feature_index = {name: index for index, name in enumerate(features)}
     label_index = {label: index for index, label in enumerate(labels)}
     width = max(len(word) for sentence in feature_names for word in sentence)
     order = sorted(range(len(examples)), key=lambda i: len(examples[i].words))
@@ -280,7 +295,7 @@ def _batches(
         length = -(-len(examples[indices[-1]].words) // _PADDING) * _PADDING
         shape = config.batch, length
         batch = Batch(
-            np.zeros((*shape, width), np.int32),
+            np.full((*shape, width), len(features), np.int32),
             np.zeros(shape, np.int32),
             np.zeros(shape, np.float32),
             (np.arange(config.batch) < len(indices)).astype(np.float32),
@@ -301,7 +316,7 @@ def _fit(
 ) -> tuple[ReaderWeights, float]:
     """Minimise the objective with Adam, deterministically for the same batches and seed."""
     size = len(labels)
-    weights = ReaderWeights(*map(jnp.zeros, ((num_features + 1, size), (size, size), size, size)))
+    weights = ReaderWeights(*map(jnp.zeros, ((num_features, size), (size, size), size, size)))
     # Transitions between the refusal label and all others are impossible.
     is_refused = np.array([label == REJECT for label in labels])
     mask = np.where(is_refused[:, None] == is_refused, 0.0, _IMPOSSIBLE).astype(np.float32)
@@ -335,16 +350,17 @@ def _fit(
 def fit_acceptance(
     features: Sequence[Mapping[str, float]], is_right: np.ndarray
 ) -> dict[str, float]:
-    """Fit a logistic model, with an L2 penalty, of whether rewritings are right, bool[N]."""
+    """Fit a logistic model of whether rewritings are right, bool[N]; L2 but on the bias."""
     counts = Counter(name for row in features for name in row)
     names = sorted(name for name, count in counts.items() if count >= _MIN_JUDGED)
-    matrix = scipy.sparse.csr_matrix([[row.get(name, 0.0) for name in names] for row in features])
+    matrix = np.array([[row.get(name, 0.0) for name in names] for row in features])
+    penalty = np.where(np.array(names) == "bias", 0.0, _ACCEPTANCE_L2)
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         log_odds = matrix @ weights
         value = np.logaddexp(0.0, log_odds).sum() - log_odds[is_right].sum()
         gradient = matrix.T @ (expit(log_odds) - is_right)
-        return value + 0.5 * _ACCEPTANCE_L2 * weights @ weights, gradient + _ACCEPTANCE_L2 * weights
+        return value + 0.5 * penalty @ weights**2, gradient + penalty * weights
 
     found = minimize(loss, np.zeros(len(names)), jac=True, method="L-BFGS-B")
     return dict(zip(names, np.round(found.x, 3).tolist(), strict=True))

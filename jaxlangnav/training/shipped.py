@@ -284,6 +284,8 @@ def train_shipped_reader(
         ValueError: too few sentences to learn from.
     """
     config, grounding, judged = ReaderConfig(), load_shipped(), []
+    if len(rows) < 2 * config.batch:
+        raise ValueError(f"{len(rows)} lines are too few to train on: {2 * config.batch} at least")
     # Of every three blocks the first is held out, then the second.
     fold_of = np.arange(len(rows)) // min(_MAX_BLOCK, len(rows) // 6 + 1) % 3
     for fold in range(2):
@@ -306,7 +308,7 @@ def _judge(
     row: CorpusLine, reader: ReaderModel, grounding: GroundingModel
 ) -> tuple[dict[str, float], bool] | None:
     """Judge the likeliest rewriting of a sentence; None if the grammar reads it, or nothing."""
-    names = (name for name in row.names if not is_reserved(name))
+    names = itertools.filterfalse(is_reserved, map(str.lower, row.names))
     detector = Detector(tuple(dict.fromkeys((*grounding.type_names, *names))))
     labels = detector.plain_labels
 
@@ -314,20 +316,19 @@ def _judge(
         understood = understand_parse(tree, grounding, detector)
         if int(understood.instruction.num_clauses):
             understood.check_task(is_first=True)
-        metres = np.round(np.asarray(understood.instruction.metres), 2).tolist()
-        return (*meaning_key(understood.instruction), *metres)
+        measures = (understood.instruction.metres, understood.instruction.frame)
+        return (*meaning_key(understood.instruction), *(np.round(m, 2).tolist() for m in measures))
 
-    sentence = Sentence(row.text, labels)
+    sentence, plain = Sentence(row.text, labels), Sentence(row.read or "", labels)
     try:
         parse_tokens(sentence, sentence.tokens)
+        return None
     except LanguageError as error:
         rewritings = [] if error.position is None else parse_rewritings(sentence, reader=reader)
-    else:
+    if not rewritings:
         return None
     try:
-        plain = Sentence(row.read or "", labels)
         expected = None if row.read is None else meaning(parse_tokens(plain, plain.tokens))
-        is_right = bool(rewritings) and meaning(rewritings[0].parse) == expected
+        return acceptance_features(rewritings), meaning(rewritings[0].parse) == expected
     except ValueError:
         return None
-    return (acceptance_features(rewritings), is_right) if rewritings else None

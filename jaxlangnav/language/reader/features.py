@@ -18,7 +18,6 @@ from jaxlangnav.messages import RELATIONS
 
 NAME, _RELATION = "N", "rel"
 PREPOSITION = "refused:such a relation"
-SIGN = "sign"
 MOTION = "verb:"
 """Prefix of the classes of verbs of ``verbs.toml``."""
 _MAX_NAME_WORDS = 4
@@ -88,7 +87,7 @@ class ReaderSentence:
     @cached_property
     def classes(self) -> tuple[tuple[str, ...], ...]:
         """The classes of each word, at least one."""
-        return tuple(map(_classes_of, self.words, self.is_name))
+        return tuple(map(classes_of, self.words, self.is_name))
 
     @cached_property
     def clause(self) -> tuple[int, ...]:
@@ -119,7 +118,8 @@ class ReaderSentence:
         return any(c in WORDS["orders"] or c.startswith(MOTION) for c in self.classes[index])
 
 
-def _classes_of(word: str, is_name: bool) -> tuple[str, ...]:
+def classes_of(word: str, is_name: bool = False) -> tuple[str, ...]:
+    """List the classes of a word or mark, at least one."""
     if word in MARKS:
         return ("mark",)
     known = _classes().get(word, ())
@@ -128,7 +128,7 @@ def _classes_of(word: str, is_name: bool) -> tuple[str, ...]:
     if known:
         return known
     if not word[0].isalpha():
-        return (SIGN,)
+        return ("sign",)
     if "'" in word:
         return ("?'",)
     return ("?" + next((end for end in _ENDINGS if word.endswith(end)), ""),)

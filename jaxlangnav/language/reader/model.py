@@ -22,16 +22,15 @@ from jaxlangnav.inputs.arrays import as_value_error, open_arrays, read_floats, r
 from jaxlangnav.inputs.atomic_files import read_file, replacing
 from jaxlangnav.inputs.documents import shipped_file
 from jaxlangnav.language.phrase import LanguageError
-from jaxlangnav.language.reader.features import MOTION, NAME, ReaderSentence, featurize
+from jaxlangnav.language.reader.features import featurize
 
 READER_ENV = "JAXLANGNAV_READER"
 """Environment variable that names a user's reader file, in place of the package's."""
 KEEP, DELETE, REJECT = "K", "D", "X"
-COMMAND_VERBS = frozenset({"go", "go to", "stop", "stop at", ""})
-"""Replacements of a verb that are allowed without an instance in the training data."""
+_NUM_CANDIDATES = 12  # labels of a word that are tried in the list of labellings
 _MAX_BYTES = 1 << 24
-_MAX_TEXT = 1 << 22
-_MAX_FEATURES, _MAX_LABELS = 1 << 17, 512
+_MAX_TEXT = 1 << 23
+_MAX_FEATURES, _MAX_LABELS = 1 << 18, 512
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,6 @@ class ReaderModel:
 
     features: tuple[str, ...]
     labels: tuple[str, ...]
-    seen: frozenset[tuple[str, str]]  # (word, label) of the training data, for replacements
     met: frozenset[str]  # edited spans with their replacement, of the training data
     emission: np.ndarray  # f32[F, L]
     transition: np.ndarray  # f32[L, L]
@@ -72,21 +70,6 @@ class ReaderModel:
         return scores
 
 
-def replacement_mask(model: ReaderModel, sentence: ReaderSentence) -> np.ndarray:
-    """Mask replacements that the training data does not have for a word: 0 or -∞, [T, L]."""
-    # Verbs of ``verbs.toml`` may be replaced by "go" or "stop" without training data.
-    mask = np.zeros((len(sentence.words), len(model.labels)))
-    replacing = [(column, label) for column, label in enumerate(model.labels) if label[0] == "="]
-    for row, (word, classes) in enumerate(zip(sentence.words, sentence.classes, strict=True)):
-        is_verb = any(c.startswith(MOTION) for c in classes) and classes[0] != NAME
-        for column, label in replacing:
-            is_order = label[1:] in COMMAND_VERBS
-            is_seen = (word, label) in model.seen and not (is_order and "rel.." in classes)
-            if not (is_seen or (is_verb and is_order)):
-                mask[row, column] = -np.inf
-    return mask
-
-
 def log_partition(scores: np.ndarray, transition: np.ndarray) -> float:
     """Compute log Z by the forward algorithm, from scores f64[T, L] and transitions f32[L, L]."""
     alpha = scores[0]
@@ -102,7 +85,7 @@ def find_best(
 
     Arguments as in ``log_partition``. Returns log score and labels of each, best first.
     """
-    labels = [np.flatnonzero(np.isfinite(row)) for row in scores]  # of each word: few are possible
+    labels = np.argsort(-scores, axis=1)[:, :_NUM_CANDIDATES]  # of each word
     best = np.full((len(labels[0]), count), -np.inf)
     best[:, 0] = scores[0, labels[0]]
     backpointers = []
@@ -130,8 +113,7 @@ def find_best(
 def save_reader(path: Path, model: ReaderModel, *, command: str) -> None:
     """Write a reader atomically to an ``.npz`` file; ``command`` is the training command."""
     about = {"command": command, "features": model.features, "labels": model.labels}
-    about["acceptance"] = dict(model.acceptance)
-    about |= {name: sorted(getattr(model, name)) for name in ("seen", "met")}
+    about |= {"met": sorted(model.met), "acceptance": dict(model.acceptance)}
     edges = np.stack([model.begin, model.end])
     with replacing(path) as temporary:
         np.savez_compressed(
@@ -153,11 +135,12 @@ def _read(content: bytes) -> ReaderModel:
         names = (*features, *labels, *about["met"], *about["acceptance"])
         if any(type(name) is not str for name in names):
             raise ValueError("a name is no text")
+        if not np.isfinite([*about["acceptance"].values()]).all():
+            raise ValueError("a weight of the acceptance is not finite")
         edges = read_floats(archive, "transition", (len(labels) + 2, len(labels)))
         return ReaderModel(
             features=features,
             labels=labels,
-            seen=frozenset((str(word), str(label)) for word, label in about["seen"]),
             met=frozenset(about["met"]),
             emission=read_floats(archive, "emission", (len(features), len(labels))),
             transition=edges[:-2],

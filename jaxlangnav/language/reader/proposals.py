@@ -22,6 +22,7 @@ from jaxlangnav.language.reader.features import (
     NAME,
     PREPOSITION,
     ReaderSentence,
+    classes_of,
     find_relations,
 )
 from jaxlangnav.language.reader.model import (
@@ -32,19 +33,19 @@ from jaxlangnav.language.reader.model import (
     find_best,
     load_reader,
     log_partition,
-    replacement_mask,
 )
 from jaxlangnav.language.tokens import MARKS, RawToken, strip_marks
 from jaxlangnav.relations.table import REGISTRY
 
 _NUM_LABELLINGS = 30  # labellings that are checked
-_SMALL = 1e-6  # smaller probabilities count as this in logarithms
+MIN_OVERRULING = 0.7  # probability by the CRF at which a meaning overrules the grammar's
 
 
 class Proposal(NamedTuple):
     """A proposed rewriting of a sentence, with its probability."""
 
     probability: float  # of its labellings
+    refusal_probability: float  # of the sentence
     tokens: tuple[RawToken, ...]
     left_out: tuple[str, ...]
     changes: tuple[tuple[str, str], ...]  # (as said, as read)
@@ -60,28 +61,23 @@ class Labelling:
     met: frozenset[str] = frozenset()  # edited spans of the training data
 
     @cached_property
-    def kept(self) -> list[bool]:
-        """Whether each word is kept."""
-        return [label[0] == KEEP for label in self.labels]
-
-    @cached_property
     def runs(self) -> list[range]:
-        """Maximal spans of words that are not kept."""
-        groups = itertools.groupby(range(len(self.kept)), key=self.kept.__getitem__)
+        """Maximal spans of words that are edited: replaced, deleted, or with words inserted."""
+        groups = itertools.groupby(range(len(self.labels)), key=lambda i: self.labels[i] == KEEP)
         spans = [list(group) for is_kept, group in groups if not is_kept]
         return [range(span[0], span[-1] + 1) for span in spans]
 
     def span_key(self, run: range) -> str:
-        """Format an edited span as a key: its words, names as ``<N>``, and the replacement."""
+        """Format an edited span as a key: its words, names as ``<N>``, and its labels."""
         classes, words = self.sentence.classes, self.sentence.words
         words = ["<N>" if classes[i][0] == NAME else words[i] for i in run]
-        return " ".join([*words, "=", *self._replacements(run)])
+        return " ".join([*words, *(self.labels[i] for i in run if self.labels[i] != DELETE)])
 
-    def _replacements(self, run: range) -> list[str]:
-        """List what replaces a span: its labels, and insertions at the words beside it."""
-        beside = (*self.labels[max(run.start - 1, 0) : run.start], *self.labels[run.stop :][:1])
-        inserted = [label.partition(">")[2] for label in beside]
-        return [*(self.labels[i][1:] for i in run if self.labels[i] != DELETE), *inserted]
+    def read_as(self, index: int) -> list[str]:
+        """List the words that stand for a word in the rewriting."""
+        label = self.labels[index]
+        is_kept = label[0] == KEEP
+        return [*label[2:].split(), self.sentence.words[index]] if is_kept else label[1:].split()
 
     def is_deleted(self, index: int) -> bool:
         """Check whether the whole clause of a word is deleted, without object names."""
@@ -120,42 +116,43 @@ class Labelling:
         return is_free or new <= {REGISTRY[relation].converse for relation in deleted}
 
     def edit_features(self) -> Counter[str]:
-        """Count the words that are deleted or replaced otherwise than in training, by class."""
+        """Count words edited otherwise than in training, by class; spans; names lost and kept."""
         words, classes, is_name = self.sentence.words, self.sentence.classes, self.sentence.is_name
-        kept = [singular(words[i]) for i, label in enumerate(self.kept) if label and is_name[i]]
+        is_kept = [label[0] == KEEP for label in self.labels]
+        kept = {singular(words[i]) for i, flag in enumerate(is_kept) if flag and is_name[i]}
         counts = Counter({"names": len(kept)})
         for run in self.runs:
             if self.span_key(run) in self.met:
                 continue
             counts["unmet"] += 1
             for i in run:
-                edit = "word" if self.labels[i] == DELETE else "replaced"
-                edit = "clause" if self.is_deleted(i) else edit
-                counts.update(f"{edit} {name}" for name in ("", *classes[i]))
+                edit = "deleted" if self.labels[i] == DELETE else "replaced"
+                edit = "inserted" if is_kept[i] else "clause" if self.is_deleted(i) else edit
+                counts.update(f"{edit} {name}" for name in ("any", *classes[i]))
+                new = () if edit in ("deleted", "clause") else self.read_as(i)
+                counts.update(f"as {name}" for word in new for name in classes_of(word))
                 counts["name lost"] += is_name[i] and singular(words[i]) not in kept
         return counts
 
-    def proposal(self, tokens: Sequence[RawToken], probability: float) -> Proposal:
+    def proposal(self, tokens: Sequence[RawToken], p_right: float, p_refused: float) -> Proposal:
         """Build the rewritten sentence, with the list of its edits."""
         output: list[RawToken] = []
         last = {i: tokens[run[-1]].position for run in self.runs for i in run}
-        for index, (token, label) in enumerate(zip(tokens, self.labels, strict=True)):
-            head, _, inserted = label.partition(">")
-            added = (inserted if head == KEEP else "" if label == DELETE else label[1:]).split()
+        for index, token in enumerate(tokens):
+            is_kept, words = self.labels[index][0] == KEEP, self.read_as(index)
             # New words get the positions of the words that they replace, in order.
-            positions = range(token.position, last.get(index, token.position) + 1)
+            stop = token.position if is_kept else last[index]
             output += [
-                RawToken(text=word, position=positions[min(k, len(positions) - 1)])
-                for k, word in enumerate(added)
+                RawToken(text=word, position=min(token.position + k, stop))
+                for k, word in enumerate(words)
             ]
-            output += [token] if label[0] == KEEP else []
         edits, words = [], self.sentence.words
         for run in self.runs:
             source = " ".join(words[i] for i in run if words[i] not in MARKS)
-            target = " ".join(self.labels[i][1:] for i in run if self.labels[i] != DELETE)
-            edits.append((source, target))
+            edits.append((source, " ".join(word for i in run for word in self.read_as(i))))
         return Proposal(
-            probability=probability,
+            probability=p_right,
+            refusal_probability=p_refused,
             tokens=tuple(strip_marks(output)),
             left_out=tuple(source for source, target in edits if source and not target),
             changes=tuple(edit for edit in edits if edit[1]),
@@ -176,7 +173,7 @@ def propose_readings(
         tokens: words and marks with corrected spelling; at least one.
         labels: labels of the detector.
         is_readable: the sentence can be parsed verbatim, and is proposed among the others, or
-            alone if its probability is at least 0.5; the others have edits of the training only.
+            alone if no other can overrule it; the others have edits of the training only.
         model: the reader; that of ``load_reader`` by default.
 
     Returns:
@@ -196,20 +193,19 @@ def propose_readings(
         moves = (len(scores) - 1) * model.transition[index, index]
         return math.exp(scores[:, index].sum() + moves - log_total)
 
-    p_verbatim = probability(KEEP)
+    p_verbatim, p_refused = probability(KEEP), probability(REJECT)
     proposals: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
-        verbatim = Proposal(p_verbatim, tuple(tokens), (), (), {})
+        verbatim = Proposal(p_verbatim, p_refused, tuple(tokens), (), (), {})
         proposals[sentence.words] = verbatim
-        if p_verbatim >= 0.5:
+        if p_verbatim > 1.0 - MIN_OVERRULING:
             return [verbatim]
-    scores += replacement_mask(model, sentence)
     for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
         labelled = Labelling(sentence, tuple(model.labels[i] for i in path), model.met)
         is_refused = labelled.labels[0] == REJECT or not labelled.is_faithful()
         if is_refused or (is_readable and not labelled.is_seen()):
             continue
-        proposal = labelled.proposal(tokens, math.exp(score - log_total))
+        proposal = labelled.proposal(tokens, math.exp(score - log_total), p_refused)
         words = tuple(token.text for token in proposal.tokens)
         if not words or words == sentence.words:
             continue
@@ -218,13 +214,4 @@ def propose_readings(
             proposals[words] = previous._replace(probability=total)
         else:
             proposals[words] = proposal
-    about = {"words": 0.1 * len(sentence.words), "refused": safe_log(probability(REJECT))}
-    return [
-        proposal._replace(features={**proposal.features, **about})
-        for proposal in sorted(proposals.values(), key=lambda p: -p.probability)
-    ]
-
-
-def safe_log(probability: float) -> float:
-    """Compute the logarithm of a probability, at least that of ``_SMALL``."""
-    return math.log(max(probability, _SMALL))
+    return sorted(proposals.values(), key=lambda proposal: -proposal.probability)
