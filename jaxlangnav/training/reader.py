@@ -11,7 +11,7 @@ import functools
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -27,11 +27,11 @@ from scipy.special import expit
 
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines, shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
-from jaxlangnav.language.lexicon import WORDS, load_lexicon
+from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import split_text
 from jaxlangnav.language.reader.features import ReaderSentence, featurize, load_verbs
 from jaxlangnav.language.reader.model import DELETE, KEEP, REJECT, ReaderModel
-from jaxlangnav.language.reader.proposals import Labelling
+from jaxlangnav.language.reader.proposals import Labelling, met_spans
 from jaxlangnav.language.tokens import MARKS
 
 _MAX_BYTES = 1 << 24  # of a corpus
@@ -244,7 +244,7 @@ def train_reader(
     model = ReaderModel(
         features=tuple(name for name, used in zip(features, is_used, strict=True) if used),
         labels=labels,
-        met=met_spans(kept),
+        met=met_spans(Labelling(ReaderSentence(e.words, e.names), e.labels) for e in kept),
         emission=np.round(emission[is_used], 3),
         transition=np.asarray(weights.transition),
         begin=np.asarray(weights.begin),
@@ -259,22 +259,6 @@ def train_reader(
         "loss": loss,
         "train_s": time.perf_counter() - start_time,
     }
-
-
-def met_spans(examples: Iterable[ReaderExample]) -> frozenset[str]:
-    """Collect the edited spans of labelled sentences, as ``Labelling.span_key`` formats them.
-
-    Without deletions of words that only select objects: "both" may be deleted in one sentence, but
-    not in others.
-    """
-    labellings = (Labelling(ReaderSentence(ex.words, ex.names), ex.labels) for ex in examples)
-    return frozenset(
-        labelling.span_key(run)
-        for labelling in labellings
-        for run in labelling.runs
-        if any(labelling.labels[i] != DELETE for i in run)
-        or any(WORDS["choosing"].isdisjoint(labelling.sentence.classes[i]) for i in run)
-    )
 
 
 def _batches(

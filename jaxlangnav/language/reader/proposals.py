@@ -10,7 +10,7 @@ of its edits: the CRF is too sure of words that it does not know.
 import itertools
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -158,6 +158,21 @@ class Labelling:
             changes=tuple(edit for edit in edits if edit[1]),
             features=self.edit_features(),
         )
+
+
+def met_spans(labellings: Iterable[Labelling]) -> frozenset[str]:
+    """Collect the edited spans of training data, as ``Labelling.span_key`` formats them.
+
+    Without deletions of words that only select objects: "both" may be deleted in one sentence, but
+    not in others.
+    """
+    return frozenset(
+        labelling.span_key(run)
+        for labelling in labellings
+        for run in labelling.runs
+        if any(labelling.labels[i] != DELETE for i in run)
+        or any(WORDS["choosing"].isdisjoint(labelling.sentence.classes[i]) for i in run)
+    )
 
 
 def propose_readings(
