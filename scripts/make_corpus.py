@@ -2,7 +2,6 @@
 
     python scripts/make_corpus.py            # corpus.jsonl from corpus_templates.txt
     python scripts/make_corpus.py --only-39  # corpus39.jsonl from corpus39.txt
-    python scripts/make_corpus.py --only-spoken  # corpus_spoken.jsonl from corpus_spoken.txt
 
 Each template states what its sentence must mean; a sentence whose composed labels say anything
 else stops the script, so a fault of parser or rules cannot slip into the labels unseen.
@@ -30,7 +29,6 @@ DATA = Path(jaxlangnav.language.__file__).parent / "data"
 MAX_DRAWS = 4000
 WORLDS_PER_SENTENCE = 2
 FILES = {"corpus39": "corpus39.txt", "corpus": "corpus_templates.txt"}
-FILES |= {"corpus_spoken": "corpus_spoken.txt"}
 WORDS = tomllib.loads((FOLDER / "corpus_words.toml").read_text("utf-8"))
 
 
@@ -238,7 +236,7 @@ def write(path: Path, records: list[dict]) -> None:
 
 def main() -> None:
     """Write the requested corpora."""
-    only = [name for name in FILES if f"--only-{name[6:].strip('_')}" in sys.argv]
+    only = [name for name in FILES if f"--only-{name[6:]}" in sys.argv]
     for name in only or FILES:
         write(DATA / f"{name}.jsonl", from_templates(FOLDER / FILES[name]))
 

@@ -68,7 +68,6 @@ def test_the_other_is_not_the_previous_goal():
     ("name", "every"),
     [
         ("corpus39", 1),
-        ("corpus_spoken", 4),
         ("corpus", 20),
         pytest.param("corpus", 1, marks=pytest.mark.slow),
     ],
@@ -125,17 +124,6 @@ def test_the_large_corpus_is_split_by_template():
         assert {"constraint", "superlative", "other", "mode:quickly", "action:find"} <= senses
         assert {kind for e in part for kind in e.parse.kinds} == {"command", "statement"}
         assert any(len(e.clauses) > 1 for e in part)
-
-
-def test_what_is_spoken_is_held_out_and_read_by_the_reader():
-    examples = load_corpus("corpus_spoken")
-    assert {e.split for e in examples} == {"test"}
-    assert not {e.template for e in examples} & {e.template for e in load_corpus("corpus")}
-    assert not {e.text for e in examples} & {e.text for e in load_corpus("corpus")}
-    through = [e for e in examples if e.parse.rewrites or e.parse.unread or any(
-        one.metres for one in e.parse.measures
-    )]  # fmt: skip
-    assert len(through) / len(examples) > 0.65
 
 
 def test_a_corpus_is_read_by_the_grammar_where_it_can_be():
