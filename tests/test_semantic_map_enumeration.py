@@ -25,6 +25,8 @@ VIEWER = (0.0, 0.0, 0.3)
 ALPHA = 3.0
 GRID_ERROR = 0.013  # share by which the oracle's grid may be wrong
 EMPTY = (0, NONE, NONE, False)
+BY_CONE, BY_CAR, ON_RIGHT = (0, BEHIND, 1, False), (1, NEAR, 2, False), (1, RIGHT, 2, False)
+BESIDE_CAR, BESIDE_ROBOT = [HYDRANT, CONE, CAR], [HYDRANT, CONE, ROBOT]
 CASES = {
     "null": ([HYDRANT], [EMPTY]),
     "behind": ([HYDRANT, CONE], [(0, BEHIND, 1, False)]),
@@ -35,40 +37,24 @@ CASES = {
     "never seen landmark": ([HYDRANT, 5], [(0, BEHIND, 1, False)]),
     "on your left": ([HYDRANT, ROBOT], [(0, LEFT, 1, False)]),
     # Landmarks before the figures placed against them, as the language orders them …
-    "behind the cone near the car": (
-        [HYDRANT, CONE, CAR],
-        [(1, NEAR, 2, False), (0, BEHIND, 1, False)],
-    ),
-    "behind the cone on your right": (
-        [HYDRANT, CONE, ROBOT],
-        [(1, RIGHT, 2, False), (0, BEHIND, 1, False)],
-    ),
-    "behind the cone, left of the car": (
-        [HYDRANT, CONE, CAR],
-        [(0, BEHIND, 1, False), (0, LEFT, 2, False)],
-    ),
+    "behind the cone near the car": (BESIDE_CAR, [BY_CAR, BY_CONE]),
+    "behind the cone on your right": (BESIDE_ROBOT, [ON_RIGHT, BY_CONE]),
+    "behind the cone, left of the car": (BESIDE_CAR, [BY_CONE, (0, LEFT, 2, False)]),
     # A thing called by no type is any of those seen but the others that are spoken of.
     "the thing behind the cone": ([ANYTHING, CONE], [(0, BEHIND, 1, False)]),
     "the thing nearest to the hydrant": ([ANYTHING, HYDRANT], [(0, NEAR, 1, True)]),
     "the thing on your left": ([ANYTHING, ROBOT], [(0, LEFT, 1, False)]),
-    "the thing behind the cone near the car": (
-        [ANYTHING, CONE, CAR],
-        [(1, NEAR, 2, False), (0, BEHIND, 1, False)],
-    ),
+    "the thing behind the cone near the car": ([ANYTHING, CONE, CAR], [BY_CAR, BY_CONE]),
     # … and in any other order, less efficiently.
-    "figure first: behind the cone near the car": (
-        [HYDRANT, CONE, CAR],
-        [(0, BEHIND, 1, False), (1, NEAR, 2, False)],
-    ),
-    "figure first: behind the cone on your right": (
-        [HYDRANT, CONE, ROBOT],
-        [(0, BEHIND, 1, False), (1, RIGHT, 2, False)],
-    ),
+    "figure first: behind the cone near the car": (BESIDE_CAR, [BY_CONE, BY_CAR]),
+    "figure first: behind the cone on your right": (BESIDE_ROBOT, [BY_CONE, ON_RIGHT]),
 }
 
-SPREADS = {"figure first": 2.5, "behind the cone, left of the car": 0.6}
-"""Of the estimated evidence, in parts of it, where half is too little: what is drawn for the first
-relation does not know of the second (measured 0.52 over eight rounds)."""
+SPREADS = {"figure first: behind the cone near the car": 2.5,
+           "figure first: behind the cone on your right": 0.1,
+           "behind the cone, left of the car": 0.6}  # fmt: skip
+"""Of the estimated evidence, in parts of it, where half is too little or too much: what is drawn
+for the first relation knows of the second only if that is to the robot (0.04; if not, 0.18)."""
 
 
 def miss_map(seed: int = 3) -> np.ndarray:
@@ -162,7 +148,7 @@ def test_groundings_equal_enumeration(name: str) -> None:
     # Two relations have rare groundings of high weight: more seeds until errors are normal.
     particles, weight = hold(truth, kinds, edges, len(edges) ** 3)
     # A heavy tail would pass any test in standard errors: the estimate itself must be usable.
-    assert weight.mean(1).std() < SPREADS.get(name.split(":")[0], 0.5) * truth.sum()
+    assert weight.mean(1).std() < SPREADS.get(name, 0.5) * truth.sum()
     # Existence: whether each mention has been seen.
     for mention in range(truth.ndim):
         is_open = particles.referent[:, mention] == NONE
@@ -172,6 +158,16 @@ def test_groundings_equal_enumeration(name: str) -> None:
     unseen = np.take(moments, len(OBJECTS), axis=1).reshape(2, -1).sum(-1)
     compare((is_open * weight * particles.hypothesis_x[:, 0]).mean(1), unseen[0])
     compare((is_open * weight * particles.hypothesis_y[:, 0]).mean(1), unseen[1])
+
+
+def test_a_figure_beside_the_viewer_has_its_landmark_on_any_side(monkeypatch) -> None:
+    monkeypatch.setitem(globals(), "VIEWER", (5.0, 0.0, 0.3))
+    (kinds, edges), objects = CASES["front"], [(HYDRANT, 6.0, 0.3)]
+    truth, _ = exactly(kinds, edges, objects=objects)
+    particles, weight = estimate(by_hand.readings([kinds], [edges]), objects=objects)
+    samples = by_category(particles, weight, 2, 2)
+    compare(samples, truth.ravel())
+    assert (samples.std(0) < 0.2 * truth.sum()).all()  # 0.11; were it beyond its figure, 0.31
 
 
 def test_the_farthest_equals_enumeration_where_one_of_the_two_is_seen() -> None:

@@ -169,11 +169,7 @@ class Follow:
             output.note(f"note: {prepared.unscored}, so success cannot be judged")
 
     def _record(
-        self,
-        opened: "PreparedEpisode",
-        dialogue: dict[str, Any] | None,
-        max_steps: int,
-        output: Output,
+        self, opened: "PreparedEpisode", dialogue: dict[str, Any] | None, limit: int, output: Output
     ) -> "Recording":
         """Run the episode and print its narrative, live or afterwards."""
         from jaxlangnav.episode.recording import stack_frames
@@ -185,7 +181,7 @@ class Follow:
         if dialogue is not None:
             speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
             source = speech.listener(output, **speakers, **dialogue, scene=scene)
-        steps = opened.play(max_steps, source)
+        steps = opened.play(limit, source)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
         with spinner(message, f"compile {self.policy} {opened.config.map}", default_seconds=60.0):
             first = next(steps)

@@ -208,7 +208,7 @@ STUDIES = {
         tables=lambda document: [table_1(document)],
         notes=lambda _: [
             "The corpora differ: the paper's 39 instructions were never published, ours ship "
-            "in the package. The commands of Table 2 are in neither.",
+            "in the package. The commands of Table 2 are in neither."
         ],
         facts=lambda document: {"seed": str(document["seed"])},
     ),

@@ -144,7 +144,7 @@ def _figure(
         notes=lambda _: _FIGURE_NOTES,
         facts=lambda doc: {
             "episode": f"world {doc['world']}, policy {doc['policy']}, seed {doc['seed']}, "
-            f"{doc['num_particles']} particles, sensing range {doc['range']:g} m",
+            f"{doc['num_particles']} particles, sensing range {doc['range']:g} m"
         },
     )
 

@@ -14,7 +14,5 @@ with contextlib.suppress(ImportError):
     _MODULE = "jaxlangnav.environments.gymnasium_env"
     if ID not in gymnasium.registry:
         gymnasium.register(
-            ID,
-            entry_point=f"{_MODULE}:FollowEnv",
-            vector_entry_point=f"{_MODULE}:FollowVectorEnv",
+            ID, entry_point=f"{_MODULE}:FollowEnv", vector_entry_point=f"{_MODULE}:FollowVectorEnv"
         )

@@ -54,10 +54,8 @@ def count_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
 def kth_smallest(rank: Array, values: Array, *, tie: float) -> Array:
     """Find the k-th smallest value over the first axis; ∞ if there are fewer, or k is too large.
 
-    Args:
-        rank: i32[...], k from 1 to ``NUM_RANKS``.
-        values: f32[n, ...]; ∞ to leave one out.
-        tie: values no farther apart count once.
+    k is i32[...] from 1 to ``NUM_RANKS``; values, f32[n, ...], no farther apart than a tie count
+    once, and ∞ not at all.
     """
     smallest = jnp.full(values.shape[1:], -jnp.inf)
     result = smallest
@@ -70,11 +68,8 @@ def kth_smallest(rank: Array, values: Array, *, tie: float) -> Array:
 def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: ReferenceFrame) -> Array:
     """Test whether objects are in the half-plane of a side of the robot, bool[...].
 
-    Args:
-        relation: i32[...], relation index; all but front, behind, left, right hold everywhere.
-        offset_x: f32[...] from the robot, metres, map axes.
-        offset_y: f32[...]
-        robot: the robot's own frame.
+    Offsets are f32[...] from the robot, metres, map axes. Of relation indices, i32[...], all but
+    front, behind, left, right hold everywhere.
     """
     backward, leftward = to_frame(robot, offset_x, offset_y)
     cosine, sine, is_ring = (jnp.asarray(table)[relation] for table in (_COSINE, _SINE, _IS_RING))
@@ -86,13 +81,8 @@ def holds_at(relation: ArrayLike, along: Array, lateral: Array, *, has_range: Ar
 
     Directed relations hold within 45 degrees of their axis and 5 m of the landmark, "near"
     within 5 m, "far" beyond. A side of the robot ("on your left") is a direction without a
-    distance, in the density (``density.without_range``) as here.
-
-    Args:
-        relation: i32[...], index into ``REGISTRY``, of a relation with one landmark.
-        along: f[...], metres from the landmark, in the relation's frame.
-        lateral: f[...], metres, likewise.
-        has_range: bool[...], whether the relation limits the distance.
+    distance, in the density (``density.without_range``) as here: ``has_range``, bool[...].
+    Indices, i32[...], are of relations with one landmark; offsets f[...], metres.
     """
     relation, distance = jnp.asarray(relation), jnp.sqrt(along * along + lateral * lateral)
     cosine, sine, is_ring = (jnp.asarray(table)[relation] for table in (_COSINE, _SINE, _IS_RING))

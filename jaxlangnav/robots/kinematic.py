@@ -130,12 +130,7 @@ def _arc(heading: float, forward: float, turn: float) -> np.ndarray:
 OBJECT_RADIUS = 0.28
 """Metres, radius of an object's disc for the scanner: a cube of 0.4 m including its corners."""
 CART_BODY = BodyLimits(
-    radius=0.4,
-    speed=0.6,
-    top_speed=1.0,
-    turn_rate=1.2,
-    acceleration=0.8,
-    turn_acceleration=2.0,
+    radius=0.4, speed=0.6, top_speed=1.0, turn_rate=1.2, acceleration=0.8, turn_acceleration=2.0
 )
 """Limits of a small cart; guesses."""
 _sense = jax.jit(sense)

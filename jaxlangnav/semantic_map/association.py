@@ -48,10 +48,7 @@ class ClutterOdds(NamedTuple):
 def clutter_odds(sensor: SensorParams, num_types: Array, model: SensorModel) -> ClutterOdds:
     """Compute the odds of clutter and confusion of a sensor; −∞ where it has none.
 
-    Args:
-        sensor: the specification; ``detection_probability`` is that of correct labels.
-        num_types: i32[], T, number of types that the detector distinguishes.
-        model: observation model.
+    Its detection probability is that of correct labels; T types are distinguished, i32[].
     """
 
     def log_of(odds_value: Array) -> Array:
@@ -97,16 +94,8 @@ def associate(
 
     with S from the joint covariance of robot and object, λ = α / A the density of objects not yet
     seen and m the probability of having missed one there. An object is detected at most once.
-
-    Args:
-        particle: one particle, after the motion.
-        detections: f32[D] each.
-        uniform: f32[D, ...], uniform draws in [0, 1).
-        sensor: the detector's specification.
-        growth: f32[], relative increase of λ for each observed object of the type (κ / α).
-        clutter: clutter and confusion odds, for particles with existence probabilities.
-        is_pooled: whether observed objects of any type increase λ.
-        model: observation model of the detector.
+    ``uniform`` is f32[D, ...] in [0, 1); ``growth``, κ / α, the relative increase of λ for each
+    observed object of the type, or of any if pooled; particles with existence have ``clutter``.
     """
     num_objects = particle.object_type.shape[0]
     diagonal = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])

@@ -40,12 +40,8 @@ def log_expected(
 
         log (α + κ n) / (1 + T κ (1 − u))
 
-    Args:
-        count: f32[...] or i32[...], n ≥ 0, observed objects of the type, or of all pooled types,
-            that are not mentioned.
-        unseen: broadcastable to it, u, unobserved fraction of the area.
-        params: concentration α and clumping κ.
-        num_pooled: broadcastable to it, T, types that share one rate; None: each has its own.
+    n ≥ 0, [...], counts observed objects of the type, or of all T pooled ones, that are not
+    mentioned; u and T are broadcastable to it. Without T each type has its own rate.
     """
     return jnp.log(params.concentration + params.clumping * count) - log_exposure(
         unseen, params=params, num_pooled=num_pooled

@@ -165,12 +165,6 @@ def condition(
 
     Limits: R → ∞ leaves known objects unchanged; a first detection places the object at
     robot + offset.
-
-    Args:
-        particle: one particle.
-        assoc: from ``associate``.
-        sensor: the detector's specification.
-        model: observation model.
     """
     num_objects = particle.object_type.shape[0]
     is_new = _append_robot(assoc.is_new)
@@ -219,20 +213,9 @@ def log_absence(
         Σ_o log(1 − p_d v_o r_o),   r' = r (1 − p_d v) / (1 − p_d v r)
 
     over the objects not detected, v the fraction in view and r the existence probability, 1 in
-    particles without one.
-
-    Args:
-        particle: one particle, after conditioning.
-        is_hit: bool[O, ...], detected objects.
-        heading: f32[] or f32[1, ...], radians.
-        softness: f32[], metres over which an object's position is uncertain.
-        sensor: range, field of view, detection probability.
-        view: lines of sight.
-        model: observation model of the detector.
-
-    Returns:
-        f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none);
-        and the updated existence probabilities, as in the particle.
+    particles without one; positions are uncertain over the softness, f32[] metres. The heading is
+    f32[] or f32[1, ...], radians, and ``is_hit`` bool[O, ...]. Returns f32[...] for observed
+    objects, f32[M, ...] for each hypothesis (0 where there is none), and r'.
     """
     num_objects = particle.object_type.shape[0]
     x = jnp.concatenate([particle.mean_x[:num_objects], particle.hypothesis_x])
@@ -287,18 +270,10 @@ def surprise(
         −log Σ_i w_i p_i(z) / p*_i(z),   log p* = n_new log λ + n_known E log p(z | x)
 
     p* is the likelihood of the same association if every new object were in an unobserved cell,
-    every known one at the average distance under the noise, and none were missed.
-
-    Args:
-        log_weight: f32[P], before the observation, normalised.
-        associated: data association of the particles, leaves [..., P].
-        log_map: f32[P], log probability of detections and absences of seen objects.
-        log_new: f32[], log λ, density of reports of objects not yet seen.
-        log_known: f32[], ``SensorModel.log_fit``.
-
-    Returns:
-        f32[], nats; about 0 or less for an expected observation, and 0 if detections found no
-        free slot (counted separately) or all weights were zero.
+    every known one at the average distance under the noise (``log_known``), and none were missed;
+    ``log_map``, f32[P], is log p, and ``log_new`` log λ. About 0 or less for an expected
+    observation, and 0 if detections found no free slot (counted separately) or all weights were
+    zero.
     """
     num_new = jnp.sum(associated.is_new, axis=0)
     num_known = jnp.sum(associated.is_hit, axis=0) - num_new

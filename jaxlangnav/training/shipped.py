@@ -30,12 +30,7 @@ from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
 from jaxlangnav.language.lexicon import is_reserved, load_lexicon
-from jaxlangnav.language.parser import (
-    Sentence,
-    acceptance_features,
-    parse_rewritings,
-    parse_tokens,
-)
+from jaxlangnav.language.parser import Sentence, acceptance_features, parse_rewritings, parse_tokens
 from jaxlangnav.language.phrase import LanguageError, Parse
 from jaxlangnav.language.reader.model import ReaderModel
 from jaxlangnav.training.examples import (

@@ -95,10 +95,8 @@ def density(world: World, relation: int, figure: np.ndarray, landmark: np.ndarra
     """
     offset = figure - landmark
     distance = np.hypot(offset[..., 0], offset[..., 1])
-    law = {
-        name: getattr(world, name)[relation]
-        for name in ("median", "spread", "axis", "concentration")
-    }
+    names = "median", "spread", "axis", "concentration"
+    law = {name: getattr(world, name)[relation] for name in names}
     sight = np.arctan2(landmark[..., 1] - world.viewer[1], landmark[..., 0] - world.viewer[0])
     if own:
         sight, law["axis"] = world.viewer[2] + math.pi, -law["axis"]

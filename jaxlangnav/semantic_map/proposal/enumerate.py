@@ -93,21 +93,31 @@ def proposal_layout(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
 def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) -> Proposals:
     """Pair candidates; draw new objects from the relation's density and from the unseen area."""
     size = ends.x.shape[1]
-    along, lateral, log_proposal = query.draw(draws.distance, draws.angle, model)
+    along, lateral, log_drawn = query.draw(draws.distance, draws.angle, model)
+    # A figure nearer to the viewer than to its landmark may have that on any side: what stands
+    # beside the viewer is in front of all around.
+    spans = (at[FIGURE] - v[None] for at, v in zip((ends.x, ends.y), query.viewer[:2], strict=True))
+    distance = jnp.hypot(along[LANDMARK:], lateral[LANDMARK:])
+    is_near = (jnp.hypot(*spans) < distance) & ~query.is_between[None]
+    turn = 2.0 * jnp.pi * jax.scipy.special.ndtr(draws.angle[LANDMARK:])
+    normal, log_sd = draws.distance[LANDMARK:], jnp.log(query.pdf.log_distance_sd)[None]
+    log_ring = -0.5 * normal * normal - log_sd - 1.5 * np.log(2.0 * np.pi) - 2.0 * jnp.log(distance)
     at_x = _new_rows(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
     at_y = _new_rows(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
 
-    def directed(values: Array) -> Array:
+    def directed(values: Array, any_side: Array) -> Array:
         # A landmark is drawn backwards from its figure, in the figure's frame; the importance
         # weight corrects for it.
-        return _new_rows(values[:1], -values[1:], values[:1], size)
+        backwards = jnp.where(is_near, distance * any_side, -values[LANDMARK:])
+        return _new_rows(values[:1], backwards, values[:1], size)
 
     def unless_rangeless(unseen: Array, related: Array) -> Array:
         # For a rank or a side, a new landmark takes the draw after its figure's.
         anywhere = _new_rows(unseen[:1], unseen[1:2], unseen[::-1], size)
         return jnp.where(query.is_rangeless[None], anywhere, related)
 
-    offset_x, offset_y, log_unit = query.offset(at_x, at_y, directed(along), directed(lateral))
+    along, lateral = directed(along, jnp.cos(turn)), directed(lateral, jnp.sin(turn))
+    offset_x, offset_y, log_unit = query.offset(at_x, at_y, along, lateral)
     new_x = unless_rangeless(draws.unseen_x, at_x + offset_x)
     new_y = unless_rangeless(draws.unseen_y, at_y + offset_y)
     return Proposals(
@@ -119,5 +129,5 @@ def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) 
         ),
         new_x=new_x,
         new_y=new_y,
-        log_proposal=log_proposal - log_unit[size : 2 * size],
+        log_proposal=jnp.where(is_near, log_ring, log_drawn) - log_unit[size : 2 * size],
     )

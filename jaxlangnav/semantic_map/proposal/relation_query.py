@@ -37,6 +37,7 @@ from jaxlangnav.relations import (
 from jaxlangnav.semantic_map.params import MapParams
 
 FIGURE, LANDMARK = 0, 1
+_Pairs = tuple[Array, Array, Array, Array]
 
 
 class Query(NamedTuple):
@@ -90,13 +91,23 @@ class Query(NamedTuple):
         frame = self.frame(landmark_x, landmark_y)
         log_single = log_density(self.pdf, x - landmark_x, y - landmark_y, frame)
 
-        def log_between(positions: tuple[Array, ...]) -> Array:
-            x, y, landmark_x, landmark_y = positions
+        def log_between(positions: _Pairs) -> Array:
             other = self.viewer[0][None], self.viewer[1][None]
-            return between.log_density((x, y), (landmark_x, landmark_y), other)
+            return between.log_density(positions[:2], positions[2:], other)
 
         log_pair = skip_unless_any(self.is_between, log_between, (x, y, landmark_x, landmark_y))
         return jnp.where(self.is_between[None], log_pair, log_single)
+
+    @property
+    def is_place_by_robot(self) -> Array:
+        """Whether it is a density of places around the robot, no rank, bool[...]."""
+        return self.is_by_robot & ~self.is_ordinal & (self.relation != NONE)
+
+    def log_by_robot(self, x: Array, y: Array, log_area: Array, error_rate: Array) -> Array:
+        """Evaluate log[(1 − ε) A f + ε] of figures related to the robot, f32[n, ...]."""
+        viewer = (jnp.broadcast_to(v[None], x.shape) for v in self.viewer[:2])
+        log_holds = self.log_density(x, y, *viewer) + prepend_axes(log_area, x.ndim)
+        return jnp.logaddexp(jnp.log1p(-error_rate) + log_holds, jnp.log(error_rate))
 
     def holds(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
         """Test whether the relation holds for figures, bool[n, ...]; see ``log_density``.
@@ -177,19 +188,16 @@ def log_viewer_density(utterances: Utterances, log_area: Array, x: Array, y: Arr
 
     f32[C, M, K], for positions f32[C], metres, map frame. Limits: 0 (uniform) without any such r.
     """
-    readings, error_rate = utterances.readings, utterances.params.misleading
+    readings, params = utterances.readings, utterances.params
     num_readings, mentions = readings.figure.shape[0], np.arange(readings.mention_type.shape[1])
-    positions = tuple(jnp.broadcast_to(v[:, None], (x.shape[0], num_readings)) for v in (x, y))
+    x, y = (jnp.broadcast_to(v[:, None], (v.shape[0], num_readings)) for v in (x, y))
 
     def of_relation(query: Query) -> Array:
-        viewer = (jnp.broadcast_to(v[None], positions[0].shape) for v in query.viewer[:2])
-        log_holds = query.log_density(*positions, *viewer) + log_area
-        log_ratio = jnp.logaddexp(jnp.log1p(-error_rate) + log_holds, jnp.log(error_rate))
-        applies = query.is_by_robot & ~query.is_ordinal & (query.relation != NONE)
-        is_figure = (query.mention[FIGURE][None] == mentions[:, None]) & applies[None]
-        return jnp.where(is_figure[None], log_ratio[:, None], 0.0)
+        log_ratio = query.log_by_robot(x, y, log_area, params.misleading)
+        figure = jnp.where(query.is_place_by_robot, query.mention[FIGURE], NONE)[None]
+        return jnp.where((figure == mentions[:, None])[None], log_ratio[:, None], 0.0)
 
-    queries = build_queries(readings, utterances.context, utterances.params.relations, log_area)
+    queries = build_queries(readings, utterances.context, params.relations, log_area)
     return jnp.sum(jax.lax.map(of_relation, queries), axis=0)
 
 
@@ -197,6 +205,38 @@ def pick_queries(queries: Query, reading: Array) -> Query:
     """Select the queries of each particle's reading, i32[P]: leaves [J, ..., P]."""
     rows = pack(queries).T[..., None]
     return unpack(lookup(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), queries)
+
+
+def split_by_robot(queries: Query) -> tuple[Query, Query]:
+    """Split off the relations to the robot of mentions that an earlier relation grounds.
+
+    Queries and what is split off, leaves [J, ...]; in either, a relation of the other is none. The
+    latter weigh the referents among which the former choose. Weighed only once chosen, those on the
+    side said would be left to a few particles: all others would have chosen the likelier pair.
+    """
+    ends, figures = queries.mention, enumerate(queries.mention[:, None, None, FIGURE])
+    is_grounded = jnp.stack([jnp.any(ends[:j] == one, axis=(0, 1)) for j, one in figures])
+    is_split = (is_grounded & jax.vmap(lambda said: said.is_place_by_robot)(queries))[:, None]
+    rest, split = (jnp.where(is_split == out, NONE, queries.mention) for out in (True, False))
+    return queries._replace(mention=rest), queries._replace(mention=split)
+
+
+def log_told(told: Query, mention: Array, pairs: _Pairs, log_area: Array, rate: Array) -> Array:
+    """Sum ``log_by_robot`` of J relations to the robot over the ends of pairs, f32[n, ...].
+
+    Leaves of ``told`` are [J, ...]; the ends' mentions i32[2, ...], NONE where they do not count.
+    """
+
+    def evaluate(pairs: _Pairs) -> Array:
+        def of_relation(said: Query) -> Array:
+            is_end = (said.mention[:LANDMARK] == mention) & (mention != NONE)
+            ends = (said.log_by_robot(*at, log_area, rate) for at in (pairs[:2], pairs[2:]))
+            return jnp.sum(jnp.where(is_end[:, None], jnp.stack([*ends]), 0.0), axis=0)
+
+        return jnp.sum(jax.lax.map(of_relation, told), axis=0)
+
+    is_said = (told.mention[:, :LANDMARK] == mention[None]) & (mention != NONE)[None]
+    return skip_unless_any(jnp.any(is_said, axis=(0, 1)), evaluate, pairs)
 
 
 def _split_between(reading: Readings) -> tuple[Readings, Array]:

@@ -44,7 +44,7 @@ from jaxlangnav.semantic_map.proposal.candidates import (
 )
 from jaxlangnav.semantic_map.proposal.enumerate import Proposals, proposal_layout, propose
 from jaxlangnav.semantic_map.proposal.ranks import log_rank
-from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query, log_told
 
 _MIN_LOG_TOTAL = -60.0
 PLURAL_ODDS = 10.0
@@ -54,6 +54,7 @@ PLURAL_ODDS = 10.0
 def ground_relation(
     seen: Observed,
     query: Query,
+    told: Query,
     grounding: Grounding,
     draws: Draws,
     scene: Unexplored,
@@ -62,7 +63,8 @@ def ground_relation(
 ) -> Grounding:
     """Sample the grounding of one relation in one particle, given earlier ones (eq. 7a).
 
-    The grounding is unchanged if the particle's interpretation has no such relation.
+    The grounding is unchanged if the particle's interpretation has no such relation. Those of
+    ``told``, leaves [J, ...], weigh the ends that it grounds.
     """
     # The referent of another mention cannot also be the referent of an untyped one.
     bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
@@ -74,6 +76,8 @@ def ground_relation(
     pairs, num_known = proposals.related, ends.x.shape[1]
     rank = log_rank(query, pairs, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _log_weights(query, ends, proposals, rank, scene, params.misleading)
+    mention = jnp.where(ends.is_open, query.mention, NONE)
+    log_weight += log_told(told, mention, proposals.pairs, scene.log_area, params.misleading)
     choice, log_total = categorical.draw(log_weight, draws.choice)
     # One object of each chain of relations has the uniform prior over the area: for a figure
     # grounded earlier and now related to the robot that prior is divided out.

@@ -38,6 +38,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import (
     build_queries,
     current_context,
     pick_queries,
+    split_by_robot,
 )
 from jaxlangnav.semantic_map.proposal.sample import ground_relation
 
@@ -119,10 +120,11 @@ def _ground(
     """Ground the words in particles, relation by relation; queries have leaves [J, ..., P]."""
     seen, draws, _ = inputs
     num_relations = jnp.max(jnp.sum(query.mention[:, FIGURE] != NONE, axis=0))
+    query, told = split_by_robot(query)
 
     def body(index: Array, grounding: Grounding) -> Grounding:
         query_j, draws_j = select_row((query, draws), index)
-        return ground_relation(seen, query_j, grounding, draws_j, scene, params=params)
+        return ground_relation(seen, query_j, told, grounding, draws_j, scene, params=params)
 
     start = empty_grounding(num_mentions, *query.relation.shape[1:])
     return jax.lax.fori_loop(0, num_relations, body, start)
