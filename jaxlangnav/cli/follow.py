@@ -62,14 +62,14 @@ class Follow:
     """What is said under way: the step before whose decision it is heard, a colon, the words, as in
     --hear "5: go to the other hydrant"; may be given several times."""
     ask: bool = False
-    """Let the robot ask which one is meant: you answer on the terminal, or --person does. A
-    question costs 0.1 of a success unless --params.planner.question-cost says otherwise."""
+    """Let the robot ask which one is meant: you answer on the terminal, or --person does.
+    A question costs 0.1 of a success unless --params.planner.question-cost says otherwise."""
     person: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
-    """A simulated person who knows the goal, watches, corrects and answers: attentive, slow (waits
-    5 steps), careless (errs in 10 %) or patient (corrects up to 5 times)."""
+    """A simulated person who knows the goal, watches, corrects and answers:
+    attentive, slow (waits 5 steps), careless (errs in 10 %) or patient (corrects up to 5 times)."""
     talk: bool = False
-    """Type what you like while the robot goes; "stop" halts it at once, end of input (Ctrl-D) lets
-    it finish alone."""
+    """Type what you like while the robot goes; "stop" halts it at once,
+    end of input (Ctrl-D) lets it finish alone."""
     gif: bool = False
     """Write a film too, episode.gif."""
     mp4: bool = False
@@ -81,8 +81,8 @@ class Follow:
     weights: checks.File = None
     """Trained models, written by jaxlangnav train; the shipped ones if not given."""
     json: bool = False
-    """Print one JSON document: success, distance, trajectory, annotations, pictures, ...
-    known_distance is the way to the goal, straight_distance that until it may stop."""
+    """Print one JSON document; known_distance is the way to the goal,
+    straight_distance to where it may stop."""
     settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:

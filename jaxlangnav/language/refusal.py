@@ -173,6 +173,8 @@ def _check_between(phrase: Phrase) -> None:
     between = [part for part in phrases if part.has_sense("between")]
     if len(between) > 1:
         raise _refusal(_head(between[1]), "said of one thing twice; say one of them")
+    if between and phrase.children[0].has_sense("place"):
+        raise _refusal(_head(between[0]), REASONS["between"])
     nouns = [word for word in phrase.children[0].all_words() if word.tag.startswith("NN")]
     if phrase.has_sense("between") and len(phrase.children) == 1 and nouns[0].tag != "NNS":
         raise _refusal(_head(phrase), "between that and what? name both")
