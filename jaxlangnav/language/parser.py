@@ -244,9 +244,8 @@ def parse_rewritings(
     sentence: Sentence, verbatim: Parse | None = None, *, reader: ReaderModel | None = None
 ) -> list[Rewriting]:
     """Parse the reader's proposals, and sum the probabilities of those of one meaning."""
-    is_readable = verbatim is not None
     proposals = propose_readings(
-        sentence.tokens, sentence.labels, is_readable=is_readable, model=reader
+        sentence.tokens, sentence.labels, is_readable=verbatim is not None, model=reader
     )
     meanings: dict[object, Rewriting] = {}
     for proposal in proposals[:MAX_PROPOSALS]:
