@@ -6,7 +6,6 @@ spelling is corrected and reported. Time is bounded: input is limited in charact
 and the parser is polynomial.
 """
 
-import math
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -26,7 +25,12 @@ from jaxlangnav.language.phrase import (
     Phrase,
 )
 from jaxlangnav.language.reader.model import ReaderModel, load_reader
-from jaxlangnav.language.reader.proposals import MIN_OVERRULING, Proposal, propose_readings
+from jaxlangnav.language.reader.proposals import (
+    MIN_OVERRULING,
+    Proposal,
+    propose_readings,
+    safe_log,
+)
 from jaxlangnav.language.reference import Antecedent, join_constraints, join_topics, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, refuse_guesses
 from jaxlangnav.language.spelling import repair
@@ -47,7 +51,6 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # unknown words; more have very many trees
 MAX_PROPOSALS = 8
 """Number of rewritings of a sentence that are parsed, likeliest first."""
-_MIN_P = 1e-6  # smaller probabilities count as this in logarithms
 _IGNORED_SIGNS = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then", "°": "degrees"}
@@ -229,15 +232,13 @@ def acceptance_features(rewritings: Sequence[Rewriting]) -> dict[str, float]:
     Its edits, and how probable it is beside the others and beside refusal.
     """
     best = rewritings[0]
-    second_probability = rewritings[1].probability if rewritings[1:] else 0.0
-    probabilities = {
-        "log p": best.probability,
-        "log other": 1.0 - best.probability,
-        "log second": second_probability,
-        "log refused": best.proposal.refusal_probability,
+    return {
+        **best.proposal.features,
+        "bias": 1.0,
+        "log p": safe_log(best.probability),
+        "log other": safe_log(1.0 - best.probability),
+        "log second": safe_log(rewritings[1].probability if rewritings[1:] else 0.0),
     }
-    logs = {name: math.log(max(p, _MIN_P)) for name, p in probabilities.items()}
-    return {**best.proposal.features, **logs, "bias": 1.0}
 
 
 def parse_rewritings(

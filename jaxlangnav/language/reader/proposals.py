@@ -10,7 +10,7 @@ of its edits: the CRF is too sure of words that it does not know.
 import itertools
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -38,6 +38,7 @@ from jaxlangnav.language.tokens import MARKS, RawToken, strip_marks
 from jaxlangnav.relations.table import REGISTRY
 
 _NUM_LABELLINGS = 30  # labellings that are checked
+_MIN_P = 1e-6  # smaller probabilities count as this in logarithms
 MIN_OVERRULING = 0.7  # probability by the CRF at which a meaning overrules the grammar's
 
 
@@ -45,11 +46,10 @@ class Proposal(NamedTuple):
     """A proposed rewriting of a sentence, with its probability."""
 
     probability: float  # of its labellings
-    refusal_probability: float  # of the sentence
     tokens: tuple[RawToken, ...]
     left_out: tuple[str, ...]
     changes: tuple[tuple[str, str], ...]  # (as said, as read)
-    features: Mapping[str, float]  # of its edits
+    features: dict[str, float]  # of its edits and its sentence
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Labelling:
                 counts["name lost"] += is_name[i] and singular(words[i]) not in kept
         return counts
 
-    def proposal(self, tokens: Sequence[RawToken], p_right: float, p_refused: float) -> Proposal:
+    def proposal(self, tokens: Sequence[RawToken], probability: float) -> Proposal:
         """Build the rewritten sentence, with the list of its edits."""
         output: list[RawToken] = []
         last = {i: tokens[run[-1]].position for run in self.runs for i in run}
@@ -151,12 +151,11 @@ class Labelling:
             source = " ".join(words[i] for i in run if words[i] not in MARKS)
             edits.append((source, " ".join(word for i in run for word in self.read_as(i))))
         return Proposal(
-            probability=p_right,
-            refusal_probability=p_refused,
+            probability=probability,
             tokens=tuple(strip_marks(output)),
             left_out=tuple(source for source, target in edits if source and not target),
             changes=tuple(edit for edit in edits if edit[1]),
-            features=self.edit_features(),
+            features=dict(self.edit_features()),
         )
 
 
@@ -209,9 +208,10 @@ def propose_readings(
         return math.exp(scores[:, index].sum() + moves - log_total)
 
     p_verbatim, p_refused = probability(KEEP), probability(REJECT)
+    about = {"log verbatim": safe_log(p_verbatim), "log refused": safe_log(p_refused)}
     proposals: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
-        verbatim = Proposal(p_verbatim, p_refused, tuple(tokens), (), (), {})
+        verbatim = Proposal(p_verbatim, tuple(tokens), (), (), about)
         proposals[sentence.words] = verbatim
         if p_verbatim > 1.0 - MIN_OVERRULING:
             return [verbatim]
@@ -220,7 +220,7 @@ def propose_readings(
         is_refused = labelled.labels[0] == REJECT or not labelled.is_faithful()
         if is_refused or (is_readable and not labelled.is_seen()):
             continue
-        proposal = labelled.proposal(tokens, math.exp(score - log_total), p_refused)
+        proposal = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in proposal.tokens)
         if not words or words == sentence.words:
             continue
@@ -228,5 +228,10 @@ def propose_readings(
             total = previous.probability + proposal.probability
             proposals[words] = previous._replace(probability=total)
         else:
-            proposals[words] = proposal
+            proposals[words] = proposal._replace(features=proposal.features | about)
     return sorted(proposals.values(), key=lambda proposal: -proposal.probability)
+
+
+def safe_log(probability: float) -> float:
+    """Compute the logarithm of a probability, at least that of ``_MIN_P``."""
+    return math.log(max(probability, _MIN_P))
