@@ -126,14 +126,16 @@ from or against, of the later ones, and of templates' sentences."""
 
 
 def outcomes(part: str, every: int = 1) -> Counter[str]:
-    some = [s for s in SENTENCES if PART_OF.get(s.set, "learned") == part][::every]
-    return Counter(one.outcome for one in score_sentences(some, load_shipped()))
+    """Count the outcomes of a part; each set has a detector of its own labels."""
+    names = {s.set for s in SENTENCES if PART_OF.get(s.set, "learned") == part}
+    sets = [[s for s in SENTENCES if s.set == name][::every] for name in sorted(names)]
+    return Counter(one.outcome for some in sets for one in score_sentences(some, load_shipped()))
 
 
 def test_every_ninth_of_the_shipped_sentences_stays_as_well_read():
     counts = sum((outcomes(part, every=9) for part in PARTS), Counter())
-    assert counts["right"] >= 423
-    assert counts["wrong"] <= 12
+    assert counts["right"] >= 450
+    assert counts["wrong"] <= 9
 
 
 @pytest.mark.slow
