@@ -20,7 +20,8 @@ import numpy as np
 from corpus_labels import annotate, behave, rank
 
 import jaxlangnav.language
-from jaxlangnav.language.corpus import PlacedWorld, parse_labelled
+from jaxlangnav.language import parser
+from jaxlangnav.language.corpus import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Parse
 
@@ -179,7 +180,7 @@ def worlds_for(parse: Parse, types: list[str], rng: random.Random, count: int) -
 
 def record(text: str, template: str, split: str, want: list[frozenset[str]], seed: str) -> dict:
     """Build the JSON document of one sentence, checked against its template's symbols."""
-    parse = parse_labelled(text)
+    parse = parser.parse(text, is_rewritten=False)
     rng = random.Random(seed + text)
     clauses = []
     if parse.unknown_words:

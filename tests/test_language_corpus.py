@@ -12,7 +12,6 @@ from jaxlangnav.language.corpus import (
     CorpusError,
     PlacedWorld,
     load_corpus,
-    parse_labelled,
     read_corpus,
     read_example,
 )
@@ -124,14 +123,6 @@ def test_the_large_corpus_is_split_by_template():
         assert {"constraint", "superlative", "other", "mode:quickly", "action:find"} <= senses
         assert {kind for e in part for kind in e.parse.kinds} == {"command", "statement"}
         assert any(len(e.clauses) > 1 for e in part)
-
-
-def test_a_corpus_is_read_by_the_grammar_where_it_can_be():
-    assert str(parse_labelled("head toward the cone").clauses[0]) == (
-        "VP[head]{PP[toward]{NP[the cone]}}"
-    )
-    assert str(parse("head toward the cone").clauses[0]) == "VP[head]{PP[to]{NP[the cone]}}"
-    assert parse_labelled("keep going until you reach the cone").rewrites
 
 
 def test_relations_matter_in_the_worlds():

@@ -17,8 +17,7 @@ each clause of ``behavior`` have one list of symbols (one number) per phrase: of
 them). ``rank`` is 1 where a phrase says "nearest" (or "first", "farthest"), 2 for "second".
 Objects have type, x and y (metres, map frame); ``robot`` is x, y and heading; ``previous`` is the
 object that the command before this one led to, or null. ``split`` is "train" or "test".
-A sentence is parsed verbatim, and rewritten only if that fails, so that the graph learns the words
-of the corpus ("toward"), not those of a rewriting.
+A sentence is parsed by the grammar alone, so that the graph learns its words, not a rewriting's.
 ``python -m jaxlangnav.language.corpus FILE`` checks a file.
 """
 
@@ -173,18 +172,6 @@ def _read_world(record: _World, parsed: Parse) -> WorldLabels:
     )
 
 
-def parse_labelled(text: str) -> Parse:
-    """Parse a sentence of a corpus: verbatim, or else rewritten.
-
-    Raises:
-        LanguageError: it is refused.
-    """
-    try:
-        return parse(text, is_rewritten=False)
-    except LanguageError:
-        return parse(text)
-
-
 def read_example(line: str) -> Example:
     """Parse and validate one line of a corpus, a JSON document as described in this module.
 
@@ -195,7 +182,7 @@ def read_example(line: str) -> Example:
         document = parse_json(line)
         _check(isinstance(document, dict), f"the line is {as_text(document)}, but must be a table")
         record = convert(document, _Line)
-        parsed = parse_labelled(record.text)
+        parsed = parse(record.text, is_rewritten=False)
     except DocumentError as error:
         raise CorpusError(f"the line {error}") from None
     except LanguageError as error:

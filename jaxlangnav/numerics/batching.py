@@ -93,24 +93,27 @@ def materialize(values: T) -> T:
     return _materialize(values)
 
 
-def skip_unless_any(is_needed: Array, evaluate: Callable[[T], Array], records: T) -> Array:
-    """Call ``evaluate`` only if any batch member needs it, also under ``vmap``; else return zeros.
+def skip_unless_any(
+    is_needed: Array, evaluate: Callable[[T], Array], records: T, default: Array
+) -> Array:
+    """Call ``evaluate`` only if any batch member needs it, also under ``vmap``.
 
     Args:
-        is_needed: bool[...], by batch member; the result is 0 where false.
+        is_needed: bool[...], by batch member.
         evaluate: computes f32[n, ...] from ``records``.
-        records: leaves [n, ...].
+        records: leaves of any shapes.
+        default: f32[n, ...], the result of members that do not need it.
     """
     dtypes = dict.fromkeys(leaf.dtype for leaf in jax.tree.leaves(records))
 
     # The index, always 0, enters all that is read, or XLA would hoist what it can.
-    def body(index: Array, _: Array) -> Array:
+    def body(index: Array, result: Array) -> Array:
         zero = {dtype: index.astype(dtype) for dtype in dtypes}
-        return evaluate(jax.tree.map(lambda leaf: leaf + zero[leaf.dtype], records))
+        needed = evaluate(jax.tree.map(lambda leaf: leaf + zero[leaf.dtype], records))
+        return jnp.where(is_needed[None], needed, result)
 
     num_rounds = jnp.any(is_needed).astype(jnp.int32)
-    result = jax.lax.fori_loop(0, num_rounds, body, jnp.zeros_like(jax.tree.leaves(records)[0]))
-    return jnp.where(is_needed[None], result, 0.0)
+    return jax.lax.fori_loop(0, num_rounds, body, default)
 
 
 @jax.custom_jvp

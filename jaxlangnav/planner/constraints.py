@@ -174,5 +174,6 @@ def safe_fraction(
 
     risks, fractions = jax.vmap(exposed, in_axes=(0, None, None, None)), jnp.asarray(_FRACTIONS)
     args = fractions, belief.coverage.log_miss, *cell_centres(belief.coverage)
-    is_safe = skip_unless_any(p_unseen > _MIN_PROB, lambda args: risks(*args), args) <= risk
-    return jnp.max(jnp.where(is_safe, _FRACTIONS, _FRACTIONS[-1]))
+    none = jnp.zeros_like(fractions)
+    exposure = skip_unless_any(p_unseen > _MIN_PROB, lambda args: risks(*args), args, none)
+    return jnp.max(jnp.where(exposure <= risk, _FRACTIONS, _FRACTIONS[-1]))

@@ -98,9 +98,9 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> tuple[Arr
     zones = situation.forbidden
     is_active = jnp.broadcast_to(jnp.any(zones.cost > 0.0), x.shape)
 
-    def solve(records: tuple[Array, Zones]) -> Array:
-        (x, y, spare), zones = records
-        return _shortest(x, y, spare, zones, situation)
+    def solve(records: tuple[Array, Array, Array, Zones]) -> Array:
+        return _shortest(*records, situation)
 
-    extra, first_x, first_y = skip_unless_any(is_active, solve, (jnp.stack([x, y, spare]), zones))
-    return extra, jnp.where(is_active, first_x, x), jnp.where(is_active, first_y, y)
+    straight = jnp.stack([jnp.zeros_like(x), x, y])
+    extra, first_x, first_y = skip_unless_any(is_active, solve, (x, y, spare, zones), straight)
+    return extra, first_x, first_y

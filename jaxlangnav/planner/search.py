@@ -129,21 +129,21 @@ def _viewer_factor(
     readings, mentions = utterances.readings, np.arange(utterances.readings.mention_type.shape[1])
     log_area = jnp.log(area_size(belief.coverage))
 
-    def factor_minus_one(positions: tuple[Array, Array]) -> Array:
+    def factor(positions: tuple[Array, Array]) -> Array:
         log_density = log_viewer_density(utterances, log_area, *positions)
         is_grouped = (components(readings)[:, None] >> mentions[None, :, None]) & 1  # [M, M, K]
         log_density = jnp.sum(jnp.where(is_grouped[None] > 0, log_density[:, None], 0.0), axis=2)
-        factor = jnp.exp(log_density - jnp.max(log_density, axis=0, keepdims=True))  # [C, M, K]
-        factor = factor / jnp.maximum(jnp.tensordot(mass, factor, axes=1), 1e-9)[None]
+        density = jnp.exp(log_density - jnp.max(log_density, axis=0, keepdims=True))  # [C, M, K]
+        density = density / jnp.maximum(jnp.tensordot(mass, density, axes=1), 1e-9)[None]
         # A figure and landmark that are both unseen come into view together: they count once.
         prob = jnp.exp(belief.log_weight) / jnp.maximum(jnp.sum(is_free, axis=0), 1)
-        is_read = belief.particles.reading[:, None] == np.arange(factor.shape[2])[None]
+        is_read = belief.particles.reading[:, None] == np.arange(density.shape[2])[None]
         prob = jnp.where(is_free, prob[None], 0.0) @ is_read.astype(jnp.float32)  # [M, K]
         prob = prob / jnp.maximum(jnp.sum(prob), 1e-9)
-        return jnp.sum(mass) * jnp.sum(factor * prob[None], axis=(1, 2)) - 1.0
+        return jnp.sum(mass) * jnp.sum(density * prob[None], axis=(1, 2))
 
     is_by_robot = jnp.any(readings.mention_type == ROBOT) & jnp.any(is_free)
-    return 1.0 + skip_unless_any(is_by_robot, factor_minus_one, (x, y))
+    return skip_unless_any(is_by_robot, factor, (x, y), jnp.ones_like(x))
 
 
 def search_map(

@@ -86,13 +86,13 @@ def filter_untyped_goals(
     num_objects, num_particles = particles.object_type.shape[0], particles.reading.shape[0]
     is_any = jnp.broadcast_to(jnp.any(is_anything(readings.mention_type)), (num_particles,))
 
-    def misplaced(args: tuple[Array, SemanticMap, Readings, UtteranceContext]) -> Array:
-        _, maps, words, context = args
+    def misplaced(args: tuple[SemanticMap, Readings, UtteranceContext]) -> Array:
+        maps, words, context = args
         queries = build_queries(words, context, relations, jnp.float32(0.0))
         return _misplaced_referents(maps, pick_queries(queries, maps.reading))
 
     zeros = jnp.zeros_like(particles.mean_x[:num_objects])
-    is_misplaced = skip_unless_any(is_any, misplaced, (zeros, particles, readings, context))
+    is_misplaced = skip_unless_any(is_any, misplaced, (particles, readings, context), zeros)
     is_misplaced = jnp.pad(is_misplaced, ((0, behavior.goal.shape[1] - num_objects), (0, 0)))
     return replace(behavior, goal=jnp.where(is_misplaced[None] > 0.0, 0.0, behavior.goal))
 

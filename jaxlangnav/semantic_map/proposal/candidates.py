@@ -153,29 +153,22 @@ def _log_priors(
         log_prior = log_prior + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
     is_any, label = is_anything(query.types), label_of(seen.object_type)
     is_alike = label[:, None] == label[None]
-    scalars = scene.log_area, scene.log_unseen, scene.num_pooled
-    records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, *scalars)
-    log_untyped = skip_unless_any(
-        jnp.any(is_any, axis=0), lambda args: _log_untyped_prior(*args[1:], params=params), records
-    )
-    log_of_any, log_gain_any = jnp.split(log_untyped, 2)
-    log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_any, (log_one - log_two)[FIGURE])
+    records = is_alike, seen, scene.log_area, scene.log_unseen, scene.num_pooled
+    log_typed = jnp.broadcast_to((log_one - log_two)[FIGURE], seen.x.shape)
+    default, untyped = jnp.concatenate([log_typed] * 2), functools.partial(_log_untyped, params)
+    log_untyped = skip_unless_any(jnp.any(is_any, axis=0), untyped, records, default)
+    log_of_any, log_gain = jnp.split(log_untyped, 2)
     # With a pooled rate, objects of different types are correlated like those of one type.
     shares_rate = is_alike if scene.num_pooled is None else jnp.ones_like(is_alike)
     log_pair_gain = jnp.where(shares_rate, log_gain[:, None], 0.0)
     return jnp.where(is_any[:, None], log_of_any[None], log_prior), log_pair_gain
 
 
-def _log_untyped_prior(
-    is_alike: Array,
-    seen: Observed,
-    log_area: Array,
-    log_unseen: Array,
-    num_pooled: Array | None,
-    *,
-    params: MapParams,
+def _log_untyped(
+    params: MapParams, records: tuple[Array, Observed, Array, Array, Array | None]
 ) -> Array:
     """Compute log-prior and pair gain of objects, f32[2 O, ...], for a mention without a type."""
+    is_alike, seen, log_area, log_unseen, num_pooled = records
     # The type is one of the k observed ones or an unobserved one, all equally probable. So an
     # object has 1 / (k + 1) of the weight that it has for a mention of its type.
     is_filled = seen.object_type != NONE

@@ -19,6 +19,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import NONE
+from jaxlangnav.numerics.batching import skip_unless_any
 from jaxlangnav.relations import RelationModel
 from jaxlangnav.semantic_map.proposal.candidates import NUM_UNSEEN, Candidates, Draws
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query
@@ -94,21 +95,29 @@ def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) 
     """Pair candidates; draw new objects from the relation's density and from the unseen area."""
     size = ends.x.shape[1]
     along, lateral, log_drawn = query.draw(draws.distance, draws.angle, model)
-    # A figure nearer to the viewer than to its landmark may have that on any side: what stands
-    # beside the viewer is in front of all around.
     spans = (at[FIGURE] - v[None] for at, v in zip((ends.x, ends.y), query.viewer[:2], strict=True))
     distance = jnp.hypot(along[LANDMARK:], lateral[LANDMARK:])
     is_near = (jnp.hypot(*spans) < distance) & ~query.is_between[None]
-    turn = 2.0 * jnp.pi * jax.scipy.special.ndtr(draws.angle[LANDMARK:])
-    normal, log_sd = draws.distance[LANDMARK:], jnp.log(query.pdf.log_distance_sd)[None]
-    log_ring = -0.5 * normal * normal - log_sd - 1.5 * np.log(2.0 * np.pi) - 2.0 * jnp.log(distance)
+    is_near &= ends.log_prior[FIGURE] > -jnp.inf
+
+    def on_ring(drawn: tuple[Array, ...]) -> Array:
+        # A figure nearer to the viewer than to its landmark may have that on any side: what stands
+        # beside the viewer is in front of all around.
+        distance, normal, angle = drawn
+        turn, log_sd = 2.0 * jnp.pi * jax.scipy.special.ndtr(angle), query.pdf.log_distance_sd[None]
+        log_pdf = -0.5 * normal**2 - jnp.log(log_sd * distance**2) - 1.5 * np.log(2.0 * np.pi)
+        return jnp.concatenate([distance * jnp.cos(turn), distance * jnp.sin(turn), log_pdf])
+
+    drawn = distance, draws.distance[LANDMARK:], draws.angle[LANDMARK:]
+    zeros = jnp.zeros((3, *distance.shape[1:]))
+    ring = skip_unless_any(jnp.any(is_near, axis=0), on_ring, drawn, zeros)
     at_x = _new_rows(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
     at_y = _new_rows(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
 
     def directed(values: Array, any_side: Array) -> Array:
         # A landmark is drawn backwards from its figure, in the figure's frame; the importance
         # weight corrects for it.
-        backwards = jnp.where(is_near, distance * any_side, -values[LANDMARK:])
+        backwards = jnp.where(is_near, any_side, -values[LANDMARK:])
         return _new_rows(values[:1], backwards, values[:1], size)
 
     def unless_rangeless(unseen: Array, related: Array) -> Array:
@@ -116,7 +125,7 @@ def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) 
         anywhere = _new_rows(unseen[:1], unseen[1:2], unseen[::-1], size)
         return jnp.where(query.is_rangeless[None], anywhere, related)
 
-    along, lateral = directed(along, jnp.cos(turn)), directed(lateral, jnp.sin(turn))
+    along, lateral = directed(along, ring[:1]), directed(lateral, ring[1:2])
     offset_x, offset_y, log_unit = query.offset(at_x, at_y, along, lateral)
     new_x = unless_rangeless(draws.unseen_x, at_x + offset_x)
     new_y = unless_rangeless(draws.unseen_y, at_y + offset_y)
@@ -129,5 +138,5 @@ def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) 
         ),
         new_x=new_x,
         new_y=new_y,
-        log_proposal=jnp.where(is_near, log_ring, log_drawn) - log_unit[size : 2 * size],
+        log_proposal=jnp.where(is_near, ring[2:], log_drawn) - log_unit[size : 2 * size],
     )

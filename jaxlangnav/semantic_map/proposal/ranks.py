@@ -51,15 +51,16 @@ def log_rank(
     Limits: if all is observed, the object of that rank has 0, the others nearly −∞; 0 if no rank.
     """
     is_nearest = (query.rank > 0) & ~query.is_ordinal
-    softness = params.superlative_softness
-    log_nearest = skip_unless_any(
-        is_nearest, lambda args: -_excess(query, args, seen, num_known) / softness, pairs
-    )
+
+    def nearest(pairs: Pairs) -> Array:
+        return -_excess(query, pairs, seen, num_known) / params.superlative_softness
+
+    def ordinal(pairs: Pairs) -> Array:
+        return _log_ordinal(query, pairs, seen, draws, scene, params)
+
+    log_nearest = skip_unless_any(is_nearest, nearest, pairs, jnp.zeros_like(pairs.x))
     # Ordinal ranks are expensive to evaluate.
-    log_order = skip_unless_any(
-        query.is_ordinal, lambda args: _log_ordinal(query, args, seen, draws, scene, params), pairs
-    )
-    return log_nearest + log_order
+    return skip_unless_any(query.is_ordinal, ordinal, pairs, log_nearest)
 
 
 def _excess(query: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:

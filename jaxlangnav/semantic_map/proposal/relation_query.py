@@ -95,8 +95,8 @@ class Query(NamedTuple):
             other = self.viewer[0][None], self.viewer[1][None]
             return between.log_density(positions[:2], positions[2:], other)
 
-        log_pair = skip_unless_any(self.is_between, log_between, (x, y, landmark_x, landmark_y))
-        return jnp.where(self.is_between[None], log_pair, log_single)
+        ends = x, y, landmark_x, landmark_y
+        return skip_unless_any(self.is_between, log_between, ends, log_single)
 
     @property
     def is_place_by_robot(self) -> Array:
@@ -221,22 +221,27 @@ def split_by_robot(queries: Query) -> tuple[Query, Query]:
     return queries._replace(mention=rest), queries._replace(mention=split)
 
 
-def log_told(told: Query, mention: Array, pairs: _Pairs, log_area: Array, rate: Array) -> Array:
-    """Sum ``log_by_robot`` of J relations to the robot over the ends of pairs, f32[n, ...].
+def weigh_told(
+    log_weight: Array, told: Query, mention: Array, pairs: _Pairs, log_area: Array, rate: Array
+) -> Array:
+    """Add ``log_by_robot`` of J relations to the robot to the log-weights of pairs, f32[n, ...].
 
     Leaves of ``told`` are [J, ...]; the ends' mentions i32[2, ...], NONE where they do not count.
     """
 
-    def evaluate(pairs: _Pairs) -> Array:
+    def evaluate(records: tuple[Array, _Pairs]) -> Array:
+        log_weight, pairs = records
+
         def of_relation(said: Query) -> Array:
             is_end = (said.mention[:LANDMARK] == mention) & (mention != NONE)
             ends = (said.log_by_robot(*at, log_area, rate) for at in (pairs[:2], pairs[2:]))
             return jnp.sum(jnp.where(is_end[:, None], jnp.stack([*ends]), 0.0), axis=0)
 
-        return jnp.sum(jax.lax.map(of_relation, told), axis=0)
+        return log_weight + jnp.sum(jax.lax.map(of_relation, told), axis=0)
 
     is_said = (told.mention[:, :LANDMARK] == mention[None]) & (mention != NONE)[None]
-    return skip_unless_any(jnp.any(is_said, axis=(0, 1)), evaluate, pairs)
+    is_any = jnp.any(is_said, axis=(0, 1))
+    return skip_unless_any(is_any, evaluate, (log_weight, pairs), log_weight)
 
 
 def _split_between(reading: Readings) -> tuple[Readings, Array]:

@@ -44,7 +44,7 @@ from jaxlangnav.semantic_map.proposal.candidates import (
 )
 from jaxlangnav.semantic_map.proposal.enumerate import Proposals, proposal_layout, propose
 from jaxlangnav.semantic_map.proposal.ranks import log_rank
-from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query, log_told
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query, weigh_told
 
 _MIN_LOG_TOTAL = -60.0
 PLURAL_ODDS = 10.0
@@ -77,7 +77,8 @@ def ground_relation(
     rank = log_rank(query, pairs, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _log_weights(query, ends, proposals, rank, scene, params.misleading)
     mention = jnp.where(ends.is_open, query.mention, NONE)
-    log_weight += log_told(told, mention, proposals.pairs, scene.log_area, params.misleading)
+    told_of = told, mention, proposals.pairs, scene.log_area, params.misleading
+    log_weight = weigh_told(log_weight, *told_of)
     choice, log_total = categorical.draw(log_weight, draws.choice)
     # One object of each chain of relations has the uniform prior over the area: for a figure
     # grounded earlier and now related to the robot that prior is divided out.
