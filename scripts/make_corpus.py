@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 from corpus_labels import annotate, behave, rank
 
-import jaxlangnav.language
-from jaxlangnav.language import parser
+import jaxlangnav.language.parser
 from jaxlangnav.language.corpus import PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Parse
@@ -180,7 +179,7 @@ def worlds_for(parse: Parse, types: list[str], rng: random.Random, count: int) -
 
 def record(text: str, template: str, split: str, want: list[frozenset[str]], seed: str) -> dict:
     """Build the JSON document of one sentence, checked against its template's symbols."""
-    parse = parser.parse(text, is_rewritten=False)
+    parse = jaxlangnav.language.parser.parse(text, is_rewritten=False)
     rng = random.Random(seed + text)
     clauses = []
     if parse.unknown_words:
