@@ -315,6 +315,19 @@ def test_the_red_ball_is_chosen_among_balls(robot, colour: str) -> None:
     assert away[colour] < 1.25
 
 
+def test_an_object_of_the_attributes_that_are_said_is_not_ruled_out(robot) -> None:
+    grounder = GraphGrounder(load_shipped(), ["ball", "tree"], ["colour"])
+    told = dataclasses.replace(robot, grounder=grounder)
+    state = told.start("go to the red ball", area=AREA)
+    for key in jax.random.split(jax.random.key(0), 2):
+        state, _, _ = told.step(key, state, look_at_balls(np.zeros(2), 0.0))
+    assert told.take(state, "no, the ball")[1].ruled_out == (int(state.talk.approached),)
+    after, outcome = told.take(state, "no no the red one")
+    assert not outcome.ruled_out
+    assert bool(after.is_resting)  # by "no no"
+    assert "the red ball is approached" in outcome.notes[0]
+
+
 # ---------------------------------------------------------------- goals of any type
 
 CAR, TREE, BENCH, BARREL = 2, 4, 5, 6

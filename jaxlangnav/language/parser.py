@@ -59,12 +59,6 @@ _REPEATED = re.compile(r"([a-z])\1{2,}")
 _BARE_POINT = re.compile(r"(?<![\w.])\.(?=\d)")
 """A decimal point without a digit before it: ".5" is 0.5."""
 
-_CARRY_REQUEST = re.compile(
-    r"(?:deliver|take|bring|carry|get|run|haul|ferry|transport) "
-    r"(?:it|that|them|those|these)\b"
-)
-"""Requests to carry an object mentioned before, which no robot here can do."""
-
 
 class Sentence:
     """A sentence text with corrected spelling."""
@@ -250,10 +244,6 @@ def parse_rewritings(
     )
     meanings: dict[object, Rewriting] = {}
     for proposal in proposals[:MAX_PROPOSALS]:
-        if sentence.earlier is not None and any(
-            _CARRY_REQUEST.search(old) for old, _ in proposal.changes
-        ):
-            continue
         parsed = verbatim
         if parsed is None or list(proposal.tokens) != sentence.tokens:
             try:

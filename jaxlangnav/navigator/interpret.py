@@ -19,7 +19,7 @@ from jaxlangnav.grounding import Context, Grounded, Grounder
 from jaxlangnav.grounding.annotated import come_here
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Referents
-from jaxlangnav.inputs.object_types import is_anything, label_of, noun_of
+from jaxlangnav.inputs.object_types import is_anything, is_type, label_of, merge_types, name_of
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.language.halting import Act, alarm_in, opening_of
 from jaxlangnav.language.lexicon import find_type
@@ -241,13 +241,21 @@ class Listener:
         slots = [slot for slot in slots if label_of(type_at(state, slot)) in spoken.types_of(goal)]
         if len(spoken.goals) == 1 and goal in spoken.others:
             if not slots:
-                name = noun_of(goal, names_of(self.grounder))
+                name = name_of(goal, names_of(self.grounder))
                 raise ValueError(
                     f"{shorten(text)!r}: no {name} has been approached yet, so there is no other: "
                     f"say which, as in 'the {name} by the cone'"
                 )
             return slots[0]
-        return approached if utterance.rejects_goal and approached in slots else NONE
+        if not utterance.rejects_goal or approached not in slots:
+            return NONE
+        code = type_at(state, approached)
+        mentions = np.unique(grounded.instruction.readings.mention_type).tolist()
+        described = [m for m in mentions if m != label_of(m) and is_type(code, m)]
+        if any(merge_types(code, m) == code for m in described):
+            name = name_of(code, names_of(self.grounder))
+            raise ValueError(f"{shorten(text)!r}: the {name} is approached: say which is meant")
+        return approached
 
     def warm_up(self, state: NavigatorState) -> None:
         """Compile all state updates by utterances in advance."""

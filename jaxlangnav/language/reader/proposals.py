@@ -84,10 +84,6 @@ class Labelling:
         clause = self.sentence.clauses[self.sentence.clause[index]]
         return all(self.labels[i] == DELETE and not self.sentence.is_name[i] for i in clause)
 
-    def is_seen(self) -> bool:
-        """Check whether every edited span occurs in the training data."""
-        return self.met.issuperset(map(self.span_key, self.runs))
-
     def is_faithful(self) -> bool:
         """Check that no quantity is halved, and relations are replaced by their converse only."""
         return not any(map(self._splits_quantity, self.runs)) and all(
@@ -218,7 +214,9 @@ def propose_readings(
     for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
         labelled = Labelling(sentence, tuple(model.labels[i] for i in path), model.met)
         is_refused = labelled.labels[0] == REJECT or not labelled.is_faithful()
-        if is_refused or (is_readable and not labelled.is_seen()):
+        if is_refused or (
+            is_readable and not model.met.issuperset(map(labelled.span_key, labelled.runs))
+        ):
             continue
         proposal = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in proposal.tokens)
