@@ -100,16 +100,15 @@ class Labelling:
         return any(len(edge) == 2 and all(map(is_quantity, edge)) for edge in edges)
 
     def _is_converse(self, index: int) -> bool:
-        """Check that a relation replacing "with" or "that's" is the converse of the deleted one."""
+        """Check that a relation replacing a relation or "with" is the converse of the deleted."""
         # "The house with the truck in front" is the house behind the truck.
-        new = find_relations(self.labels[index][1:].split())
+        words, new = self.sentence.words, find_relations(self.labels[index][1:].split())
         clause = self.sentence.clauses[self.sentence.clause[index]]
-        deleted = find_relations(
-            [self.sentence.words[i] for i in clause if self.labels[i] == DELETE]
-        )
+        deleted = find_relations([words[i] for i in clause if self.labels[i] == DELETE])
+        own = find_relations(words[index : index + 1])
         binding = {PREPOSITION, *(WORDS["telling"] if deleted else ())}
-        is_free = binding.isdisjoint(self.sentence.classes[index])
-        return is_free or new <= {REGISTRY[relation].converse for relation in deleted}
+        is_free = not own and binding.isdisjoint(self.sentence.classes[index])
+        return is_free or new <= own.union(REGISTRY[relation].converse for relation in deleted)
 
     def edit_features(self) -> Counter[str]:
         """Count words edited otherwise than in training, by class; spans; names lost and kept."""
