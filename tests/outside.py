@@ -206,8 +206,8 @@ class Ride:
         self.drifting = np.random.default_rng([seed, 78])
         self.place = place or scenario.furnish(self.random, types)
         self.position, self.odometry = np.zeros((2, 2))
-        wall, goal = scenario.wall, self.place.at[0]
-        self.wall = build_wall(self.drifting, wall, goal) if wall else None
+        wall = scenario.wall
+        self.wall = build_wall(self.drifting, wall, self.place.at[0]) if wall else None
         # By how much the true heading exceeds that of odometry, which is all that the robot knows.
         self.turned, self.steady = 0.0, scenario.steady_drift * self.drifting.choice([-1.0, 1.0])
         self.path, self.metres, self.overflow = [self.position], 0.0, 0
