@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.task.follow import PreparedEpisode
+    from jaxlangnav.task.talk import Dialogue
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -99,19 +100,21 @@ class Follow:
         from jaxlangnav.task.talk import padded
 
         opened = self._open(understood, values)
-        dialogue = None
+        source = None
         if script or self.ask or self.talk or self.person:
             grounder = GraphGrounder.of_detector(models, detector)
             speech.check_script(script, grounder, understood)
             opened = dataclasses.replace(opened, understood=padded(understood))
-            dialogue = {"script": script, "grounder": grounder, "first": opened.understood}
+            speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
+            fields = {"grounder": grounder, "first": opened.understood, "scene": opened.scene()}
+            source = speech.listener(output, **speakers, script=script, **fields)
         task = opened.prepared.task
         max_steps = self.max_steps or step_limit(task.scenario, task.sensor)
         speech.read_script(self.hear, max_steps)
         check_recording(opened.config, max_steps)
         self._note_world(opened, output)
         precompile_cycle(opened)
-        recording = self._record(opened, dialogue, max_steps, output)
+        recording = self._record(opened, source, max_steps, output)
         document = self._document(opened.prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
@@ -169,7 +172,7 @@ class Follow:
             output.note(f"note: {prepared.unscored}, so success cannot be judged")
 
     def _record(
-        self, opened: "PreparedEpisode", dialogue: dict[str, Any] | None, limit: int, output: Output
+        self, opened: "PreparedEpisode", source: "Dialogue | None", max_steps: int, output: Output
     ) -> "Recording":
         """Run the episode and print its narrative, live or afterwards."""
         from jaxlangnav.episode.recording import stack_frames
@@ -177,11 +180,8 @@ class Follow:
         from jaxlangnav.task.talk import add_talk
         from jaxlangnav.viz.narrative import closing, narrate, narrate_live, opening
 
-        scene, source = opened.scene(), None
-        if dialogue is not None:
-            speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
-            source = speech.listener(output, **speakers, **dialogue, scene=scene)
-        steps = opened.play(limit, source)
+        scene = opened.scene()
+        steps = opened.play(max_steps, source)
         message = "compiling the robot's mind; what is compiled is kept for the next run"
         with spinner(message, f"compile {self.policy} {opened.config.map}", default_seconds=60.0):
             first = next(steps)
