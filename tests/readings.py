@@ -80,12 +80,14 @@ def params(
     odometry_noise: float = 0.02,
     threshold: float = 0.5,
     clumping: float = 0.0,
+    softness: float = 0.3,
 ) -> MapParams:
     motion = MotionParams(step_length=jnp.float32(1.0), odometry_noise=jnp.float32(odometry_noise))
     return replace(
         default_map_params(),
         concentration=jnp.float32(concentration),
         clumping=jnp.float32(clumping),
+        superlative_softness=jnp.float32(softness),
         resample_threshold=jnp.float32(threshold),
         motion=motion,
     )

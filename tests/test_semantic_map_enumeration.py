@@ -86,7 +86,7 @@ def small_world(
     )
 
 
-def estimate(sentence, seed: int = 0, objects=OBJECTS, clumping: float = 0.0, pooled: int = 0):
+def estimate(sentence, seed: int = 0, objects=OBJECTS, clumping=0.0, pooled: int = 0, **numbers):
     """Ground the sentence SEEDS times: referents [S, M, P], weights [S, P], places."""
     belief = by_hand.with_objects(by_hand.begin(VIEWER), objects)
     belief = by_hand.with_coverage(belief, np.log(miss_map()))
@@ -95,7 +95,7 @@ def estimate(sentence, seed: int = 0, objects=OBJECTS, clumping: float = 0.0, po
         keys,
         belief,
         sentence,
-        by_hand.params(concentration=ALPHA, clumping=clumping),
+        by_hand.params(concentration=ALPHA, clumping=clumping, **numbers),
         jnp.float32(pooled) if pooled else None,
     )
     weight = np.exp(np.asarray(log_weight, float))
@@ -170,17 +170,20 @@ def test_a_figure_beside_the_viewer_has_its_landmark_on_any_side(monkeypatch) ->
     assert (samples.std(0) < 0.2 * truth.sum()).all()  # 0.11; were it beyond its figure, 0.31
 
 
-def test_the_farthest_equals_enumeration_where_one_of_the_two_is_seen() -> None:
-    """An order, however far. Of a pair both unseen, places drawn are neighbours, and it weighs too
-    little: 0.55 for 1.26."""
-    kinds, edges = [HYDRANT, CONE], [(0, FAR, 1, True)]
-    truth, _ = exact.groundings(small_world(), kinds, edges)
-    particles, weight = estimate(by_hand.readings([kinds], [edges]))
-    samples, number = by_category(particles, weight, len(OBJECTS) + 1, 2), len(OBJECTS) + 1
-    is_common = truth.ravel() > 0.02 * truth.sum()
-    is_common[number * number - 1] = False
-    assert is_common.sum() == 6
-    compare(samples[:, is_common], truth.ravel()[is_common])
+@pytest.mark.parametrize(("relation", "rank"), [(LEFT, 1), (LEFT, 2), (NEAR, 2), (FAR, 1)])
+def test_ranks_equal_enumeration_of_how_many_are_unseen(relation: int, rank: int) -> None:
+    objects = [(HYDRANT, 6.4, 1.3), (HYDRANT, 3.4, -2.6), (HYDRANT, 8.0, 3.5)]
+
+    def score(place: np.ndarray) -> np.ndarray:
+        if relation == LEFT:
+            return place @ [np.sin(VIEWER[2]), -np.cos(VIEWER[2])]
+        return np.hypot(*place.T) * (1.0 if relation == NEAR else -1.0)
+
+    truth = exact.ordered(small_world(objects, None, 16, 2.0), HYDRANT, rank, score)
+    sentence = by_hand.readings([[HYDRANT, ROBOT]], [[(0, relation, 1, rank)]])
+    drawn = [estimate(sentence, seed, objects, 2.0, softness=0.01) for seed in range(4)]
+    particles, weight = jax.tree.map(lambda *parts: np.concatenate(parts), *drawn)
+    compare(by_category(particles, weight, len(objects) + 1, 1), truth)
 
 
 @pytest.mark.parametrize("kinds", [(HYDRANT, CONE, CAR), (CAR, CONE, CONE), (CONE, CONE, HYDRANT)])

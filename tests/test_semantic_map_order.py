@@ -4,30 +4,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import readings as by_hand
 
+from jaxlangnav import relations as rel
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
-from jaxlangnav.relations import (
-    default_params,
-    density_of,
-    is_on_side,
-    log_density,
-    prepare,
-    robot_frame,
-    without_range,
-)
 from jaxlangnav.relations.density import SIDE_CONCENTRATION
 from jaxlangnav.semantic_map.coverage import empty_coverage
 from jaxlangnav.semantic_map.params import default_map_params
-from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored
+from jaxlangnav.semantic_map.proposal.candidates import Observed, Unexplored
 from jaxlangnav.semantic_map.proposal.enumerate import Pairs
-from jaxlangnav.semantic_map.proposal.ranks import log_rank
-from jaxlangnav.semantic_map.proposal.relation_query import Query
+from jaxlangnav.semantic_map.proposal.ranks import log_rank, log_viewer_density
+from jaxlangnav.semantic_map.proposal.relation_query import Query, Utterances, current_context
 
 CONES = np.array([[4.0, 3.0], [7.0, -3.0], [10.0, 4.0], [0.0, 0.0]], np.float32)
 """Ranges 5, 7.6, 10.8; the third is the leftmost, the second the rightmost; an empty slot."""
-LOG_NEW = np.log(0.25, dtype=np.float32)
+UNSEEN = np.float32(0.8)
 CONE = 1
-MODEL, PARAMS = prepare(default_params()), default_map_params()
+MODEL, PARAMS = rel.prepare(rel.default_params()), default_map_params()
 
 
 def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0, 0.0),) * 2):
@@ -42,26 +35,20 @@ def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0,
         is_ordinal=jnp.asarray(rank > 0),
         is_rangeless=jnp.asarray(rank > 0),
         sides=jnp.array([*sides, *[NONE] * (3 - len(sides))], jnp.int32),
-        pdf=density_of(MODEL, relation),
+        pdf=rel.density_of(MODEL, relation),
         viewer=jnp.zeros(3),
         excluded=jnp.zeros(2, jnp.int32),
     )
     is_known = jnp.isin(jnp.arange(4), jnp.array(known))
     seen = Observed(jnp.where(is_known, CONE, NONE), *jnp.asarray(CONES.T))
-    draws = Draws(
-        distance=jnp.zeros(2),
-        angle=jnp.zeros(2),
-        choice=jnp.float32(0.0),
-        unseen_x=jnp.array([x for x, _ in unseen], jnp.float32),
-        unseen_y=jnp.array([y for _, y in unseen], jnp.float32),
-    )
     scene = Unexplored(
         coverage=empty_coverage(jnp.array([-20.0, 20.0, -20.0, 20.0]), 4),
         first_row=jnp.int32(0),
         log_area=jnp.log(1600.0),
-        log_unseen=jnp.float32(LOG_NEW) - jnp.log(PARAMS.concentration),
+        log_unseen=jnp.log(UNSEEN),
+        points=jnp.array(unseen, jnp.float32).T,
     )
-    return said, seen, draws, scene
+    return said, seen, scene
 
 
 def at(places) -> Pairs:
@@ -72,8 +59,8 @@ def at(places) -> Pairs:
 
 
 @jax.jit
-def weigh_at(places, said, seen, draws, scene) -> jax.Array:
-    return log_rank(said, at(places), seen, draws, scene, params=PARAMS)
+def weigh_at(places, said, seen, scene) -> jax.Array:
+    return log_rank(said, at(places), seen, scene, params=PARAMS)
 
 
 def weigh(one: tuple, places=CONES) -> np.ndarray:
@@ -83,19 +70,13 @@ def weigh(one: tuple, places=CONES) -> np.ndarray:
 @pytest.mark.parametrize(
     ("relation", "rank", "sides", "best"),
     [
-        (NEAR, 1, (), 0),
-        (NEAR, 2, (), 1),
-        (NEAR, 3, (), 2),
-        (FAR, 1, (), 2),
-        (FAR, 2, (), 1),
-        (LEFT, 1, (), 2),
-        (RIGHT, 1, (), 1),
-        (NEAR, 2, (LEFT,), 2),
-        (NEAR, 2, (LEFT, FRONT), 2),
+        (NEAR, 1, (), 0), (NEAR, 2, (), 1), (NEAR, 3, (), 2), (FAR, 1, (), 2), (FAR, 2, (), 1),
+        (LEFT, 1, (), 2), (RIGHT, 1, (), 1), (NEAR, 2, (LEFT,), 2), (NEAR, 2, (LEFT, FRONT), 2),
     ],
-)
+)  # fmt: skip
 def test_the_one_of_its_rank_is_free_of_charge(relation, rank, sides, best):
-    weights = weigh(order(relation, rank, sides=sides))[:3]
+    said, seen, scene = order(relation, rank, sides=sides)
+    weights = weigh((said, seen, scene._replace(log_unseen=jnp.float32(-jnp.inf))))[:3]
     assert weights[best] == 0.0
     assert (np.delete(weights, best) < -1.3).all()
 
@@ -105,35 +86,24 @@ def test_no_order_weighs_nothing():
 
 
 def test_what_comes_before_may_be_unseen():
-    """One cone seen at 5 m: the second is another one, or one nearer is unseen."""
+    """e^{−α u q} that the q of the unseen area before the second of two cones has none."""
     nearer, farther = (2.0, 0.0), (20.0, 0.0)
+    none = -PARAMS.concentration * UNSEEN
     for unseen, share in (((nearer, farther), 0.5), ((nearer, nearer), 1.0)):
-        one = order(NEAR, 2, known=(0,), unseen=unseen)
-        np.testing.assert_allclose(weigh(one)[0], np.log(share), atol=1e-6)
-    third = order(NEAR, 3, known=(0,), unseen=(nearer, farther))
-    np.testing.assert_allclose(weigh(third)[0], 2 * np.log(0.5), rtol=1e-5)
-    # Two have been seen, and of no more than two does anyone speak: others are as likely as ever.
-    one = order(NEAR, 2, known=(0, 1), unseen=(nearer, farther))
-    np.testing.assert_allclose(weigh(one)[0], LOG_NEW + np.log(0.5), rtol=1e-5)
-
-
-def test_where_nothing_unseen_comes_before_it_the_first_is_no_third():
-    """As many cones are unseen as there are, but beyond those in view: none is before the first."""
-    said, seen, draws, scene = order(NEAR, 3, unseen=((20.0, 0.0),) * 2)
-    scene = scene._replace(log_unseen=-jnp.log(PARAMS.concentration))
-    first, second, third, _ = weigh((said, seen, draws, scene))
-    np.testing.assert_allclose([first, second, third], np.log([1e-4, 1e-2, 1.0]), atol=1e-5)
+        first, second = weigh(order(NEAR, 2, known=(0, 1), unseen=unseen))[:2]
+        np.testing.assert_allclose(second, share * none, rtol=1e-5)
+        assert first < -5.0
+    one, new = order(NEAR, 2, known=(0,), unseen=(nearer, farther)), CONES[1:2]
+    assert weigh(one)[0] < -30.0  # the second of one has not been seen
+    np.testing.assert_allclose(weigh(one, new), 0.5 * none + np.log(10.0), rtol=1e-5)
 
 
 def test_a_superlative_speaks_of_several():
     """One cone seen: it is the nearest of several only if another one is farther."""
-    farther, nearer = ((20.0, 0.0),) * 2, ((2.0, 0.0),) * 2
-    np.testing.assert_allclose(weigh(order(NEAR, 1, known=(0,), unseen=farther))[0], 0.0, atol=1e-6)
-    for one in (
-        order(NEAR, 1, known=(0,), unseen=nearer),
-        order(FAR, 1, known=(0,), unseen=farther),
-    ):
-        np.testing.assert_allclose(weigh(one)[0], np.log(0.1), rtol=1e-5)
+    none = -PARAMS.concentration * UNSEEN
+    for x, weight in ((20.0, np.log(-np.expm1(none))), (2.0, np.log(0.1) + none)):
+        one = order(NEAR, 1, known=(0,), unseen=((x, 0.0),) * 2)
+        np.testing.assert_allclose(weigh(one)[0], weight, rtol=1e-5)
 
 
 def test_the_only_one_on_a_side_is_still_the_best_there():
@@ -142,35 +112,42 @@ def test_the_only_one_on_a_side_is_still_the_best_there():
     assert (np.delete(weights, 1) < weights[1] - 2.0).all()
 
 
+def test_a_rank_is_sought_before_the_observed_one_of_it():
+    belief = by_hand.with_objects(by_hand.begin((0.0, 0.0, 0.0)), [(CONE, 5.0, 2.0)])
+    said = by_hand.readings([[CONE, ROBOT]], [[(0, LEFT, 1, 1)]])
+    told = Utterances(readings=said, context=current_context(said, belief.viewer), params=PARAMS)
+    density = log_viewer_density(told, belief, jnp.full(2, 5.0), jnp.array([4.0, -4.0]))[:, 0, 0]
+    np.testing.assert_allclose(density, [0.0, np.log(PARAMS.misleading)], atol=1e-5)
+
+
 def test_a_side_is_normalised_over_directions():
     """However far: 1 / A on average over directions, and by e^2κ likelier ahead than behind."""
     angle = np.linspace(0.0, 2 * np.pi, 720, endpoint=False, dtype=np.float32)
     yes, no = jnp.asarray(True), jnp.asarray(False)
-    frame = robot_frame(jnp.float32(0.0))
+    frame = rel.robot_frame(jnp.float32(0.0))
     for distance in (0.5, 20.0):
         x, y = distance * jnp.cos(angle), distance * jnp.sin(angle)
         for side, ahead in ((FRONT, 0), (LEFT, 180)):
-            law = without_range(density_of(MODEL, side), yes, no, jnp.log(50.0))
-            weight = 50.0 * np.exp(np.asarray(log_density(law, x, y, frame)))
+            law = rel.without_range(rel.density_of(MODEL, side), yes, no, jnp.log(50.0))
+            weight = 50.0 * np.exp(np.asarray(rel.log_density(law, x, y, frame)))
             np.testing.assert_allclose(weight.mean(), 1.0, rtol=1e-3)
             ratio = weight[ahead] / weight[ahead + 360]
             np.testing.assert_allclose(np.log(ratio), 2 * SIDE_CONCENTRATION, rtol=1e-3)
     # An order alone says nothing of the side, and what is neither stays as it was.
     for relation in (NEAR, LEFT):
-        law = without_range(density_of(MODEL, relation), no, yes, jnp.log(50.0))
-        np.testing.assert_allclose(log_density(law, x, y, frame), -np.log(50.0), rtol=1e-5)
-        same = without_range(density_of(MODEL, relation), no, no, jnp.log(50.0))
-        jax.tree.map(np.testing.assert_array_equal, same, density_of(MODEL, relation))
+        law = rel.without_range(rel.density_of(MODEL, relation), no, yes, jnp.log(50.0))
+        np.testing.assert_allclose(rel.log_density(law, x, y, frame), -np.log(50.0), rtol=1e-5)
+        same = rel.without_range(rel.density_of(MODEL, relation), no, no, jnp.log(50.0))
+        jax.tree.map(np.testing.assert_array_equal, same, rel.density_of(MODEL, relation))
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 def test_sides_turn_with_the_robot(heading):
     turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
-    frame = robot_frame(jnp.float32(heading))
-    for relation, offset in (
-        (FRONT, (2, 1)), (BEHIND, (-2, 1)), (LEFT, (1, 2)), (RIGHT, (1, -2)),
-    ):  # fmt: skip
+    frame = rel.robot_frame(jnp.float32(heading))
+    sides = {FRONT: (2, 1), BEHIND: (-2, 1), LEFT: (1, 2), RIGHT: (1, -2)}
+    for relation, offset in sides.items():
         x, y = jnp.asarray(turn @ np.array(offset), jnp.float32)
-        assert is_on_side(jnp.int32(relation), x, y, frame)
-        assert not is_on_side(jnp.int32(relation), -x, -y, frame)
-        assert is_on_side(jnp.int32(NONE), x, y, frame)
+        assert rel.is_on_side(jnp.int32(relation), x, y, frame)
+        assert not rel.is_on_side(jnp.int32(relation), -x, -y, frame)
+        assert rel.is_on_side(jnp.int32(NONE), x, y, frame)

@@ -15,8 +15,9 @@ from jaxlangnav.planner.constraints import Zones
 from jaxlangnav.planner.relevance import components
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.coverage import Coverage, area_size, cell_size
-from jaxlangnav.semantic_map.proposal.relation_query import Utterances, log_viewer_density
+from jaxlangnav.semantic_map.coverage import Coverage, cell_size
+from jaxlangnav.semantic_map.proposal.ranks import log_viewer_density
+from jaxlangnav.semantic_map.proposal.relation_query import Utterances
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 CELLS = 12
@@ -127,10 +128,9 @@ def _viewer_factor(
 ) -> Array:
     """Compute the factor of relations to the robot on the cells' unanchored mass, f32[C] > 0."""
     readings, mentions = utterances.readings, np.arange(utterances.readings.mention_type.shape[1])
-    log_area = jnp.log(area_size(belief.coverage))
 
     def factor(positions: tuple[Array, Array]) -> Array:
-        log_density = log_viewer_density(utterances, log_area, *positions)
+        log_density = log_viewer_density(utterances, belief, *positions)
         is_grouped = (components(readings)[:, None] >> mentions[None, :, None]) & 1  # [M, M, K]
         log_density = jnp.sum(jnp.where(is_grouped[None] > 0, log_density[:, None], 0.0), axis=2)
         density = jnp.exp(log_density - jnp.max(log_density, axis=0, keepdims=True))  # [C, M, K]

@@ -54,6 +54,22 @@ def log_exposure(unseen: Array, *, params: MapParams, num_pooled: Array | None =
     return jnp.log1p(clumping * (1.0 - unseen))
 
 
+def log_prob_none(
+    count: Array, frac: Array, unseen: Array, *, params: MapParams, num_pooled: Array | None = None
+) -> Array:
+    """Compute the log-probability that a fraction q, f32[...], of the unseen area has no object.
+
+        −(α / κ + n) log[1 + κ q u / (1 + T κ (1 − u))]    (negative binomial; κ → 0: −α q u)
+
+    n, u and T are those of ``log_expected``.
+    """
+    clumping = jnp.maximum(params.clumping, 1e-6)
+    exposure = jnp.exp(log_exposure(unseen, params=params, num_pooled=num_pooled))
+    return -(params.concentration / clumping + count) * jnp.log1p(
+        clumping * frac * unseen / exposure
+    )
+
+
 def raise_existence(existence: Array, growth: Array | float, prob_real: Array | float) -> Array:
     """Raise existence probabilities of objects of a type after one more of them is detected.
 

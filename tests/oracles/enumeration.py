@@ -30,10 +30,10 @@ import math
 import numpy as np
 from oracles import relations
 
-ROBOT, NONE, FAR = -2, -1, 5
+ROBOT, NONE = -2, -1
 ANYTHING = 8191
 SIDES, SIDE_KAPPA = range(4), 4.0
-PLURAL = 10.0  # so much likelier are unseen figures of an order; two are seen here, at least
+PLURAL = 10.0  # so much likelier are unseen figures of an order
 FRONT, BEHIND, LEFT, RIGHT, NEAR = range(5)
 
 
@@ -107,17 +107,39 @@ def density(world: World, relation: int, figure: np.ndarray, landmark: np.ndarra
         return np.where(distance > 0, relations.density(offset, sight, **law), 0.0)
 
 
-def superlative(world: World, kind: int, relation: int, figure: np.ndarray, landmark: np.ndarray):
+def superlative(world: World, kind: int, figure: np.ndarray, landmark: np.ndarray):
     """Price of a figure that another seen object of its type beats: exp(−excess / softness)."""
-    sign = -1.0 if relation == FAR else 1.0
-    gap = sign * np.hypot(*np.moveaxis(figure - landmark, -1, 0))
+    gap = np.hypot(*np.moveaxis(figure - landmark, -1, 0))
     best = gap
     for name, x, y in world.objects:
         if may_be(kind, name):
             away = np.hypot(x - landmark[..., 0], y - landmark[..., 1])
-            away = np.where((away == 0.0) & (kind == ANYTHING), sign * np.inf, away)
-            best = np.minimum(best, sign * away)
+            away = np.where((away == 0.0) & (kind == ANYTHING), np.inf, away)
+            best = np.minimum(best, away)
     return np.exp(-(gap - best) / world.softness)
+
+
+def ordered(world: World, kind: int, rank: int, score) -> np.ndarray:
+    """Weigh the observed objects, all of one type, and all unseen ones as the one of a rank.
+
+    It is the observed one of that rank if no unseen one comes before it; the number of these is
+    enumerated, Poisson of a Gamma rate given all observed objects but the one meant.
+    """
+    place, weight, category = candidates(world, kind)
+    is_unseen, key = category == len(world.objects), score(place)
+    share, number = weight[is_unseen] / weight[is_unseen].sum(), (~is_unseen).sum()
+    miss, shape = world.miss.mean(), world.alpha / world.clumping + number - 1
+    rate, counts = 1.0 / world.clumping + 1.0 - miss, np.arange(500)
+    grown = [math.lgamma(shape + n) - math.lgamma(shape) - math.lgamma(n + 1) for n in counts]
+    probability = np.exp(grown + shape * np.log(rate) + counts * np.log(miss))
+    probability /= (rate + miss) ** (shape + counts)
+    target = np.sort(key[~is_unseen])[rank - 1]
+    none_before = probability @ (1.0 - share[key[is_unseen] < target].sum()) ** counts
+    holds = np.where(key[~is_unseen] == target, none_before, 0.0)
+    expected, error = shape / rate, world.misleading
+    seen = ((1.0 - error) * holds + error) / expected
+    unseen = PLURAL * (1.0 - error) * (1.0 - none_before) / expected
+    return np.append(seen, unseen + error * miss)
 
 
 def candidates(world: World, kind: int):
@@ -159,12 +181,8 @@ def potential(world: World, kinds: list[int], edge: tuple[int, int, int, bool], 
     shape = (rows.shape[0], columns.shape[1], 2)
     rows, columns = np.broadcast_to(rows, shape), np.broadcast_to(columns, shape)
     table = density(world, relation, rows, columns, kinds[landmark] == ROBOT)
-    if is_extreme and relation == FAR:  # an order, which says nothing of how far
-        known = sum(may_be(kinds[figure], name) for name, _, _ in world.objects)
-        is_unseen = (np.arange(len(rows)) >= known)[:, None]
-        table = np.where(is_unseen, PLURAL, 1.0) / world.size * np.ones_like(table)
     if is_extreme:
-        table = table * superlative(world, kinds[figure], relation, rows, columns)
+        table = table * superlative(world, kinds[figure], rows, columns)
     table = (1.0 - world.misleading) * table + world.misleading / world.size
     if ANYTHING in (kinds[figure], kinds[landmark]):
         own, mark = ([name for name, _, _ in world.objects if may_be(kind, name)]

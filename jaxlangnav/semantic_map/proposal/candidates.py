@@ -18,6 +18,7 @@ from jaxlangnav.numerics.batching import append_axes, lookup, prepend_axes, skip
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
 
 NUM_UNSEEN = 2
@@ -43,6 +44,13 @@ class Observed(NamedTuple):
     existence: Array | None = None  # f32[O, ...] existence probability; None: all exist
 
 
+def observed(particles: SemanticMap) -> Observed:
+    """List the observed objects of particles."""
+    types, existence = particles.object_type, particles.existence
+    x, y = (leaf[: types.shape[0]] for leaf in (particles.mean_x, particles.mean_y))
+    return Observed(types, x, y, existence if existence.shape[0] else None)
+
+
 class Unexplored(NamedTuple):
     """The unexplored area, shared by all particles of an episode during grounding.
 
@@ -54,6 +62,7 @@ class Unexplored(NamedTuple):
     first_row: Array  # i32[] first row of the episode's map in ``coverage``
     log_area: Array  # f32[] log A, square metres
     log_unseen: Array  # f32[] log u, u the unseen fraction of the area
+    points: Array  # f32[2, S, 1 or ...] metres, x and y of a sample of it
     num_pooled: Array | None = None  # f32[] T, types that have one rate (``counts``); None: none
 
 

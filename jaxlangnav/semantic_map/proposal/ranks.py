@@ -2,17 +2,13 @@
 
 "Nearest to the car" gives the figure a distance, and no other observed object of its type is
 nearer. "The second", "the leftmost", "the farthest" and "the nearest" to the robot are ordinal:
-no distance, only which objects of the type come before. Those may be unseen, so each missing
-predecessor of a figure contributes the expected number of unseen objects, λ A u = α u, times the
-fraction of them that would come before. "The second" needs one object before it; "the nearest"
-needs another after it, or the word would be idle. "The third" presupposes three objects, and "the
-leftmost" two: until that many have been observed, each unseen one that is needed surely exists.
+no distance, only which objects of the type come before. Those may be unseen: the observed object
+of the rank is meant only if none comes before it; otherwise the unseen one is to be found first.
 """
-
-import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.inputs.object_types import is_anything, is_type
@@ -20,108 +16,116 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import insert_axes, prepend_axes, skip_unless_any
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import kth_smallest
-from jaxlangnav.semantic_map.counts import log_expected
+from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.counts import log_prob_none
+from jaxlangnav.semantic_map.coverage import area_size
 from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored
+from jaxlangnav.semantic_map.proposal.candidates import Observed, Unexplored, observed
 from jaxlangnav.semantic_map.proposal.enumerate import Pairs
-from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query, Utterances, build_queries
 
 _TIE = 1e-3  # metres within which an observed object is the figure itself
-_MIN_BEFORE, _MIN_AFTER = 0.01, 0.1
-"""Minimum fractions of unseen objects before and after: few samples may have none of either."""
 _OFF_SIDE = 1e-3  # weight of a figure that is not on the stated side
+_PLURAL_ODDS = 10.0  # odds factor of an unseen figure: "the second", "the rightmost" imply several
+_MIN_OTHER = 0.1  # minimum probability of another object, where the words presuppose one
+_LAST = 1e6  # metres, score of the observed object of a rank, if there are too few
 
 
 def log_rank(
-    query: Query,
-    pairs: Pairs,
-    seen: Observed,
-    draws: Draws,
-    scene: Unexplored,
-    *,
-    params: MapParams,
-    num_known: int = 0,
+    query: Query, pairs: Pairs, seen: Observed, scene: Unexplored, *, params: MapParams
 ) -> Array:
-    """Compute the log-likelihood of a rank ("the second") for figures at given positions.
+    """Compute the log-likelihood of a rank r ("the second") for figures at given positions.
 
-    "The nearest cone on your left" is compared with the cones on the left alone. The first
-    ``num_known``² pairs combine that many figures with the landmarks of the ``num_known`` pairs
-    after them: terms of the landmarks alone are computed once.
+    Of an ordinal one it is log P(a(s) = 0), with a(s) unseen objects before the score s of the
+    figure, for an observed figure that is the r-th, s = s_r, and for a new one before it, s < s_r:
+    the first unseen one. It falls with the distance from that. The only one observed is the first
+    if another comes after it, P(a(s) = 0) − P(a(∞) = 0).
+    "The nearest cone on your left" is compared with the cones on the left alone.
 
     Limits: if all is observed, the object of that rank has 0, the others nearly −∞; 0 if no rank.
     """
-    is_nearest = (query.rank > 0) & ~query.is_ordinal
 
     def nearest(pairs: Pairs) -> Array:
-        return -_excess(query, pairs, seen, num_known) / params.superlative_softness
+        return _order(query, pairs, seen, params)[-1]
 
     def ordinal(pairs: Pairs) -> Array:
-        return _log_ordinal(query, pairs, seen, draws, scene, params)
+        score, is_observed, is_alone, log_before = _order(query, pairs, seen, params)
+        ndim, num_pooled = score.ndim, scene.num_pooled
+        x, y = (insert_axes(leaf, ndim + 1) for leaf in scene.points)
+        in_scope, is_ahead = _is_on_sides(query, x, y), _score(query, pairs, x, y) < score[None]
+        unseen = jnp.exp(prepend_axes(scene.log_unseen, ndim))
+        is_counted = _is_rival(seen, query) if num_pooled is None else seen.object_type != NONE
+        count = prepend_axes(jnp.sum(is_counted, axis=0), ndim) - is_observed
+        num_pooled = None if num_pooled is None else prepend_axes(num_pooled, ndim)
+        log_none, log_alone = (
+            log_prob_none(count, jnp.mean(part, 0), unseen, params=params, num_pooled=num_pooled)
+            for part in (in_scope & is_ahead, in_scope)
+        )
+        log_other = jnp.log(jnp.maximum(-jnp.expm1(log_alone - log_none), _MIN_OTHER))
+        log_before = log_before + log_none + jnp.where(is_alone, log_other, 0.0)
+        return log_before + jnp.where(is_observed, 0.0, jnp.log(_PLURAL_ODDS))
 
-    log_nearest = skip_unless_any(is_nearest, nearest, pairs, jnp.zeros_like(pairs.x))
+    log_nearest = skip_unless_any(query.rank > 0, nearest, pairs, jnp.zeros_like(pairs.x))
     # Ordinal ranks are expensive to evaluate.
     return skip_unless_any(query.is_ordinal, ordinal, pairs, log_nearest)
 
 
-def _excess(query: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
-    """Compute the distance of a figure in excess of the nearest rival's, f32[n, ...] metres ≥ 0."""
-    dx, dy = pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y
-    dist2 = dx * dx + dy * dy + 1e-9
-    at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
-    x, y = insert_axes(seen.x, dist2.ndim + 1), insert_axes(seen.y, dist2.ndim + 1)
-    is_rival = insert_axes(_is_rival(seen, query), dist2.ndim + 1)
-    rival_dx, rival_dy = x - at_x[None], y - at_y[None]
-    rival2 = rival_dx * rival_dx + rival_dy * rival_dy + 1e-9  # [O, landmarks, ...]
-    # The object nearest to the cone is not the cone itself.
-    is_any = prepend_axes(is_anything(query.types[FIGURE]), rival2.ndim)
-    is_landmark = is_any & (rival2 < _TIE**2)
-    nearest = jnp.min(jnp.where(is_rival & ~is_landmark, rival2, jnp.inf), axis=0)
-    nearest = jnp.minimum(dist2, jnp.concatenate([*[nearest[:num_known]] * num_known, nearest]))
-    return jnp.sqrt(dist2) - jnp.sqrt(nearest)
+def log_viewer_density(utterances: Utterances, belief: ParticleBelief, x: Array, y: Array) -> Array:
+    """Evaluate the log-density of mentions given their relations to the robot (eq. 7a).
+
+    "The hydrant on your left" has no observed anchor, and yet is not uniformly distributed. For
+    the relations r of a mention to the robot, with densities f_r,
+
+        log f(x) A = Σ_r log[(1 − ε) A f_r(x) + ε]
+
+    f32[C, M, K], for positions f32[C], metres, map frame. Of a rank A f = 1 where an unseen object
+    would come before the observed one of it. Limits: 0 (uniform) without any such r.
+    """
+    readings, params, error = utterances.readings, utterances.params, utterances.params.misleading
+    (num_readings, _), mentions = readings.figure.shape, np.arange(readings.mention_type.shape[1])
+    x, y = (jnp.broadcast_to(v[:, None], (v.shape[0], num_readings)) for v in (x, y))
+    log_area = jnp.log(area_size(belief.coverage))
+    objects = observed(belief.particles)  # alike in most particles
+    seen = jax.tree.map(lambda leaf: jnp.repeat(leaf[:, :1], num_readings, 1), objects)
+
+    def of_relation(query: Query) -> Array:
+        pairs = Pairs(x, y, *(jnp.broadcast_to(v[None], x.shape) for v in query.viewer[:2]))
+        log_holds = query.log_density(*pairs) + log_area
+        is_ranked = query.is_ordinal & query.is_by_robot
+        log_holds = skip_unless_any(
+            is_ranked, lambda at: _order(query, at, seen, params)[-1], pairs, log_holds
+        )
+        log_ratio = jnp.logaddexp(jnp.log1p(-error) + log_holds, jnp.log(error))
+        figure = jnp.where(query.is_place_by_robot | is_ranked, query.mention[FIGURE], NONE)[None]
+        return jnp.where((figure == mentions[:, None])[None], log_ratio[:, None], 0.0)
+
+    queries = build_queries(readings, utterances.context, params.relations, log_area)
+    return jnp.sum(jax.lax.map(of_relation, queries), axis=0)
 
 
-def _log_ordinal(
-    query: Query, pairs: Pairs, seen: Observed, draws: Draws, scene: Unexplored, params: MapParams
-) -> Array:
-    """Compute the log-likelihood of an ordinal rank, with expected unseen objects counted."""
-    num_seen, num_others = seen.x.shape[0], seen.x.shape[0] + draws.unseen_x.shape[0]
-    x = jnp.concatenate([seen.x, draws.unseen_x, pairs.x])
-    y = jnp.concatenate([seen.y, draws.unseen_y, pairs.y])
-    viewer_x, viewer_y, heading = (prepend_axes(v, x.ndim) for v in jnp.unstack(query.viewer))
-    robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
-    side = insert_axes(query.sides, x.ndim + 1)
-    is_on_sides = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)
-    is_on_all_sides = functools.reduce(jnp.logical_and, jnp.unstack(is_on_sides))
+def _order(query: Query, pairs: Pairs, seen: Observed, params: MapParams) -> tuple[Array, ...]:
+    """Compute scores, whether observed and alone, and 0 for s_r or before it (less for others)."""
     score = _score(query, pairs, pairs.x[None], pairs.y[None])[0]
-    others = (insert_axes(part[:num_others], score.ndim + 1) for part in (x, y))
-    scores, in_scope = _score(query, pairs, *others), insert_axes(is_on_all_sides, score.ndim + 1)
-    rival, unseen = scores[:num_seen], scores[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
-    type_matches, rank = _is_rival(seen, query), query.rank[None]
-    is_rival = in_scope[:num_seen] & insert_axes(type_matches, rival.ndim)
-    target = kth_smallest(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
-    excess = jnp.maximum(score - target, 0.0)
+    x, y = (insert_axes(leaf, score.ndim + 1) for leaf in (seen.x, seen.y))
+    is_alike = insert_axes(_is_rival(seen, query), score.ndim + 1)
+    rival, is_rival = _score(query, pairs, x, y), is_alike & _is_on_sides(query, x, y)
+    # The object nearest to the cone is not the cone itself.
+    is_any = prepend_axes(is_anything(query.types[FIGURE]) & ~query.is_ordinal, rival.ndim)
+    is_rival &= ~(is_any & (rival < _TIE))
+    target = kth_smallest(query.rank[None], jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
+    target = jnp.minimum(target, _LAST)
+    is_observed = jnp.any(is_alike & (jnp.abs(rival - score[None]) <= _TIE), axis=0)
+    is_alone = is_observed & (jnp.sum(is_rival, axis=0) < 2) & (query.rank[None] == 1)
+    log_side = jnp.where(_is_on_sides(query, pairs.x, pairs.y), 0.0, jnp.log(_OFF_SIDE))
+    excess = jnp.maximum(score - target, jnp.where(is_observed, target - score, 0.0))
+    return score, is_observed, is_alone, log_side - excess / params.superlative_softness
 
-    before = jnp.sum(is_rival & (rival < score[None] - _TIE), axis=0)
-    is_alone = ~jnp.any(is_rival & (jnp.abs(rival - score[None]) > _TIE), axis=0) & (rank == 1)
-    missing = jnp.maximum(rank - 1 - before, 0)
-    is_counted = type_matches if scene.num_pooled is None else seen.object_type != NONE
-    others = jnp.maximum(jnp.sum(is_counted, axis=0) - 1, 0)
-    num_pooled = None if scene.num_pooled is None else prepend_axes(scene.num_pooled, others.ndim)
-    unseen_frac = jnp.exp(prepend_axes(scene.log_unseen, others.ndim))
-    log_more = log_expected(others, unseen_frac, params=params, num_pooled=num_pooled)
-    is_observed = jnp.any(is_rival & (jnp.abs(rival - score[None]) <= _TIE), axis=0)
-    num_rivals = jnp.sum(is_rival, axis=0) + jnp.where(is_observed, 0, 1)
-    log_new = prepend_axes(log_more, score.ndim) + prepend_axes(scene.log_unseen, score.ndim)
-    log_new = jnp.where(num_rivals < jnp.maximum(rank, 2), jnp.maximum(log_new, 0.0), log_new)
 
-    def log_exists(is_ahead: Array, floor: float) -> Array:
-        frac = jnp.mean(in_scope[num_seen:num_others] & is_ahead, axis=0)
-        return log_new + jnp.log(jnp.maximum(frac, floor))
-
-    total = jnp.where(missing > 0, missing * log_exists(unseen < score[None], _MIN_BEFORE), 0.0)
-    total = total + jnp.where(is_alone, log_exists(unseen > score[None], _MIN_AFTER), 0.0)
-    total = total + jnp.where(is_on_all_sides[num_others:], 0.0, jnp.log(_OFF_SIDE))
-    return total - excess / params.superlative_softness
+def _is_on_sides(query: Query, x: Array, y: Array) -> Array:
+    """Test which positions f32[n, ...] are on all sides of the robot that are stated."""
+    viewer_x, viewer_y, heading = (prepend_axes(v, x.ndim) for v in jnp.unstack(query.viewer))
+    side, robot = insert_axes(query.sides, x.ndim + 1), robot_frame(heading[None])
+    return jnp.all(is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot), axis=0)
 
 
 def _is_rival(seen: Observed, query: Query) -> Array:

@@ -178,29 +178,6 @@ class Utterances:
     params: MapParams  # relations, ε
 
 
-def log_viewer_density(utterances: Utterances, log_area: Array, x: Array, y: Array) -> Array:
-    """Evaluate the log-density of mentions given their relations to the robot (eq. 7a).
-
-    "The hydrant on your left" has no observed anchor, and yet is not uniformly distributed. For
-    the relations r of a mention to the robot, with densities f_r,
-
-        log f(x) A = Σ_r log[(1 − ε) A f_r(x) + ε]
-
-    f32[C, M, K], for positions f32[C], metres, map frame. Limits: 0 (uniform) without any such r.
-    """
-    readings, params = utterances.readings, utterances.params
-    num_readings, mentions = readings.figure.shape[0], np.arange(readings.mention_type.shape[1])
-    x, y = (jnp.broadcast_to(v[:, None], (v.shape[0], num_readings)) for v in (x, y))
-
-    def of_relation(query: Query) -> Array:
-        log_ratio = query.log_by_robot(x, y, log_area, params.misleading)
-        figure = jnp.where(query.is_place_by_robot, query.mention[FIGURE], NONE)[None]
-        return jnp.where((figure == mentions[:, None])[None], log_ratio[:, None], 0.0)
-
-    queries = build_queries(readings, utterances.context, params.relations, log_area)
-    return jnp.sum(jax.lax.map(of_relation, queries), axis=0)
-
-
 def pick_queries(queries: Query, reading: Array) -> Query:
     """Select the queries of each particle's reading, i32[P]: leaves [J, ..., P]."""
     rows = pack(queries).T[..., None]

@@ -47,8 +47,6 @@ from jaxlangnav.semantic_map.proposal.ranks import log_rank
 from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query, weigh_told
 
 _MIN_LOG_TOTAL = -60.0
-PLURAL_ODDS = 10.0
-"""Odds factor of an unseen figure with a rank: "the second", "the rightmost" imply several."""
 
 
 def ground_relation(
@@ -73,8 +71,7 @@ def ground_relation(
     query = materialize(_view_from_other(query._replace(excluded=excluded), grounding))
     ends = list_candidates(seen, query, grounding, scene, params=params)
     proposals = materialize(propose(query, ends, draws, params.relations))
-    pairs, num_known = proposals.related, ends.x.shape[1]
-    rank = log_rank(query, pairs, seen, draws, scene, params=params, num_known=num_known)
+    rank = log_rank(query, proposals.related, seen, scene, params=params)
     log_weight = _log_weights(query, ends, proposals, rank, scene, params.misleading)
     mention = jnp.where(ends.is_open, query.mention, NONE)
     told_of = told, mention, proposals.pairs, scene.log_area, params.misleading
@@ -163,10 +160,6 @@ def _log_new(query: Query, proposals: Proposals, log_density: Array, scene: Unex
     log_drawn = jnp.concatenate([log_miss[:size], log_landmark, log_miss[2 * size :]])
     # For draws from the unseen area, q is m / u A.
     log_anywhere = log_density + prepend_axes(scene.log_unseen + scene.log_area, log_miss.ndim)
-    # A rank implies several objects like its figure, not like the landmark.
-    row = append_axes(jnp.arange(log_miss.shape[0]), log_miss.ndim)
-    is_plural = query.is_ordinal[None] & ((row < size) | (row >= 2 * size))
-    log_anywhere = log_anywhere + jnp.where(is_plural, jnp.log(PLURAL_ODDS), 0.0)
     return jnp.where(query.is_rangeless[None], log_anywhere, log_drawn)
 
 

@@ -31,6 +31,7 @@ from jaxlangnav.semantic_map.proposal.candidates import (
     Observed,
     Unexplored,
     empty_grounding,
+    observed,
 )
 from jaxlangnav.semantic_map.proposal.relation_query import (
     FIGURE,
@@ -56,15 +57,16 @@ def _draw_unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple
     coverage, log_area = belief.coverage, jnp.log(area_size(belief.coverage))
     x, y, log_unseen = sample_unseen(coverage, uniform, jitter)
     points = jnp.stack([x, y])
+    sample = points[..., None]
     if mean_drift(belief) is None:
-        return Unexplored(coverage, jnp.int32(0), log_area, log_unseen), points
+        return Unexplored(coverage, jnp.int32(0), log_area, log_unseen, sample), points
     stacked, first_row = stack_coverage(belief)
     active = is_active(belief)
     other_map = replace(coverage, log_miss=belief.alternate_miss)
     x, y, log_other = sample_unseen(other_map, uniform, jitter)
     points = jnp.where(active, points[..., None], jnp.stack([x, y])[..., None])
     log_unseen = jnp.where(active, log_unseen, log_other)
-    return Unexplored(stacked, first_row, log_area, log_unseen), points
+    return Unexplored(stacked, first_row, log_area, log_unseen, sample), points
 
 
 def _draw_randoms(
@@ -219,6 +221,7 @@ def _gather_scene(scene: Unexplored, idx: Array, lane: Array) -> Unexplored:
         first_row=lane * maps.shape[1] + gather(scene.first_row),
         log_area=scene.log_area[lane],
         log_unseen=gather(scene.log_unseen),
+        points=jnp.moveaxis(scene.points[lane, ..., 0], 0, -1),
         num_pooled=None if scene.num_pooled is None else scene.num_pooled[lane],
     )
 
@@ -250,16 +253,14 @@ def ground_words(
         Particles with fresh groundings, and f32[P], log of the evidence estimated by each. In
         particles that were not selected the groundings are undefined and the evidence is −∞.
     """
-    particles, num_objects = belief.particles, belief.particles.object_type.shape[0]
+    particles = belief.particles
     is_asked = jnp.ones(belief.log_weight.shape, bool) if is_asked is None else is_asked
     uniform, draws, scene = _draw_randoms(key, belief, readings.figure.shape[1])
     scene = scene._replace(num_pooled=num_pooled)
     cumulative = jnp.cumsum(jnp.exp(readings.log_probability))
     point = uniform * cumulative[-1]
     reading = jnp.sum(cumulative[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
-    seen_x, seen_y = particles.mean_x[:num_objects], particles.mean_y[:num_objects]
-    existence = particles.existence if particles.existence.shape[0] else None
-    inputs = Observed(particles.object_type, seen_x, seen_y, existence), draws, reading
+    inputs = observed(particles), draws, reading
     context = current_context(readings, belief.viewer) if context is None else context
     queries = build_queries(readings, context, params.relations, scene.log_area)
     num_mentions = readings.mention_type.shape[1]
