@@ -27,8 +27,8 @@ NODES = np.random.default_rng(5).uniform([0, -5], [10, 5], (40, 2))
 
 @jax.jit
 def value_of(belief, behavior, discount):
-    has_open = jnp.zeros_like(belief.particles.is_mentioned)
-    goals = gather(belief, behavior, prepare(default_params()), has_open, jnp.float32(0.0))
+    has_unseen = jnp.zeros_like(belief.particles.is_mentioned)
+    goals = gather(belief, behavior, prepare(default_params()), has_unseen, jnp.float32(0.0))
     x, y = jnp.asarray(NODES[:, 0], jnp.float32), jnp.asarray(NODES[:, 1], jnp.float32)
     return qmdp.values(x, y, goals, discount), goals
 

@@ -93,13 +93,18 @@ class Cell:
 
 
 def cell(
-    world: str, relation: str, instruction_idx: int, sensing_range: float, episodes: int, seed: int
+    world: str,
+    relation: str,
+    instruction_index: int,
+    sensing_range: float,
+    episodes: int,
+    seed: int,
 ) -> Cell:
     """Build a cell with the default noise."""
     return Cell(
         world=world,
         relation=relation,
-        instruction_index=instruction_idx,
+        instruction_index=instruction_index,
         sensor=default_sensor(sensing_range),
         episodes=episodes,
         seed=seed,

@@ -283,9 +283,7 @@ def parse_tokens(
     unknown = [t for t in tokens if t.terminal.startswith("?") and t.terminal != NOUN]
     if len(unknown) > MAX_UNKNOWN:
         first = unknown[0]
-        raise LanguageError(
-            f"'{first.text[:30]}' (word {first.position}): unknown word, one of too many"
-        )
+        raise LanguageError.at(first.text[:30], first.position, "unknown word, one of too many")
     try:
         derivation, probability = load_grammar().parse(
             [token.terminal for token in tokens], is_end_found=is_located

@@ -167,12 +167,12 @@ def _check_landmark(phrase: Phrase) -> None:
             raise _refusal(np.children[0].words[-1:], _OF_WHAT)
 
 
-def _check_between(phrase: Phrase) -> None:
-    """Refuse "between" with one landmark, and two uses of "between" for one figure."""
+def _check_selection(phrase: Phrase) -> None:
+    """Refuse "between" with one landmark, and two uses of "between" or ranks for one figure."""
     phrases = [part for child in phrase.children[1:] for part in (child, *child.children)]
-    between = [part for part in phrases if part.has_sense("between")]
-    if len(between) > 1:
-        raise _refusal(_head(between[1]), "said of one thing twice; say one of them")
+    between, ranks = ([p for p in phrases if p.has_sense(s)] for s in ("between", "superlative"))
+    for again in (*between[1:], *ranks[1:]):
+        raise _refusal(_head(again), "said of one thing twice; say one of them")
     if between and phrase.children[0].has_sense("place"):
         raise _refusal(_head(between[0]), REASONS["between"])
     nouns = [word for word in phrase.children[0].all_words() if word.tag.startswith("NN")]
@@ -200,7 +200,7 @@ def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
                 _check_one(phrase)
                 _check_place(phrase)
                 _check_landmark(phrase)
-                _check_between(phrase)
+                _check_selection(phrase)
         _check_unknown(clause, unknown)
         if clause.label == "VP":
             _check_verb(clause, unknown if clause is clauses[0] else set())

@@ -110,11 +110,15 @@ def _fit_weights(behavior: Behavior, particles: SemanticMap, weight: Array) -> A
 
 
 def gather(
-    belief: ParticleBelief, behavior: Behavior, model: RelationModel, has_open: Array, metres: Array
+    belief: ParticleBelief,
+    behavior: Behavior,
+    relations: RelationModel,
+    has_unseen: Array,
+    metres: Array,
 ) -> Goals:
     """Compute the goal distribution over all particles.
 
-    ``has_open``, bool[M, P], marks mentions related to an unseen object (``relevance``); metres,
+    ``has_unseen``, bool[M, P], marks mentions related to an unseen object (``relevance``); metres,
     f32[], is the stated distance from a region's object to the goal, 0 if none.
     """
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
@@ -127,7 +131,7 @@ def gather(
     y = jnp.concatenate([particles.mean_y[:num_objects], particles.hypothesis_y, viewer[1]])
     region, robot_slot = jnp.argmax(behavior.goal, axis=0), x.shape[0] - 1
     is_robot = (jnp.arange(x.shape[0]) == robot_slot)[:, None]
-    offset_x, offset_y = region_offset(model, region, x, y, belief.viewer, is_robot, metres)
+    offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot, metres)
     x, y = x + offset_x, y + offset_y
     idx = jnp.append(jnp.arange(num_objects), robot_slot)  # observed slots and the robot
     slot_mass, hypo_mass = mass[idx], mass[num_objects:-1]
@@ -140,7 +144,7 @@ def gather(
     accepted = fit * (weight * jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0))[None, :]
     # It is confirmed unless a mention of it is related to an unseen object.
     slots = jnp.arange(num_objects + 1)[:, None, None]
-    is_confirmed = ~jnp.any((particles.referent[None] == slots) & has_open[None], axis=1)
+    is_confirmed = ~jnp.any((particles.referent[None] == slots) & has_unseen[None], axis=1)
     is_best = jnp.argmax(hypo_mass, axis=0)[None, :] == jnp.arange(hypo_mass.shape[0])[:, None]
     is_observed = jnp.any(particles.is_observed & (weight > 0)[None, :], axis=1)
     return Goals(

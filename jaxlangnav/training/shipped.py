@@ -281,10 +281,10 @@ def train_shipped_reader(
     config, grounding, judged = ReaderConfig(), load_shipped(), []
     if len(rows) < 2 * config.batch:
         raise ValueError(f"{len(rows)} lines are too few to train on: {2 * config.batch} at least")
-    # Of every three blocks the first is held out, then the second.
+    # Of every three blocks the second is held out, then the third, which has the newest lines.
     fold_of = np.arange(len(rows)) // min(_MAX_BLOCK, len(rows) // 6 + 1) % 3
-    for fold in range(2):
-        on_progress(f"reading lines that are held out, part {fold + 1} of 2")
+    for fold in (1, 2):
+        on_progress(f"reading lines that are held out, part {fold} of 2")
         held = list(itertools.compress(rows, fold_of == fold))[::_JUDGED]
         rest = label_lines(list(itertools.compress(rows, fold_of != fold)))
         reader, _ = train_reader(rest, config=config)

@@ -79,11 +79,6 @@ class Labelling:
         is_kept = label[0] == KEEP
         return [*label[2:].split(), self.sentence.words[index]] if is_kept else label[1:].split()
 
-    def is_deleted(self, index: int) -> bool:
-        """Check whether the whole clause of a word is deleted, without object names."""
-        clause = self.sentence.clauses[self.sentence.clause[index]]
-        return all(self.labels[i] == DELETE and not self.sentence.is_name[i] for i in clause)
-
     def is_faithful(self) -> bool:
         """Check that no quantity is halved, and relations are replaced by their converse only."""
         return not any(map(self._splits_quantity, self.runs)) and all(
@@ -111,25 +106,24 @@ class Labelling:
         return is_free or new <= own.union(REGISTRY[relation].converse for relation in deleted)
 
     def edit_features(self) -> Counter[str]:
-        """Count words edited otherwise than in training, by class; spans; names lost and kept."""
-        words, classes, is_name = self.sentence.words, self.sentence.classes, self.sentence.is_name
-        is_kept = [label[0] == KEEP for label in self.labels]
-        kept = {singular(words[i]) for i, flag in enumerate(is_kept) if flag and is_name[i]}
-        counts = Counter({"names": len(kept)})
+        """Count labels, names kept, and words edited otherwise than in training, by class."""
+        words, is_name = self.sentence.words, self.sentence.is_name
+        counts = Counter(f"label {label[0]}" for label in self.labels)
+        kept = (i for i, label in enumerate(self.labels) if label[0] == KEEP and is_name[i])
+        counts["names"] = len({singular(words[i]) for i in kept})
         for run in self.runs:
             if self.span_key(run) in self.met:
                 continue
             counts["unmet"] += 1
             for i in run:
                 edit = "deleted" if self.labels[i] == DELETE else "replaced"
-                edit = "inserted" if is_kept[i] else "clause" if self.is_deleted(i) else edit
-                counts.update(f"{edit} {name}" for name in ("any", *classes[i]))
-                new = () if edit in ("deleted", "clause") else self.read_as(i)
-                counts.update(f"as {name}" for word in new for name in classes_of(word))
-                counts["name lost"] += is_name[i] and singular(words[i]) not in kept
+                counts.update(f"{edit} {name}" for name in self.sentence.classes[i])
+                counts.update(f"as {name}" for word in self.read_as(i) for name in classes_of(word))
         return counts
 
-    def proposal(self, tokens: Sequence[RawToken], probability: float) -> Proposal:
+    def proposal(
+        self, tokens: Sequence[RawToken], probability: float, p_refused: float
+    ) -> Proposal:
         """Build the rewritten sentence, with the list of its edits."""
         output: list[RawToken] = []
         last = {i: tokens[run[-1]].position for run in self.runs for i in run}
@@ -150,7 +144,7 @@ class Labelling:
             tokens=tuple(strip_marks(output)),
             left_out=tuple(source for source, target in edits if source and not target),
             changes=tuple(edit for edit in edits if edit[1]),
-            features=dict(self.edit_features()),
+            features={**self.edit_features(), "log refused": safe_log(p_refused)},
         )
 
 
@@ -203,10 +197,9 @@ def propose_readings(
         return math.exp(scores[:, index].sum() + moves - log_total)
 
     p_verbatim, p_refused = probability(KEEP), probability(REJECT)
-    about = {"log verbatim": safe_log(p_verbatim), "log refused": safe_log(p_refused)}
     proposals: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
-        verbatim = Proposal(p_verbatim, tuple(tokens), (), (), about)
+        verbatim = Proposal(p_verbatim, tuple(tokens), (), (), {})
         proposals[sentence.words] = verbatim
         if p_verbatim > 1.0 - MIN_OVERRULING:
             return [verbatim]
@@ -217,15 +210,13 @@ def propose_readings(
             is_readable and not model.met.issuperset(map(labelled.span_key, labelled.runs))
         ):
             continue
-        proposal = labelled.proposal(tokens, math.exp(score - log_total))
+        proposal = labelled.proposal(tokens, math.exp(score - log_total), p_refused)
         words = tuple(token.text for token in proposal.tokens)
         if not words or words == sentence.words:
             continue
-        if previous := proposals.get(words):
-            total = previous.probability + proposal.probability
-            proposals[words] = previous._replace(probability=total)
-        else:
-            proposals[words] = proposal._replace(features=proposal.features | about)
+        first = proposals.get(words, proposal._replace(probability=0.0))
+        total = first.probability + proposal.probability
+        proposals[words] = first._replace(probability=total)
     return sorted(proposals.values(), key=lambda proposal: -proposal.probability)
 
 
