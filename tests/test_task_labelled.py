@@ -119,7 +119,7 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
 
 
 PART_OF = {"spoken": "spoken", "twenty-third": "new", "twenty-fourth": "new"}
-PARTS = {"learned": (2795, 56), "new": (1105, 17), "spoken": (480, 4)}
+PARTS = {"learned": (3885, 72), "new": (312, 8), "spoken": (505, 3)}
 """How many are right, at least, and wrong, at most: of sets that training sentences were written
 from or against, of unseen ones, and of templates' sentences."""
 
@@ -134,7 +134,7 @@ def outcomes(part: str, every: int = 1) -> Counter[str]:
 def test_every_ninth_of_the_shipped_sentences_stays_as_well_read():
     counts = sum((outcomes(part, every=9) for part in PARTS), Counter())
     assert counts["right"] >= 450
-    assert counts["wrong"] <= 9
+    assert counts["wrong"] <= 10
 
 
 @pytest.mark.slow
