@@ -48,9 +48,9 @@ of σ and κ: it is worth about one pair, so that it matters only without data."
 _PRIOR_FRAME_PAIRS = 1.0
 """Number of pairs that the uniform prior on frames is worth."""
 _MAX_STEPS = 200.0
-_GRADIENT_TOL, _CONVERGED_TOL = 1e-4, 1e-3
-"""Norm of the mean gradient that ends the search, and its maximum component at convergence: float32
-has a rounding error of about 1e-4."""
+_GRADIENT_TOL, _CONVERGED_TOL = 1e-4, 0.1
+"""Norm of the mean gradient that ends the search, where rounding does not end it before, and the
+maximum distance to the optimum, in standard errors, at convergence."""
 
 
 @pytree
@@ -88,8 +88,7 @@ def make_pairs(
             finite.
     """
     index = np.atleast_1d(np.asarray(relation))
-    num_pairs = len(index)
-    if num_pairs == 0:
+    if (num_pairs := len(index)) == 0:
         raise ValueError("there are no pairs to fit relations to")
     if index.ndim > 1:
         raise ValueError(f"relation has shape {index.shape}, but must have ({num_pairs},)")
@@ -149,7 +148,7 @@ class RelationFit:
     log_likelihood: Array  # f32[] mean over the pairs, log of a density per square metre
     log_likelihood_before: Array  # f32[] at the start: initial parameters, uniform frames
     num_pairs: Array  # i32[R] number of pairs of each relation
-    is_converged: Array  # bool[] the gradient has vanished
+    is_converged: Array  # bool[] the optimum is within a tenth of a standard error
 
 
 _Free = tuple[RelationParams, Array]
@@ -213,7 +212,8 @@ def _maximise(pairs: RelationPairs, start: _Free) -> tuple[_Free, Array, Array]:
     curvature = jax.lax.map(
         lambda unit: jax.jvp(jax.grad(loss), (optimum.point,), (unit,))[1], jnp.eye(len(init))
     )
-    is_converged = jnp.max(jnp.abs(optimum.grad)) < _CONVERGED_TOL
+    squared_distance = num_pairs * optimum.grad @ jnp.linalg.solve(curvature, optimum.grad)
+    is_converged = squared_distance < _CONVERGED_TOL**2
     return unravel(optimum.point), curvature * num_pairs, is_converged
 
 
