@@ -151,7 +151,6 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
     assert {"ece", "brier", "coverage90"} <= set(found["rows"][0])
     assert found["rows"][0]["relation"] is None
     assert len(found["paper"]) == 2
-    assert found["wall_s"] > 0.0
     ends = (".md", ".json", "_manifest.json", "_episodes.parquet")
     assert {path.name for path in tmp_path.iterdir()} == {f"small{end}" for end in ends}
     table = pq.read_table(tmp_path / "small_episodes.parquet")

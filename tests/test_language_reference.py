@@ -217,6 +217,7 @@ def test_a_word_of_another_class_is_a_noun_where_only_one_can_stand(name):
         ("go forward a bit", "'a bit' (word 3): distances"),
         ("turn left at the cone", "'turn left' (word 1): turns"),
         ("go anywhere but the car", "'but' (word 3)"),
+        ("take the box to the car", "'take' (word 1): this action"),
     ],
 )
 def test_a_refusal_names_the_cause(text, begins):

@@ -63,6 +63,7 @@ def understand_text(
     detector = detector_of(world, models.type_names)
     parsed = parsed or parse_text(text, output, detector.plain_labels)
     understood = understand_parse(parsed, models, detector)
+    understood.check_others()
     for note in understood.notes:
         output.note(f"note: {note}")
     return understood, models, detector

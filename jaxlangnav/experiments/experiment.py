@@ -175,8 +175,7 @@ class Options:
 
 
 def _policy_arms(options: Options) -> list[Arm]:
-    names = "num_particles", "params", "motion"
-    kwargs: dict[str, Any] = {name: getattr(options, name) for name in names}
+    kwargs: dict[str, Any] = {n: getattr(options, n) for n in ("num_particles", "params", "motion")}
     return [policy_arm(policy, **kwargs) for policy in check_policies(options.policies)]
 
 

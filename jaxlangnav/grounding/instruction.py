@@ -148,7 +148,7 @@ class Understanding:
                 been said before (``is_first``), speaks of "the other one"; one line.
         """
         if is_first:
-            self._check_others()
+            self.check_others()
         clauses = zip(self.parse.clauses, self.parse.kinds, strict=True)
         commands = [clause for clause, kind in clauses if kind == COMMAND]
         text = f"'{self.parse.instruction}'"
@@ -170,7 +170,7 @@ class Understanding:
                 "say where to go then, as in 'then go to the bench'"
             )
 
-    def _check_others(self) -> None:
+    def check_others(self) -> None:
         """Refuse "the other hydrant" where no hydrant has been mentioned before."""
         mentioned: set[str] = set()
         for clause in self.parse.clauses:

@@ -88,7 +88,8 @@ def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]
     names |= {(noun,) for noun in load_nouns().ambiguous}
     # Types of the lexicon are not changed.
     names -= load_lexicon().entries[TYPE_CLASS].keys()
-    max_words = max(map(len, names), default=1)
+    max_words = max(map(len, names), default=1) + 1  # "pick up truck"
+    names = {"".join(name) for name in names}
     joined: list[Token] = []
     index = 0
     while index < len(tokens):
@@ -99,16 +100,14 @@ def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]
     return joined
 
 
-def _name_length(
-    tokens: list[Token], index: int, names: Collection[tuple[str, ...]], max_words: int
-) -> int:
-    """Count the words of the name that begins at a token; 0 if there is none."""
+def _name_length(tokens: list[Token], index: int, names: Collection[str], max_words: int) -> int:
+    """Count the words of the name that begins at a token, 0 if none; ``names`` have no spaces."""
     words = tuple(token.text for token in tokens[index : index + max_words])
     for size in range(len(words), 0, -1):
         name, stem = words[:size], singular(" ".join(words[:size]))
         # "The tree that stands by …" is no plural of "stand".
-        is_plural = tuple(stem.split()) in names and stem not in load_nouns().ambiguous
-        if "" in name or not (name in names or is_plural):
+        is_plural = stem.replace(" ", "") in names and stem not in load_nouns().ambiguous
+        if "" in name or not ("".join(name) in names or is_plural):
             continue
         if size > 1 or tokens[index].terminal.startswith("?") or must_be_noun(tokens, index):
             return size

@@ -28,7 +28,7 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     """Choose the word to blame for a failed parse, and explain why in one line.
 
     In order: a refused expression; a negation anywhere; among the words up to the failure: a
-    condition, the last unsupported or unknown word, a function word just before, the word there.
+    condition, the last unsupported or unknown word, a function word or action before, that word.
     ``index`` is the first token that continues no tree, or the number of tokens at the end.
     """
     texts = tuple(token.text for token in tokens)
@@ -48,6 +48,7 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     unknown = [t for t in read if _is_unknown(t) and not _is_parsed_noun(t, tokens, index)]
     suspects = [t for t in reversed(read) if _explains(t) or t in unknown]
     recent = [t for t in read[-4:] if t.text in _FUNCTION and reasons[t.position]]
+    recent += [t for t in read[-2:-1] if reasons[t.position] == REASONS["such an action"]]
     if first is None and stuck is not None and stuck.text not in _FUNCTION and _explains(stuck):
         first = stuck
     culprits = [first] if first is not None else [*suspects[:1], *recent[-1:]]
