@@ -375,7 +375,7 @@ found = {}
 for name, log_strength in (("0.01 for all", start), ("chosen by gradient", chosen)):
     nats, weights = test(log_strength)
     models = [CorrespondenceModel(vocabulary, by_kind(one, design)) for one in np.asarray(weights)]
-    results = scoring.score_annotations(instructions, models, is_test, types, widths=(4,))
+    results = scoring.Scorer(instructions, types, is_test).annotations(models)
     scores = results.by_width[4]
     found[name] = np.array(
         [np.asarray(nats), [100 * s.accuracy for s in scores], [s.log_gold.mean() for s in scores]]

@@ -55,6 +55,7 @@ def in_a_row(random: np.random.Generator) -> Things:
 
 _PAIR = functools.partial(pair, near=3.0, far=11.0)
 _TURNED = functools.partial(_PAIR, turned=np.pi)
+_DOUBT = 0.01  # number of things before one of a rank, expected at most
 _SHORT = 1.08  # metres before a goal at which a robot halts
 
 
@@ -153,6 +154,7 @@ def handed(row: Row, place: outside.Place, seed: int) -> float:
 
     It always makes for the place that shows most of what is left of it a metre, on cells of a
     metre, and goes up to the goal once it has seen that and the thing that tells it: the second.
+    A rank asks too that hardly another, at the rate of those seen, can stand before the goal.
     """
     random, (cells, joint) = np.random.default_rng([seed, 41]), _joint(row)
     is_near = np.hypot(*(cells[:, None] - cells[None]).T) <= row.reach
@@ -166,7 +168,10 @@ def handed(row: Row, place: outside.Place, seed: int) -> float:
                 cell = np.argmin(np.hypot(*(cells - thing).T))
                 lacking = lacking - {name}
                 where = joint[:, cell] if name == "goal" else joint[cell % len(joint)]
-        if not lacking:
+        if row.draw is in_a_row and not lacking:
+            where = (cells[:, 1] > place.at[0][1]).astype(float)
+            is_sure = len(place.at) * where @ unseen <= _DOUBT * (1.0 - unseen).sum()
+        if not lacking and (row.draw is not in_a_row or is_sure):
             return metres + max(float(np.hypot(*(place.at[0] - at))) - _SHORT, 0.0)
         spans = np.hypot(*(cells - at).T)
         aim = cells[np.argmax(is_near @ (where * unseen) / (0.5 + spans))] - at

@@ -24,7 +24,7 @@ from jaxlangnav.experiments.table import Section, Table, report_html
 from jaxlangnav.experiments.table1 import _accuracy, _oov_accuracy, draw_splits, evaluate, table_1
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.messages import Status
-from jaxlangnav.training.scoring import Scores, score_annotations, score_behaviors
+from jaxlangnav.training.scoring import Scorer, Scores
 from jaxlangnav.world.templates import TABLE_2
 
 TABLE = paper.table_2()
@@ -355,10 +355,7 @@ def test_interval_by_hand():
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [
-        ({"splits": 1}, "at least 2"),
-        ({"beams": (0,)}, "1 or more"),
-    ],
+    [({"splits": 1}, "at least 2"), ({"beams": (0,)}, "1 or more")],
 )
 def test_bad_requests_are_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
@@ -372,16 +369,13 @@ def test_exact_scores_are_those_of_the_beam_where_both_are_sure():
         sentences=("go to the box near the tree", "find the car", "go to the other box"),
     )
     both = [[one] for one in (model.annotation, model.behavior)]
-    found = score_annotations(instructions, both[0], None, TYPES, is_exact=True)
-    beam, exact = found.by_width[4][0], found.exact[0]
-    assert exact.is_proven.all()
-    np.testing.assert_array_equal(exact.is_right, beam.is_right)
-    found = score_behaviors(instructions, *both, None, TYPES, is_exact=True)
-    beam, exact = found.by_width[4][0], found.exact[0]
-    assert exact.is_right.shape == (6,)
-    np.testing.assert_array_equal(exact.is_right, beam.is_right)
-    # Half of the probability in one set proves it.
-    assert exact.is_proven[beam.confidence > 0.5].all()
+    scorer = Scorer(instructions, TYPES, is_exact=True)
+    for found, size in ((scorer.annotations(both[0]), 3), (scorer.behaviors(*both), 6)):
+        beam, exact = found.by_width[4][0], found.exact[0]
+        assert exact.is_right.shape == (size,)
+        np.testing.assert_array_equal(exact.is_right, beam.is_right)
+        # Half of the probability in one set proves it.
+        assert exact.is_proven[beam.confidence > 0.5].all()
 
 
 @pytest.mark.slow

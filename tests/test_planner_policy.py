@@ -74,7 +74,8 @@ def test_free_hypotheses_are_where_words_place_them_against_the_robot() -> None:
         context=current_context(words, belief.viewer),
         params=replace(default_map_params(), misleading=jnp.float32(0.2)),
     )
-    found = jax.jit(search_map)(belief, jnp.float32(0.0), jnp.float32(0.0), spoken)
+    search = jax.jit(search_map)
+    found = search(belief, jnp.float32(0.0), jnp.float32(0.0), spoken)
     blocks = np.exp(log_miss).reshape(CELLS, 2, CELLS, 2).sum((1, 3)).reshape(-1)
     steps = (np.arange(CELLS) + 0.5) / CELLS * 10.0
     x, y = np.tile(steps, CELLS), np.repeat(steps - 5.0, CELLS)
@@ -82,6 +83,10 @@ def test_free_hypotheses_are_where_words_place_them_against_the_robot() -> None:
     right = 0.8 * np.exp(SIDE_CONCENTRATION * toward) / np.i0(SIDE_CONCENTRATION) + 0.2
     expected = 0.75 * blocks / blocks.sum() + 0.25 * blocks * right / (blocks * right).sum()
     np.testing.assert_allclose(found.mass, expected, rtol=5e-3)
+    # Of a rank it may be before all that are observed.
+    ranked = replace(words, rank=jnp.asarray(words.relation == RIGHT, jnp.int32))
+    first = search(belief, jnp.float32(0.0), jnp.float32(0.0), replace(spoken, readings=ranked))
+    assert (float(found.ordered), float(first.ordered)) == (0.0, pytest.approx(0.25))
 
 
 def test_visibility_is_a_disc() -> None:
@@ -237,7 +242,6 @@ def test_the_chance_that_something_is_left_by_hand() -> None:
 
 
 def both(chance: float) -> Presence:
-    """Build the chances where nothing is nowhere."""
     return Presence(jnp.float32(chance), jnp.float32(chance), jnp.float32(0.0))
 
 
@@ -277,7 +281,6 @@ def test_what_is_unseen_by_hand() -> None:
 
 
 def plan_to(x: float, y: float, metres: float, mass: float, anchored: float) -> tours.Plan:
-    """A plan of one stop."""
     tour = Tour(x=jnp.full((1, 1), x), y=jnp.full((1, 1), y))
     mass_left, left = jnp.float32(mass), jnp.float32(anchored)
     return tours.Plan(tours=tour, latency=jnp.full(1, metres), mass=mass_left, anchored=left)
@@ -301,6 +304,7 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
     shown = situation(by_hand.begin(config=CONFIG), nodes(), unconfirmed, robot)
     choice = DECIDE_ON(shown, plan, both(chance))
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (stops, ends)
+    assert not DECIDE_ON(shown, replace(plan, ordered=jnp.float32(0.3)), both(chance)).is_stop
     if mass == 0.4 and chance < 0.1 and not stops:
         assert int(choice.kind) == OBJECT_NODE
         assert bool(choice.is_approach)

@@ -82,7 +82,6 @@ def fitted() -> Fitted:
 
 
 def test_known_parameters_are_recovered_within_their_errors(fitted: Fitted) -> None:
-    """4 standard errors, and the errors themselves are small."""
     _, _, fit = fitted
     assert bool(fit.is_converged)
     truth = true_params()

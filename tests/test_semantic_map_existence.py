@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import readings as by_hand
 
-from jaxlangnav.messages import NONE
+from jaxlangnav.messages import LEFT, NONE, ROBOT
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, counts, observe, particle
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, prune_objects, surprise
+from jaxlangnav.semantic_map.proposal.sparse_regrounding import reground
 from jaxlangnav.terrain import OPEN, RANGING
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
@@ -123,7 +124,6 @@ def test_mislabelled_thing_is_told_by_its_other_labels() -> None:
 
 
 def test_known_thing_explains_a_wrong_label() -> None:
-    """What is called a cone in the place of a hydrant is the hydrant."""
     specification = sensor(mislabelled=0.1)
     one, _ = see(nothing(), specification, HYDRANT)
     one, _ = see(one, specification, HYDRANT)
@@ -153,6 +153,21 @@ def test_what_hardly_exists_is_forgotten_and_its_words_are_lost() -> None:
     np.testing.assert_array_equal(after.object_type[:3, 0], [NONE, CONE, CONE])
     np.testing.assert_array_equal(is_lost, np.arange(number) < 10)
     assert float(jnp.abs(after.covariance[0]).max()) == 0.0
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+def test_a_rank_is_grounded_anew_where_an_object_turns_out_to_exist(rank: int) -> None:
+    belief = by_hand.with_objects(by_hand.begin(), [(CONE, 2.0, 0.0)])
+    none, is_new = jnp.zeros(P), jnp.zeros((by_hand.CONFIG.num_objects, P), bool)
+    is_flipped = is_new.at[0, :10].set(True)
+    update = observe.MeasurementUpdate(none, none, is_new, is_new, is_flipped, None, none, none)
+    words = by_hand.readings([[CONE, ROBOT]], [[(0, LEFT, 1, rank)]])
+    belief = replace(belief, must_ground=jnp.asarray(False))
+    regrounded = reground(
+        jax.random.key(0), jnp.zeros((2, P)), belief, words, update,
+        lambda key, belief, readings, is_asked: (belief.particles, none),
+    )  # fmt: skip
+    np.testing.assert_array_equal(regrounded.is_fresh, (np.arange(P) < 10) & (rank > 0))
 
 
 CAR = by_hand.CAR

@@ -31,7 +31,7 @@ from jaxlangnav.training.examples import (
     read_annotation,
     read_behavior,
 )
-from jaxlangnav.training.scoring import score_annotations, score_behaviors
+from jaxlangnav.training.scoring import Scorer
 
 
 def test_symbols_are_read_by_name():
@@ -99,8 +99,9 @@ def test_what_is_held_out_is_grounded_right(every):
     held_out = [example for example in load_corpus() if example.split == "test"][::every]
     instructions = [labelled_instruction(example, TYPES) for example in held_out]
     both = [[one] for one in (model.annotation, model.behavior)]
-    annotation = score_annotations(instructions, both[0], None, TYPES).by_width[4][0]
-    behavior = score_behaviors(instructions, *both, None, TYPES).by_width[4][0]
+    scorer = Scorer(instructions, TYPES)
+    annotation, behavior = scorer.annotations(both[0]), scorer.behaviors(*both)
+    annotation, behavior = (results.by_width[4][0] for results in (annotation, behavior))
     assert annotation.accuracy > 0.995
     assert behavior.accuracy > 0.995
     assert ((annotation.confidence > 0) & (annotation.confidence <= 1 + 1e-9)).all()
@@ -159,19 +160,15 @@ def alone(space, model, trees, width):
 
 
 def alone_behaviors(annotation, model, labelled, width):
-    """The same, a row for each world."""
     space = Behaviors(TYPES, infer_annotations(labelled.parse, annotation, TYPES).rank)
     return [alone(space, model, trees, width) for trees in labelled.behaviors]
 
 
 def test_each_of_many_models_is_scored_as_alone(instructions, models):
     """Sentences that a model is not tested on are left out of its own results alone."""
-    stacked = models
     widths = (4, 1)
-    found = (
-        score_annotations(instructions, stacked[0], IS_TESTED, TYPES, widths=widths),
-        score_behaviors(instructions, *stacked, IS_TESTED, TYPES, widths=widths),
-    )
+    scorer = Scorer(instructions, TYPES, IS_TESTED, widths=widths)
+    found = scorer.annotations(models[0]), scorer.behaviors(*models)
     for width in widths:
         for k, (annotation, behavior) in enumerate(zip(*models, strict=True)):
             tested = [instructions[i] for i in np.flatnonzero(IS_TESTED[k])]
@@ -198,6 +195,6 @@ def test_a_mask_of_other_models_or_sentences_is_refused(instructions, models):
     annotation, behavior = models
     for wrong, said in ((IS_TESTED[:2], "shape"), (IS_TESTED.astype(float), "type")):
         with pytest.raises(AssertionError, match=said):
-            score_annotations(instructions, annotation, wrong, TYPES, widths=(4,))
+            Scorer(instructions, TYPES, wrong).annotations(annotation)
         with pytest.raises(AssertionError, match=said):
-            score_behaviors(instructions, annotation, behavior, wrong, TYPES, widths=(4,))
+            Scorer(instructions, TYPES, wrong).behaviors(annotation, behavior)

@@ -90,11 +90,11 @@ def _score_models(
         if on_progress is not None and counts[1] > counts[0]:
             on_progress(counts[1] - counts[0])
 
-    options["on_sentence"] = report
-    inputs = held_out, load_lexicon().type_names
+    types = load_lexicon().type_names
+    scorer = scoring.Scorer(instructions, types, held_out, on_sentence=report, **options)
     return {
-        "annotation": scoring.score_annotations(instructions, annotation, *inputs, **options),
-        "behavior": scoring.score_behaviors(instructions, annotation, behavior, *inputs, **options),
+        "annotation": scorer.annotations(annotation),
+        "behavior": scorer.behaviors(annotation, behavior),
     }
 
 

@@ -95,11 +95,8 @@ def decide_tour(situation: Situation, plan: tours.Plan, probs: Presence) -> Deci
         no_search=(probs.prob_fitting < params.give_up) | situation.has_chosen,
         may_ask=situation.may_ask,
     )
-    plan = replace(plan, anchored=jnp.where(question.searches_on, jnp.inf, plan.anchored))
+    plan = replace(plan, ordered=jnp.where(question.searches_on, jnp.inf, plan.ordered))
     valuation, is_sure, is_not_found = assess(situation, plan, probs)
-    # While looking on, observed objects have no value, or the robot could oscillate.
-    goal_value = jnp.where(question.searches_on, 0.0, valuation.goal_value)
-    valuation = replace(valuation, goal_value=goal_value)
     decision = decide(situation, valuation, question=question)
     return replace(decision, is_stop=decision.is_stop & is_sure, is_not_found=is_not_found)
 
@@ -111,10 +108,11 @@ def assess(
 
     The information value of a tour is the mass still to be found divided by the metres until it
     is found. A goal is settled once its object and all its landmarks have been observed and an
-    unseen rival near observed objects is improbable; its value is then higher than any information
-    value. Unsettled goals break ties. If hardly any mass is left to be found and several objects
-    may still be meant, the likeliest is accepted, unless it has an unseen landmark: that is
-    searched for. First stops of the plan's tours lead the situation's nodes.
+    unseen rival is improbable, near observed objects or before the one of a rank; its value is then
+    higher than any information value. Unsettled goals break ties. If hardly any mass is left to be
+    found and several objects may still be meant, the likeliest is accepted, unless it has an unseen
+    landmark, or another may come before it: that is searched for. First stops of the plan's tours
+    lead the situation's nodes.
 
     Returns:
         The values; bool[], no unseen rival prevents a stop; bool[], the search is exhausted without
@@ -137,14 +135,18 @@ def assess(
     _, view_mass = qmdp.mass_within(*robot, goals, situation.range_max, terrain.view)
     metres = plan.latency / jnp.maximum(plan.mass, 1e-6)
     zeros = jnp.zeros(nodes.x.shape[0] - metres.shape[0], jnp.float32)
-    goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount, terrain.travel)
+    goal_value = qmdp.values(nodes.x, nodes.y, goals, params.discount, terrain.travel)
     confirmed = jnp.max(goals.object_confirmed)
     unseen_mass = jnp.sum(goals.hypothesis_mass)
     is_best = jnp.arange(goals.object_x.shape[0]) == jnp.argmax(goals.object_confirmed)
     is_best_goal = confirmed >= jnp.max(jnp.where(is_best, 0.0, goals.object_accepted))
     is_open = (unseen_mass <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
     takes_likeliest = ((is_open & is_best_goal) | is_exhausted) & (confirmed >= MIN_GOAL_PROB)
-    is_sure = (plan.anchored <= params.rival_share * confirmed) | takes_likeliest
+    num_tolerated = params.rival_share * confirmed
+    is_first = jnp.less_equal(plan.ordered, num_tolerated)
+    is_sure = is_first & ((plan.anchored <= num_tolerated) | takes_likeliest)
+    # While looking on, observed objects have no value, or the robot could oscillate.
+    goal_value = jnp.where(is_first, 0.01 * goal_value, 0.0)
     is_settled = is_sure & ((confirmed >= params.stop_probability) | takes_likeliest)
     mass_here = jnp.where(situation.is_find > 0.5, view_mass, reach_mass)
     # The mass of a candidate may be spread over neighbours: nine tenths within reach suffice.

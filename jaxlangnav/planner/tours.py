@@ -100,6 +100,7 @@ class Plan:
     latency: Array  # f32[T] expected metres until found, times the mass
     mass: Array  # f32[] expected number of objects still to be found
     anchored: Array  # f32[] of them, those anchored to an observed object
+    ordered: Array | np.float32 = np.float32(0.0)  # f32[] those before the observed one of a rank
 
 
 def start_tour(x: Array, y: Array) -> Tour:
@@ -164,4 +165,4 @@ def plan(
     costs = jnp.full(NUM_CHANGES + 1, jnp.inf)
     tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS + 1, improve, (placeholders, costs))
     mass, anchored = jnp.sum(search.mass), jnp.sum(search.anchored)
-    return Plan(tours=tours, latency=cost, mass=mass, anchored=anchored)
+    return Plan(tours=tours, latency=cost, mass=mass, anchored=anchored, ordered=search.ordered)

@@ -41,6 +41,7 @@ class MeasurementUpdate(NamedTuple):
     # misses, and the correction for referents, which the count model leaves out
     is_new: Array  # bool[O, P] slots of new objects
     is_type_changed: Array  # bool[O, P] slots whose type code changed: new, or another attribute
+    is_flipped: Array  # bool[O or 0, P] slots that became probable to exist, or improbable
     is_lost: Array | None  # bool[P] a referent was pruned; None: every object exists
     overflow: Array  # i32[P] detections for which no object slot was free
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
@@ -99,6 +100,7 @@ def observe(
         log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_ref,
         is_new=associated.is_new,
         is_type_changed=associated.object_type != prior_map.object_type,
+        is_flipped=(belief.particles.existence > 0.5) != (prior_map.existence > 0.5),
         is_lost=is_lost,
         overflow=associated.overflow,
         surprise=surprise(belief.log_weight, associated, log_map, *log_report),

@@ -113,85 +113,62 @@ def _features(space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld
     return [(tree, tree.symbols.mask(root)) for tree, root in zip(features, gold, strict=True)]
 
 
-def _tested(
-    instructions: Sequence[LabelledInstruction],
-    is_tested: np.ndarray | None,
-    num_models: int,
-    on_sentence: Callable[[], None],
-) -> Iterator[tuple[LabelledInstruction, np.ndarray]]:
-    """Yield sentences with indices i[M] of models tested on them, bool[K, I]; all by default."""
-    shape = num_models, len(instructions)
-    is_tested = np.ones(shape, bool) if is_tested is None else is_tested
-    chex.assert_shape(is_tested, shape)
-    chex.assert_type(is_tested, bool)
-    for labelled, mask in zip(instructions, is_tested.T, strict=True):
-        indices = np.flatnonzero(mask)
-        if len(indices):
-            yield labelled, indices
-        on_sentence()
+@dataclasses.dataclass(frozen=True)
+class Scorer:
+    """Compares what models infer from labelled sentences with the gold sets."""
 
+    instructions: Sequence[LabelledInstruction]
+    type_names: tuple[str, ...]
+    is_tested: np.ndarray | None = None  # bool[K, I], on which each model is tested; None: all
+    _: dataclasses.KW_ONLY
+    widths: Sequence[int] = (BEAM_WIDTH,)
+    is_exact: bool = False  # also find the likeliest of all sets
+    on_sentence: Callable[[], None] = lambda: None  # called after each sentence
 
-def score_annotations(
-    instructions: Sequence[LabelledInstruction],
-    models: Sequence[CorrespondenceModel],
-    is_tested: np.ndarray | None,
-    type_names: tuple[str, ...],
-    *,
-    widths: Sequence[int] = (BEAM_WIDTH,),
-    is_exact: bool = False,
-    on_sentence: Callable[[], None] = lambda: None,
-) -> Results:
-    """Compare inferred annotations with the gold ones, one result per model and sentence.
+    def annotations(self, models: Sequence[CorrespondenceModel]) -> Results:
+        """Score K annotation models, one result per model and sentence."""
+        accumulator = _Accumulator(len(models), self.widths, self.is_exact)
+        for labelled, indices in self._tested(len(models)):
+            clauses = _features(Annotations(self.type_names), labelled.annotations)
+            for index in indices:
+                accumulator.add(index, models[index], clauses)
+        return accumulator.results()
 
-    Args:
-        instructions: I labelled sentences.
-        models: K annotation models.
-        is_tested: bool[K, I], which sentences each model is tested on; all by default.
-        type_names: object types.
-        widths: beam widths.
-        is_exact: also find the likeliest of all sets.
-        on_sentence: called after each sentence.
-    """
-    accumulator = _Accumulator(len(models), widths, is_exact)
-    for labelled, indices in _tested(instructions, is_tested, len(models), on_sentence):
-        clauses = _features(Annotations(type_names), labelled.annotations)
-        for index in indices:
-            accumulator.add(index, models[index], clauses)
-    return accumulator.results()
+    def behaviors(
+        self, annotation: Sequence[CorrespondenceModel], behavior: Sequence[CorrespondenceModel]
+    ) -> Results:
+        """Score K behavior models, one result per model, sentence and world.
 
+        The K annotation models infer ranks ("the second").
+        """
+        chex.assert_equal(len(annotation), len(behavior))
+        accumulator = _Accumulator(len(behavior), self.widths, self.is_exact)
+        for labelled, indices in self._tested(len(behavior)):
+            annotations = _features(Annotations(self.type_names), labelled.annotations)
+            worlds: dict[tuple[int, ...], list[Clauses]] = {}  # by the ranks that a model infers
+            for index in indices:
+                rank: dict[Path, int] = {}
+                for described, _ in annotations:
+                    log_ranks = ScoredTree(described, annotation[index]).log_ranks()
+                    rank |= {path: int(np.argmax(values)) for path, values in log_ranks.items()}
+                if (key := tuple(rank.values())) not in worlds:
+                    space = Behaviors(self.type_names, rank)
+                    worlds[key] = [_features(space, trees) for trees in labelled.behaviors]
+                for clauses in worlds[key]:
+                    accumulator.add(index, behavior[index], clauses)
+        return accumulator.results()
 
-def score_behaviors(
-    instructions: Sequence[LabelledInstruction],
-    annotation: Sequence[CorrespondenceModel],
-    behavior: Sequence[CorrespondenceModel],
-    is_tested: np.ndarray | None,
-    type_names: tuple[str, ...],
-    *,
-    widths: Sequence[int] = (BEAM_WIDTH,),
-    is_exact: bool = False,
-    on_sentence: Callable[[], None] = lambda: None,
-) -> Results:
-    """Compare inferred behaviors with the gold ones, one result per model, sentence and world.
-
-    Takes K behavior models, and K annotation models for ranks ("the second"); otherwise as
-    ``score_annotations``.
-    """
-    chex.assert_equal(len(annotation), len(behavior))
-    accumulator = _Accumulator(len(behavior), widths, is_exact)
-    for labelled, indices in _tested(instructions, is_tested, len(behavior), on_sentence):
-        annotations = _features(Annotations(type_names), labelled.annotations)
-        worlds: dict[tuple[int, ...], list[Clauses]] = {}  # by the ranks that a model infers
-        for index in indices:
-            rank: dict[Path, int] = {}
-            for described, _ in annotations:
-                log_ranks = ScoredTree(described, annotation[index]).log_ranks()
-                rank |= {path: int(np.argmax(values)) for path, values in log_ranks.items()}
-            if (key := tuple(rank.values())) not in worlds:
-                space = Behaviors(type_names, rank)
-                worlds[key] = [_features(space, trees) for trees in labelled.behaviors]
-            for clauses in worlds[key]:
-                accumulator.add(index, behavior[index], clauses)
-    return accumulator.results()
+    def _tested(self, num_models: int) -> Iterator[tuple[LabelledInstruction, np.ndarray]]:
+        """Yield sentences with indices i[M] of the models tested on them."""
+        shape = num_models, len(self.instructions)
+        is_tested = np.ones(shape, bool) if self.is_tested is None else self.is_tested
+        chex.assert_shape(is_tested, shape)
+        chex.assert_type(is_tested, bool)
+        for labelled, mask in zip(self.instructions, is_tested.T, strict=True):
+            indices = np.flatnonzero(mask)
+            if len(indices):
+                yield labelled, indices
+            self.on_sentence()
 
 
 def calibration_error(scores: Scores, num_bins: int = 10) -> float:

@@ -48,13 +48,7 @@ from jaxlangnav.training.reader import (
     label_lines,
     train_reader,
 )
-from jaxlangnav.training.scoring import (
-    Scores,
-    calibration_error,
-    fit_temperature,
-    score_annotations,
-    score_behaviors,
-)
+from jaxlangnav.training.scoring import Scorer, Scores, calibration_error, fit_temperature
 
 MIN_TEMP, MAX_TEMP = 0.05, 20.0
 """Bounds of the temperature search."""
@@ -234,11 +228,13 @@ def _train_model(
     def score(
         model: CorrespondenceModel, temperature: float, tested: Sequence[LabelledInstruction]
     ) -> Scores:
-        scaled = [dataclasses.replace(model, temperature=temperature)]
+        scaled, scorer = (
+            [dataclasses.replace(model, temperature=temperature)],
+            Scorer(tested, type_names),
+        )
         if name == "annotation":
-            return score_annotations(tested, scaled, None, type_names).by_width[BEAM_WIDTH][0]
-        ranks = [models["annotation"]]
-        return score_behaviors(tested, ranks, scaled, None, type_names).by_width[BEAM_WIDTH][0]
+            return scorer.annotations(scaled).by_width[BEAM_WIDTH][0]
+        return scorer.behaviors([models["annotation"]], scaled).by_width[BEAM_WIDTH][0]
 
     tuning = [*itertools.compress(train, is_tuning)]
     temperature = fit_temperature(lambda t: score(part, t, tuning))

@@ -27,7 +27,6 @@ from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query, Utter
 _TIE = 1e-3  # metres within which an observed object is the figure itself
 _OFF_SIDE = 1e-3  # weight of a figure that is not on the stated side
 _PLURAL_ODDS = 10.0  # odds factor of an unseen figure: "the second", "the rightmost" imply several
-_MIN_OTHER = 0.1  # minimum probability of another object, where the words presuppose one
 _LAST = 1e6  # metres, score of the observed object of a rank, if there are too few
 
 
@@ -38,8 +37,7 @@ def log_rank(
 
     Of an ordinal one it is log P(a(s) = 0), with a(s) unseen objects before the score s of the
     figure, for an observed figure that is the r-th, s = s_r, and for a new one before it, s < s_r:
-    the first unseen one. It falls with the distance from that. The only one observed is the first
-    if another comes after it, P(a(s) = 0) − P(a(∞) = 0).
+    the first unseen one. It falls with the distance from that.
     "The nearest cone on your left" is compared with the cones on the left alone.
 
     Limits: if all is observed, the object of that rank has 0, the others nearly −∞; 0 if no rank.
@@ -49,20 +47,16 @@ def log_rank(
         return _order(query, pairs, seen, params)[-1]
 
     def ordinal(pairs: Pairs) -> Array:
-        score, is_observed, is_alone, log_before = _order(query, pairs, seen, params)
+        score, is_observed, log_before = _order(query, pairs, seen, params)
         ndim, num_pooled = score.ndim, scene.num_pooled
         x, y = (insert_axes(leaf, ndim + 1) for leaf in scene.points)
-        in_scope, is_ahead = _is_on_sides(query, x, y), _score(query, pairs, x, y) < score[None]
+        is_before = _is_on_sides(query, x, y) & (_score(query, pairs, x, y) < score[None])
         unseen = jnp.exp(prepend_axes(scene.log_unseen, ndim))
         is_counted = _is_rival(seen, query) if num_pooled is None else seen.object_type != NONE
         count = prepend_axes(jnp.sum(is_counted, axis=0), ndim) - is_observed
         num_pooled = None if num_pooled is None else prepend_axes(num_pooled, ndim)
-        log_none, log_alone = (
-            log_prob_none(count, jnp.mean(part, 0), unseen, params=params, num_pooled=num_pooled)
-            for part in (in_scope & is_ahead, in_scope)
-        )
-        log_other = jnp.log(jnp.maximum(-jnp.expm1(log_alone - log_none), _MIN_OTHER))
-        log_before = log_before + log_none + jnp.where(is_alone, log_other, 0.0)
+        frac = jnp.mean(is_before, axis=0)
+        log_before += log_prob_none(count, frac, unseen, params=params, num_pooled=num_pooled)
         return log_before + jnp.where(is_observed, 0.0, jnp.log(_PLURAL_ODDS))
 
     log_nearest = skip_unless_any(query.rank > 0, nearest, pairs, jnp.zeros_like(pairs.x))
@@ -104,7 +98,7 @@ def log_viewer_density(utterances: Utterances, belief: ParticleBelief, x: Array,
 
 
 def _order(query: Query, pairs: Pairs, seen: Observed, params: MapParams) -> tuple[Array, ...]:
-    """Compute scores, whether observed and alone, and 0 for s_r or before it (less for others)."""
+    """Compute scores, whether observed, and 0 for s_r or before it (less for others)."""
     score = _score(query, pairs, pairs.x[None], pairs.y[None])[0]
     x, y = (insert_axes(leaf, score.ndim + 1) for leaf in (seen.x, seen.y))
     is_alike = insert_axes(_is_rival(seen, query), score.ndim + 1)
@@ -115,10 +109,9 @@ def _order(query: Query, pairs: Pairs, seen: Observed, params: MapParams) -> tup
     target = kth_smallest(query.rank[None], jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
     target = jnp.minimum(target, _LAST)
     is_observed = jnp.any(is_alike & (jnp.abs(rival - score[None]) <= _TIE), axis=0)
-    is_alone = is_observed & (jnp.sum(is_rival, axis=0) < 2) & (query.rank[None] == 1)
     log_side = jnp.where(_is_on_sides(query, pairs.x, pairs.y), 0.0, jnp.log(_OFF_SIDE))
     excess = jnp.maximum(score - target, jnp.where(is_observed, target - score, 0.0))
-    return score, is_observed, is_alone, log_side - excess / params.superlative_softness
+    return score, is_observed, log_side - excess / params.superlative_softness
 
 
 def _is_on_sides(query: Query, x: Array, y: Array) -> Array:

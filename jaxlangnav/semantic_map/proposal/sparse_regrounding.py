@@ -56,7 +56,10 @@ def reground(
         jnp.stack([log_map + update.log_hypotheses, log_map])
     )
     # Words that name a newly observed type or attribute are grounded anew, too.
-    new_type = jnp.where(update.is_type_changed, label_of(particles.object_type), -3)
+    is_changed = update.is_type_changed
+    if update.is_flipped.shape[0]:  # ranks compare objects that probably exist
+        is_changed = is_changed | (update.is_flipped & jnp.any(readings.rank > 0))
+    new_type = jnp.where(is_changed, label_of(particles.object_type), -3)
     types = readings.mention_type.reshape(-1)
     is_new_type = jnp.any(label_of(types)[:, None, None] == new_type[None], axis=(0, 1))
     is_new_type = is_new_type | (jnp.any(is_anything(types)) & jnp.any(new_type >= 0, axis=0))
