@@ -31,6 +31,7 @@ SENTENCES = (
     "go to the hydrant",
     "go to the hydrant nearest to the cone",
     "move behind the cone",
+    "move to a spot behind the cone",
     "find the other cone quickly",
     "go to the hydrant that is near the cone but stay away from the car",
     "go to the hydrant behind the cone near the car",

@@ -108,13 +108,10 @@ def empty_clause() -> Fields:
 
 def _upper_bound(fields: Fields, children: tuple[int, ...], terms: Fields) -> np.ndarray:
     """Compute an upper bound on the log-odds of each relation, f32[7]."""
-    is_in_child = np.isin(np.arange(NUM_REGIONS), fields["region_relation"][list(children)])
-    bound = terms["always"].copy()
-    for name in ("in_child", "mentioned", "constraint_in_child", "new_mention", "named", "robot"):
-        bound += np.maximum(terms.get(name, 0), 0)
-    bound += np.where(is_in_child, np.maximum(terms["region_in_child"], 0), 0)
-    rest = np.maximum(terms.get("neither", 0), 0) + np.maximum(terms.get("unmentioned", 0), 0)
-    return np.asarray(bound + rest)
+    in_child = fields["bounds"][list(children)].max(axis=0, initial=-np.inf)
+    lent = terms["region_in_child"] + np.minimum(in_child, 0)  # by a child that expresses it
+    own = (term for name, term in terms.items() if name not in ("always", "region_in_child"))
+    return terms["always"] + sum(np.maximum(term, 0) for term in (lent, *own))
 
 
 def _slot_of(fields: Fields, row: int, relation: int) -> int:
@@ -130,6 +127,7 @@ def _fill_regions(
     bounds, slots = _upper_bound(fields, children, terms), []
     for slot, relation in enumerate(np.argsort(-bounds, kind="stable")[:NUM_REGION_SLOTS]):
         fields["region_relation"][row, slot] = relation
+        fields["bounds"][row, relation] = bounds[relation]
         table = AT_TABLE if relation == AT else relation + NUM_RELATIONS * min(ranks[relation], 2)
         slots.append((float(bounds[relation]), row, slot, int(table)))
         fields["regions"][row, :, slot] = [term[relation] for term in terms.values()]
@@ -181,6 +179,7 @@ def compile_clause(
     _check_sizes(nodes)
     fields = empty_clause()
     fields["num_phrases"] = np.asarray(len(nodes), np.int32)
+    fields["bounds"] = np.full((NUM_PHRASES, NUM_REGIONS), -np.inf)  # of the relations in slots
     candidates = []
     for i, node in enumerate(nodes):
         row = NUM_PHRASES - 1 if i == len(nodes) - 1 else i
@@ -217,4 +216,5 @@ def compile_clause(
     z = model.coefficients(root)
     for name, choices in choice_tables(senses_of(root, type_names)).items():
         fields[name] = softmax(choices @ z[name])
+    del fields["bounds"]
     return fields
