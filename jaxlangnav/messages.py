@@ -99,6 +99,12 @@ class Readings:
     rank: Array  # i32[K, J] superlative rank among the figure's type: 1 first, 2 second; 0 none
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
+    @property
+    def is_ordinal(self) -> Array:
+        """Whether relations rank objects: "second", "farthest", not "nearest to X", bool[K, J]."""
+        landmark = jnp.take_along_axis(self.mention_type, self.landmark, axis=-1)
+        return (self.rank > 1) | ((self.rank == 1) & ((landmark == ROBOT) | (self.relation == FAR)))
+
     def edges(self, reading: int = 0) -> np.ndarray:
         """List figure, relation, landmark and rank of a reading's relations, i32[J, 4] (host)."""
         columns = (self.figure, self.relation, self.landmark, self.rank)

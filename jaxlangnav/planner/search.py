@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import ROBOT, Readings
+from jaxlangnav.messages import ROBOT
 from jaxlangnav.numerics.batching import materialize, skip_unless_any
 from jaxlangnav.planner import prior
 from jaxlangnav.planner.constraints import Zones
@@ -46,7 +46,7 @@ class SearchMap:
     prob_absent: Array | np.float32 = np.float32(0.0)  # f32[] q, no such object (``termination``)
     mean_miss: Array | np.float32 = np.float32(0.0)  # f32[] v, mean miss probability over the area
     relocation_density: Array | np.float32 = np.float32(0.0)  # f32[C] relocation density
-    ordered: Array | np.float32 = np.float32(0.0)  # f32[] of the unanchored: before one of a rank
+    ordered: Array | np.float32 = np.float32(0.0)  # f32[] … before the observed one of a rank
 
     @property
     def mass(self) -> Array:
@@ -147,14 +147,6 @@ def _viewer_factor(
     return skip_unless_any(is_by_robot, factor, (x, y), jnp.ones_like(x))
 
 
-def _is_ranked(readings: Readings) -> Array:
-    """Test which mentions, bool[K, M], have a rank by the robot: "the second from the left"."""
-    is_figure = readings.figure[:, :, None] == np.arange(readings.mention_type.shape[1])[None, None]
-    landmark = jnp.take_along_axis(readings.mention_type, readings.landmark, axis=1)
-    is_by_robot = (readings.rank > 0) & (landmark == ROBOT)
-    return jnp.any(is_figure & is_by_robot[:, :, None], axis=1)
-
-
 def search_map(
     belief: ParticleBelief, prior_share: Array, ahead: Array, utterances: Utterances | None = None
 ) -> SearchMap:
@@ -185,8 +177,10 @@ def search_map(
     unseen = uniform_unseen = unseen * factor
     ordered = np.float32(0.0)
     if utterances is not None:
-        is_ranked = _is_ranked(utterances.readings)[particles.reading].T  # [M, P]
-        ordered = jnp.sum(jnp.where(jnp.any(is_free & is_ranked, axis=0), weight, 0.0))
+        readings, mentions = utterances.readings, np.arange(is_open.shape[0])[None, None]
+        is_figure = (readings.figure[:, :, None] == mentions) & readings.is_ordinal[:, :, None]
+        is_ranked = jnp.any(is_figure, axis=1)[particles.reading].T  # [M, P]
+        ordered = jnp.sum(jnp.where(jnp.any(is_open & is_ranked, axis=0), weight, 0.0))
         viewer_factor = _viewer_factor(belief, is_free, x, y, unseen, utterances)
         factor, unseen = factor * viewer_factor, unseen * viewer_factor
     unseen = unseen * (1.0 + _TIE_BREAK * jnp.linspace(-0.5, 0.5, CELLS**2))

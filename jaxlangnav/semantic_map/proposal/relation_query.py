@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import BETWEEN, FAR, NONE, ROBOT, Readings, UtteranceContext
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings, UtteranceContext
 from jaxlangnav.numerics.batching import lookup, pack, prepend_axes, skip_unless_any, unpack
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
@@ -250,10 +250,8 @@ def _build_query(
     reading, other = _split_between(reading)
     mention = jnp.stack([reading.figure, reading.landmark], axis=1)
     types = jnp.where(mention == NONE, NONE, reading.mention_type[mention])
-    is_related, is_by_robot = reading.relation != NONE, types[:, LANDMARK] == ROBOT
-    rank = jnp.where(is_related, reading.rank, 0)
-    # "Farthest" ranks several objects; it does not mean one that is merely far.
-    is_ordinal = (rank > 1) | ((rank == 1) & (is_by_robot | (reading.relation == FAR)))
+    is_by_robot, is_ordinal = types[:, LANDMARK] == ROBOT, reading.is_ordinal
+    rank = jnp.where(reading.relation != NONE, reading.rank, 0)
     side = jnp.where(is_by_robot & (rank == 0), reading.relation, NONE)
     is_side = jnp.any(side[:, None] == jnp.asarray(SIDES)[None], axis=1)
     # A figure's sides come from all its relations to the robot.
