@@ -232,7 +232,7 @@ KNOWN = {
         "go to the hydrant that is nearest the bench",
     ),
     "settles before one that would come before is found": ("the second tree from the left",),
-    "stops a hand's breadth beside the place": ("wait in front of the leftmost building",),
+    "stops farther off than 'in front' reaches": ("wait in front of the leftmost building",),
 }  # fmt: skip
 """Sentences that go wrong in some world, by why: none may be added (docs/limits.md)."""
 MAX_WRONG = 1

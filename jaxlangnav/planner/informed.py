@@ -142,9 +142,9 @@ def assess(
     is_best_goal = confirmed >= jnp.max(jnp.where(is_best, 0.0, goals.object_accepted))
     is_open = (unseen_mass <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
     takes_likeliest = ((is_open & is_best_goal) | is_exhausted) & (confirmed >= MIN_GOAL_PROB)
-    num_tolerated = params.rival_share * confirmed
-    is_first = jnp.less_equal(plan.ordered, num_tolerated)
-    is_sure = is_first & ((plan.anchored <= num_tolerated) | takes_likeliest)
+    tolerated = params.rival_share * confirmed
+    is_first = jnp.less_equal(plan.ordered, tolerated)
+    is_sure = is_first & ((plan.anchored <= tolerated) | takes_likeliest)
     # While looking on, observed objects have no value, or the robot could oscillate.
     goal_value = jnp.where(is_first, 0.01 * goal_value, 0.0)
     is_settled = is_sure & ((confirmed >= params.stop_probability) | takes_likeliest)

@@ -46,7 +46,7 @@ class SearchMap:
     prob_absent: Array | np.float32 = np.float32(0.0)  # f32[] q, no such object (``termination``)
     mean_miss: Array | np.float32 = np.float32(0.0)  # f32[] v, mean miss probability over the area
     relocation_density: Array | np.float32 = np.float32(0.0)  # f32[C] relocation density
-    ordered: Array | np.float32 = np.float32(0.0)  # f32[] … before the observed one of a rank
+    ordered: Array | np.float32 = np.float32(0.0)  # f32[] of what comes before one of a rank
 
     @property
     def mass(self) -> Array:
