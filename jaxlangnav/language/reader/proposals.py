@@ -143,7 +143,7 @@ class Labelling:
             probability=probability,
             tokens=tuple(strip_marks(output)),
             left_out=tuple(source for source, target in edits if source and not target),
-            changes=tuple(edit for edit in edits if edit[1]),
+            changes=tuple((source or ",", target) for source, target in edits if target),
             features={**self.edit_features(), "log refused": safe_log(p_refused)},
         )
 
