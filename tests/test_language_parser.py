@@ -16,6 +16,8 @@ from jaxlangnav.language.phrase import LanguageError, Parse
     [
         ("go to the zorbel", ("zorbel", 4), "NN", ("type:zorbel",)),
         ("go to the zorbels", ("zorbels", 4), "NNS", ("type:zorbel",)),
+        ("go to the bus", ("bus", 4), "NN", ("type:bus",)),
+        ("go to the sunglasses", ("sunglasses", 4), "NN", ("type:sunglasses",)),
         ("go to the fuzzle cone", ("fuzzle", 4), "JJ", ()),
         ("zorble to the cone", ("zorble", 1), "VB", ()),
         ("would you mind zorbling to the cone", ("zorbling", 4), "VBG", ()),

@@ -167,7 +167,7 @@ def name_nouns(phrase: Phrase) -> Phrase:
         start -= 1
     head = words[last]
     modifiers = [word.text for word in words[start:last]]
-    name = " ".join([*modifiers, singular(head.lemma) if head.tag == "NN" else head.lemma])
+    name = " ".join([*modifiers, singular(head.lemma)])
     noun = Word(
         text=" ".join([*modifiers, head.text]),
         tag="NNS" if singular(head.text) != head.text else "NN",

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 from lark.parsers.earley_forest import PackedNode, SymbolNode
 
-from jaxlangnav.language.lexicon import LITERAL_TAGS, LexicalEntry, plural
+from jaxlangnav.language.lexicon import LITERAL_TAGS, LexicalEntry
+from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import NOUN, Token
 
@@ -123,14 +124,13 @@ def build_phrases(
         text, position, entry = token.text, token.position, node.production.entry
         if entry is not None:
             return replace(entry[index], text=text, position=position)
-        left = node.production.left
-        if left in UNKNOWN_WORD_CLASSES:
-            tag, _ = UNKNOWN_WORD_CLASSES[left]
+        if node.production.left in UNKNOWN_WORD_CLASSES:
+            tag, _ = UNKNOWN_WORD_CLASSES[node.production.left]
             if node.production.right != (f'"{NOUN}"',):
                 unknown.append((text, position))
-            is_plural = tag == "NN" and text.endswith("s") and plural(text[:-1]) == text
-            lemma = text[:-1] if is_plural else text
-            return Word(text=text, tag="NNS" if is_plural else tag, lemma=lemma, position=position)
+            lemma = singular(text) if tag == "NN" else text
+            tag = tag if lemma == text else "NNS"
+            return Word(text=text, tag=tag, lemma=lemma, position=position)
         return Word(text=text, tag=LITERAL_TAGS.get(text, "IN"), lemma=text, position=position)
 
     def parts(node: Derivation) -> tuple[list[Word], list[Phrase]]:
