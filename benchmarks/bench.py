@@ -5,12 +5,13 @@ them little; rates are by the clock on the wall. Every figure is the median of s
 after a first one that warms up, long ones excepted, which run once; compilation is measured apart.
 """
 
+import contextlib
 import dataclasses
 import functools
 import itertools
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -272,13 +273,24 @@ def share_entries(parts: dict[str, float], label: str = "") -> list[Measurement]
     ]
 
 
+@contextlib.contextmanager
+def without_cache() -> Iterator[None]:
+    """Compile anew, whatever the persistent cache holds."""
+    setting = "jax_enable_compilation_cache"
+    was_enabled = getattr(jax.config, setting)
+    try:
+        jax.config.update(setting, False)
+        compilation_cache.reset_cache()
+        yield
+    finally:
+        jax.config.update(setting, was_enabled)
+        compilation_cache.reset_cache()
+
+
 def _compilation(bench: Workbench) -> list[Measurement]:
     """Measure compilation without the persistent cache, and count recompilations."""
     config = navigator_config(POLICY)
-    was_enabled = jax.config.read("jax_enable_compilation_cache")
-    try:
-        jax.config.update("jax_enable_compilation_cache", False)
-        compilation_cache.reset_cache()
+    with without_cache():
         begin, cpu = time.perf_counter(), time.process_time()
         # A program that is not in the in-memory cache.
         program = functools.partial(
@@ -288,9 +300,6 @@ def _compilation(bench: Workbench) -> list[Measurement]:
         traced = time.perf_counter() - begin
         lowered.compile()
         cold, cold_cpu = time.perf_counter() - begin, time.process_time() - cpu
-    finally:
-        jax.config.update("jax_enable_compilation_cache", was_enabled)
-        compilation_cache.reset_cache()
     return [
         entry("compilation of a batch, cold", cold, "s", target=30.0, is_limit=True),
         entry("compilation of a batch, cold, CPU", cold_cpu, "s CPU"),

@@ -224,7 +224,10 @@ def compare(row: Row, outcome: outside.Outcome, seed: int) -> str:
     """Hold the way against that of a search that is handed where goals are."""
     seeds = range(seed, seed + len(outcome.metres))
     rides = [outside.Ride(row, one, ("hydrant", "cone")) for one in seeds]
-    best = np.mean([handed(row, one.place, one.seed) for one in rides if len(one.place.at)])
+    ways = [handed(row, one.place, one.seed) for one in rides if len(one.place.at)]
+    if not ways:  # nothing is there to be found
+        return ""
+    best = np.mean(ways)
     return f"  handed the density {best:.1f} m, {outcome.metres.mean() / best:.2f} of it"
 
 

@@ -18,6 +18,8 @@ from jaxlangnav.cli import bench as command
 from jaxlangnav.cli.main import main
 from jaxlangnav.experiments import timing
 
+CACHE = "jax_enable_compilation_cache", "jax_compilation_cache_dir"
+
 
 @pytest.fixture(scope="module", autouse=True)
 def scripts() -> Iterator[None]:
@@ -166,6 +168,13 @@ def test_the_twins_precision_is_that_of_a_dense_filter() -> None:
     found = np.linalg.inv(twin.particles["precision"][:, :, 0])
     assert found[-1, -1] == pytest.approx(covariance[1, 1], rel=0.02)
     assert found[0, 0] == pytest.approx(covariance[0, 0], rel=0.02)
+
+
+def test_programs_compile_anew_without_the_cache_which_is_then_as_before() -> None:
+    before = [getattr(jax.config, name) for name in CACHE]
+    with bench.without_cache():
+        assert not getattr(jax.config, CACHE[0])
+    assert [getattr(jax.config, name) for name in CACHE] == before
 
 
 def test_without_a_checkout_bench_says_so(monkeypatch, tmp_path: Path, capsys) -> None:

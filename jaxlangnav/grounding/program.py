@@ -106,9 +106,8 @@ def empty_clause() -> Fields:
     return fields
 
 
-def _upper_bound(fields: Fields, children: tuple[int, ...], terms: Fields) -> np.ndarray:
-    """Compute an upper bound on the log-odds of each relation, f32[7]."""
-    in_child = fields["bounds"][list(children)].max(axis=0, initial=-np.inf)
+def _upper_bound(in_child: np.ndarray, terms: Fields) -> np.ndarray:
+    """Compute an upper bound on the log-odds of each relation, f32[7], given the children's."""
     lent = terms["region_in_child"] + np.minimum(in_child, 0)  # by a child that expresses it
     own = (term for name, term in terms.items() if name not in ("always", "region_in_child"))
     return terms["always"] + sum(np.maximum(term, 0) for term in (lent, *own))
@@ -121,13 +120,17 @@ def _slot_of(fields: Fields, row: int, relation: int) -> int:
 
 
 def _fill_regions(
-    fields: Fields, row: int, children: tuple[int, ...], terms: Fields, ranks: np.ndarray
+    fields: Fields,
+    row: int,
+    children: tuple[int, ...],
+    terms: Fields,
+    bounds: np.ndarray,
+    ranks: np.ndarray,
 ) -> list[tuple[float, int, int, int]]:
     """Fill the region slots of a phrase; returns (bound, row, slot, table) of each."""
-    bounds, slots = _upper_bound(fields, children, terms), []
+    slots = []
     for slot, relation in enumerate(np.argsort(-bounds, kind="stable")[:NUM_REGION_SLOTS]):
         fields["region_relation"][row, slot] = relation
-        fields["bounds"][row, relation] = bounds[relation]
         table = AT_TABLE if relation == AT else relation + NUM_RELATIONS * min(ranks[relation], 2)
         slots.append((float(bounds[relation]), row, slot, int(table)))
         fields["regions"][row, :, slot] = [term[relation] for term in terms.values()]
@@ -136,9 +139,11 @@ def _fill_regions(
     return slots
 
 
-def _fill_constraint(fields: Fields, row: int, children: tuple[int, ...], terms: Fields) -> None:
+def _fill_constraint(
+    fields: Fields, row: int, children: tuple[int, ...], terms: Fields, bounds: np.ndarray
+) -> None:
     """Choose the relation of a verb phrase's constraints and fill in its coefficients."""
-    relation = int(np.argmax(_upper_bound(fields, children, terms)))
+    relation = int(np.argmax(bounds))
     fields["constraint_relation"][row] = relation
     fields["constraints"][row] = [term[relation] for term in terms.values()]
     for k, child in enumerate(children):
@@ -179,7 +184,7 @@ def compile_clause(
     _check_sizes(nodes)
     fields = empty_clause()
     fields["num_phrases"] = np.asarray(len(nodes), np.int32)
-    fields["bounds"] = np.full((NUM_PHRASES, NUM_REGIONS), -np.inf)  # of the relations in slots
+    in_slots = np.full((NUM_PHRASES, NUM_REGIONS), -np.inf)  # bounds of the relations in slots
     candidates = []
     for i, node in enumerate(nodes):
         row = NUM_PHRASES - 1 if i == len(nodes) - 1 else i
@@ -188,11 +193,12 @@ def compile_clause(
         restricts = [nodes[child].phrase.label in RESTRICTORS for child in children]
         fields["num_children"][row], fields["is_verb"][row] = len(children), node.is_verb
         fields["is_restrictor"][row, : len(children)] = restricts
+        below = in_slots[list(children)].max(axis=0, initial=-np.inf)
         gates = GateInputs.of(senses, bool(node.children), any(restricts))
         if node.is_verb:
             terms = sum_by_condition("goal", gates, z["goal"])
             constraints = sum_by_condition("constraint", gates, z["constraint"])
-            _fill_constraint(fields, row, children, constraints)
+            _fill_constraint(fields, row, children, constraints, _upper_bound(below, constraints))
         else:
             terms = sum_by_condition("region", gates, z["region"])
             objects = sum_by_condition("object", gates, z["object"])
@@ -203,7 +209,10 @@ def compile_clause(
             named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:MAX_NAMED_TYPES]
             fields["named_types"][row, : len(named)] = named
         ranks = find_ranks(node.phrase, node.path, rank, type_names)
-        slots = _fill_regions(fields, row, children, terms, ranks)
+        bounds = _upper_bound(below, terms)
+        slots = _fill_regions(fields, row, children, terms, bounds, ranks)
+        related = fields["region_relation"][row]
+        in_slots[row, related] = bounds[related]
         if node.phrase.label in RESTRICTORS:
             candidates += slots
     tables: list[int] = []
@@ -216,5 +225,4 @@ def compile_clause(
     z = model.coefficients(root)
     for name, choices in choice_tables(senses_of(root, type_names)).items():
         fields[name] = softmax(choices @ z[name])
-    del fields["bounds"]
     return fields
