@@ -34,12 +34,7 @@ from jaxlangnav.experiments.tasks import (
     make_tasks,
     take_tasks,
 )
-from jaxlangnav.experiments.timing import (
-    POLICY,
-    describe_machine,
-    measure,
-    measure_parts,
-)
+from jaxlangnav.experiments.timing import POLICY, describe_machine, measure, measure_parts
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.navigator.deployment import deployment_config, deployment_params
@@ -50,8 +45,7 @@ __all__ = ["Workbench", "render", "run_bench", "set_up", "stages"]
 
 MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(SENSING_RANGES) * 100
 """Episodes of the paper's simulations: templates, commands, ranges, runs."""
-_MAX_SECONDS = 10.0
-"""Seconds after which no measurement is repeated."""
+_MAX_SECONDS = 10.0  # after which no measurement is repeated
 OnProgress = Callable[[str, int], None]
 Stage = tuple[str, Callable[[], list[Measurement]]]
 """Description of a measurement, and its function."""
@@ -151,14 +145,10 @@ def _full_loop(bench: Workbench, particles: int) -> list[Measurement]:
 class _Batch:
     """Measured cost of a batch."""
 
-    size: int
-    """Episodes."""
-    steps: int
-    """Cycles of all of them."""
-    cpu: float
-    """Seconds."""
-    wall: float
-    """Seconds."""
+    size: int  # episodes
+    steps: int  # cycles of all of them
+    cpu: float  # seconds
+    wall: float  # seconds
 
 
 def _measure_batch(

@@ -221,13 +221,11 @@ ROWS |= {f"{name}_told": as_told(row) for name, row in ROWS.items() if row.side 
 
 
 def compare(row: Row, outcome: outside.Outcome, seed: int) -> str:
-    """Hold the way against that of a search that is handed where goals are."""
-    seeds = range(seed, seed + len(outcome.metres))
-    rides = [outside.Ride(row, one, ("hydrant", "cone")) for one in seeds]
-    ways = [handed(row, one.place, one.seed) for one in rides if len(one.place.at)]
-    if not ways:  # nothing is there to be found
+    """Hold the way against that of a search that is handed where goals are; "" without one."""
+    if row.is_empty:
         return ""
-    best = np.mean(ways)
+    rides = [outside.Ride(row, seed + k, ("hydrant", "cone")) for k in range(len(outcome.metres))]
+    best = np.mean([handed(row, one.place, one.seed) for one in rides])
     return f"  handed the density {best:.1f} m, {outcome.metres.mean() / best:.2f} of it"
 
 

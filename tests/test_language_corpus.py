@@ -65,11 +65,7 @@ def test_the_other_is_not_the_previous_goal():
 
 @pytest.mark.parametrize(
     ("name", "every"),
-    [
-        ("corpus39", 1),
-        ("corpus", 20),
-        pytest.param("corpus", 1, marks=pytest.mark.slow),
-    ],
+    [("corpus39", 1), ("corpus", 20), pytest.param("corpus", 1, marks=pytest.mark.slow)],
 )
 def test_labels_agree_with_the_rules_in_every_world(name, every):
     """The files hold explicit labels; here they are composed anew."""

@@ -113,30 +113,21 @@ def _upper_bound(in_child: np.ndarray, terms: Fields) -> np.ndarray:
     return terms["always"] + sum(np.maximum(term, 0) for term in (lent, *own))
 
 
-def _slot_of(fields: Fields, row: int, relation: int) -> int:
-    """Find the region slot of a phrase that has a relation, or NONE."""
-    slots = np.flatnonzero(fields["region_relation"][row] == relation)
-    return int(slots[0]) if len(slots) else NONE
+def _slots_of(fields: Fields, children: tuple[int, ...], relation: int) -> np.ndarray:
+    """Find the region slots of the children that have a relation, or NONE, i[k]."""
+    is_same = fields["region_relation"][list(children)] == relation
+    return np.where(is_same.any(axis=1), is_same.argmax(axis=1), NONE)
 
 
 def _fill_regions(
-    fields: Fields,
-    row: int,
-    children: tuple[int, ...],
-    terms: Fields,
-    bounds: np.ndarray,
-    ranks: np.ndarray,
-) -> list[tuple[float, int, int, int]]:
-    """Fill the region slots of a phrase; returns (bound, row, slot, table) of each."""
-    slots = []
+    fields: Fields, row: int, children: tuple[int, ...], terms: Fields, bounds: np.ndarray
+) -> None:
+    """Fill the region slots of a phrase with the relations of the largest bounds."""
     for slot, relation in enumerate(np.argsort(-bounds, kind="stable")[:NUM_REGION_SLOTS]):
         fields["region_relation"][row, slot] = relation
-        table = AT_TABLE if relation == AT else relation + NUM_RELATIONS * min(ranks[relation], 2)
-        slots.append((float(bounds[relation]), row, slot, int(table)))
         fields["regions"][row, :, slot] = [term[relation] for term in terms.values()]
-        for k, child in enumerate(children):
-            fields["child_region_slot"][row, k, slot] = _slot_of(fields, child, relation)
-    return slots
+        of_children = _slots_of(fields, children, relation)
+        fields["child_region_slot"][row, : len(children), slot] = of_children
 
 
 def _fill_constraint(
@@ -146,10 +137,10 @@ def _fill_constraint(
     relation = int(np.argmax(bounds))
     fields["constraint_relation"][row] = relation
     fields["constraints"][row] = [term[relation] for term in terms.values()]
-    for k, child in enumerate(children):
-        if fields["constraint_relation"][child] == relation:
-            fields["child_constraint_slot"][row, k] = 0
-        fields["constraint_region_slot"][row, k] = _slot_of(fields, child, relation)
+    is_same = fields["constraint_relation"][list(children)] == relation
+    fields["child_constraint_slot"][row, : len(children)] = np.where(is_same, 0, NONE)
+    of_children = _slots_of(fields, children, relation)
+    fields["constraint_region_slot"][row, : len(children)] = of_children
 
 
 def _check_sizes(nodes: tuple[Node, ...]) -> None:
@@ -208,17 +199,17 @@ def compile_clause(
             fields["objects"][row] = [term[0] for term in objects.values()]
             named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:MAX_NAMED_TYPES]
             fields["named_types"][row, : len(named)] = named
-        ranks = find_ranks(node.phrase, node.path, rank, type_names)
         bounds = _upper_bound(below, terms)
-        slots = _fill_regions(fields, row, children, terms, bounds, ranks)
+        _fill_regions(fields, row, children, terms, bounds)
         related = fields["region_relation"][row]
         in_slots[row, related] = bounds[related]
         if node.phrase.label in RESTRICTORS:
-            candidates += slots
-    tables: list[int] = []
-    for _, row, slot, table in sorted(candidates, key=lambda slot: -slot[0]):  # largest bound first
-        if table not in tables and len(tables) < NUM_TABLES:
-            tables.append(table)
+            ranks = np.minimum(find_ranks(node.phrase, node.path, rank, type_names), 2)
+            of_table = np.where(related == AT, AT_TABLE, related + NUM_RELATIONS * ranks[related])
+            candidates += [(bounds[related[k]], row, k, of_table[k]) for k in range(len(related))]
+    candidates.sort(key=lambda slot: -slot[0])
+    tables = list(dict.fromkeys(table for *_, table in candidates))[:NUM_TABLES]
+    for _, row, slot, table in candidates:
         if table in tables:
             fields["region_table"][row, slot] = tables.index(table)
     fields["table"][: len(tables)] = tables
