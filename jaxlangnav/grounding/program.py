@@ -213,7 +213,6 @@ def compile_clause(
         if table in tables:
             fields["region_table"][row, slot] = tables.index(table)
     fields["table"][: len(tables)] = tables
-    z = model.coefficients(root)
-    for name, choices in choice_tables(senses_of(root, type_names)).items():
+    for name, choices in choice_tables(senses).items():  # the last phrase is the root
         fields[name] = softmax(choices @ z[name])
     return fields
