@@ -173,8 +173,7 @@ def compile_clause(
     """
     nodes = post_order(root, index)
     _check_sizes(nodes)
-    fields = empty_clause()
-    fields["num_phrases"] = np.asarray(len(nodes), np.int32)
+    fields = empty_clause() | {"num_phrases": np.asarray(len(nodes), np.int32)}
     in_slots = np.full((NUM_PHRASES, NUM_REGIONS), -np.inf)  # bounds of the relations in slots
     candidates = []
     for i, node in enumerate(nodes):
@@ -213,6 +212,7 @@ def compile_clause(
         if table in tables:
             fields["region_table"][row, slot] = tables.index(table)
     fields["table"][: len(tables)] = tables
-    for name, choices in choice_tables(senses).items():  # the last phrase is the root
+    z = model.coefficients(root)
+    for name, choices in choice_tables(senses_of(root, type_names)).items():
         fields[name] = softmax(choices @ z[name])
     return fields
