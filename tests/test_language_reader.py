@@ -67,6 +67,8 @@ def test_what_tells_how_or_which_stays(said, kept):
         "i lost my dog, mosey to the tree and look for it",
         "mosey back to the place where we were this morning",
         "go to gate 3",
+        "mosey 3 lengths past the barn",
+        "turn 30gon right and mosey to the barn",
         # or turn the meaning round
         "i told him never to go to the tree",
         "if you see a dog, mosey to the tree",

@@ -186,9 +186,7 @@ def test_maps_are_laid_over_each_other_at_the_robot() -> None:
     np.testing.assert_allclose(pose[2], beliefs.mean_drift(belief), atol=1e-6)
 
 
-# The dense way is another program; that both give the same is test_semantic_map_words.
-@pytest.mark.parametrize("is_sparse", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_words_are_grounded_by_where_each_drift_has_looked(is_sparse: bool) -> None:
+def test_words_are_grounded_by_where_each_drift_has_looked() -> None:
     """By the drift that it goes by the robot has looked on the near side, by the other beyond."""
     near = np.where(np.arange(32)[None] < 16, -20.0, 0.0).astype(np.float32)
     far = np.where(np.arange(32)[None] < 24, 0.0, -20.0).astype(np.float32)
@@ -200,7 +198,7 @@ def test_words_are_grounded_by_where_each_drift_has_looked(is_sparse: bool) -> N
     ]
     keys, everyone = jax.random.split(jax.random.key(2), 2), jnp.ones((2, 64), bool)
     given = keys, by_hand.stack(lanes), by_hand.repeat(by_hand.NULL, 2), everyone, by_hand.params()
-    particles, found = ground_lanes(*given, is_sparse=is_sparse)
+    particles, found = ground_lanes(*given)
     led = np.asarray(beliefs.is_active(belief))
     x, log_weight = np.asarray(particles.hypothesis_x[:, 0]), np.asarray(found)
     for lane, is_near_seen in enumerate((led, ~led)):

@@ -42,14 +42,14 @@ def lanes():
     return keys, by_hand.stack(beliefs), by_hand.stack(SENTENCES), jnp.asarray(asked)
 
 
-@functools.partial(jax.jit, static_argnames=("is_sparse", "params_axis"))
-def ground_lanes(keys, beliefs, sentences, asked, params, *, is_sparse, params_axis=None):
-    def one(key, belief, sentence, is_asked, numbers):
-        return ground_words(
-            key, belief, sentence, params=numbers, is_asked=is_asked, is_sparse=is_sparse
-        )
+@jax.jit
+def ground_lane(key, belief, sentence, is_asked, params):
+    return ground_words(key, belief, sentence, params=params, is_asked=is_asked)
 
-    return jax.vmap(one, in_axes=(0, 0, 0, 0, params_axis))(keys, beliefs, sentences, asked, params)
+
+@functools.partial(jax.jit, static_argnames=("params_axis",))
+def ground_lanes(*given, params_axis=None):
+    return jax.vmap(ground_lane, in_axes=(0, 0, 0, 0, params_axis))(*given)
 
 
 def assert_same(found, expected, asked: np.ndarray) -> None:
@@ -67,11 +67,11 @@ def assert_same(found, expected, asked: np.ndarray) -> None:
 
 @pytest.mark.slow
 def test_grounding_those_asked_equals_grounding_all() -> None:
-    keys, beliefs, sentences, asked = lanes()
-    given = (keys, beliefs, sentences, asked, by_hand.params())
-    sparse = ground_lanes(*given, is_sparse=True)
-    assert_same(sparse, ground_lanes(*given, is_sparse=False), np.asarray(asked))
-    nobody = ground_lanes(keys, beliefs, sentences, asked & False, given[-1], is_sparse=True)
+    given = lanes()
+    each = [jax.tree.map(lambda leaf, n=n: leaf[n], given) for n in range(len(SENTENCES))]
+    every = by_hand.stack([ground_lane(*one, by_hand.params()) for one in each])
+    assert_same(ground_lanes(*given, by_hand.params()), every, np.asarray(given[3]))
+    nobody = ground_lanes(*given[:3], given[3] & False, by_hand.params())
     assert (np.asarray(nobody[1]) == -np.inf).all()
 
 
@@ -81,12 +81,12 @@ def test_lanes_with_numbers_of_their_own() -> None:
     everyone = jnp.ones_like(asked)
     params = by_hand.stack([by_hand.params(concentration=0.3)] * len(SENTENCES))
     given = (keys, beliefs, sentences, everyone)
-    _, apart = ground_lanes(*given, params, is_sparse=True, params_axis=0)
-    _, shared = ground_lanes(*given, by_hand.params(concentration=0.3), is_sparse=True)
+    _, apart = ground_lanes(*given, params, params_axis=0)
+    _, shared = ground_lanes(*given, by_hand.params(concentration=0.3))
     np.testing.assert_allclose(apart, shared, rtol=1e-4, atol=1e-4)
     rising = 0.3 + 0.5 * np.arange(len(SENTENCES), dtype=np.float32)
     params = replace(params, concentration=rising)
-    _, moved = ground_lanes(*given, params, is_sparse=True, params_axis=0)
+    _, moved = ground_lanes(*given, params, params_axis=0)
     differs = (np.abs(np.asarray(moved - apart)) > 1e-3).any(1)
     # Without anything seen there is nothing that a density of bystanders could weigh against.
     assert not differs[0]

@@ -80,9 +80,7 @@ def measure_parts(
     def sense_and_filter(episode: EpisodeState) -> Any:
         belief, readings = episode.navigator.belief, episode.navigator.instruction.readings
         key, observation = jax.random.fold_in(episode.task.key, episode.steps), observe(episode)
-        return semantic_filter.step(
-            key, belief, readings, observation, params=params.map, is_sparse=True
-        )
+        return semantic_filter.step(key, belief, readings, observation, params=params.map)
 
     def infer_behavior(episode: EpisodeState) -> Any:
         state = episode.navigator

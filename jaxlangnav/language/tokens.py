@@ -30,9 +30,9 @@ class RawToken:
 def normalize(text: str) -> str:
     """Normalize a text: NFKC, lower case, plain apostrophes, no invisible format characters.
 
-    NFKC expands some signs, so the result may be longer.
+    NFKC expands some signs, so the result may be longer. "45º" has degrees, not an ordinal.
     """
-    text = unicodedata.normalize("NFKC", text).lower()
+    text = unicodedata.normalize("NFKC", text.replace("\u00ba", "\u00b0")).lower()
     text = "".join(letter for letter in text if unicodedata.category(letter) != "Cf")
     return text.replace("\u2019", "'").replace("\u2018", "'")
 

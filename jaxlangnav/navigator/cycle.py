@@ -188,7 +188,6 @@ def _observe(
         observation,
         params=params.policy_of(config).map_params(params.map),
         context=state.talk.context,
-        is_sparse=True,
         max_travel=max_travel,
         mentioned=_mentioned_types(state) if config.map.num_bystanders else None,
         pools_counts=config.map.pools_counts,

@@ -158,7 +158,6 @@ def step(
     *,
     params: MapParams,
     context: UtteranceContext | None = None,
-    is_sparse: bool = False,
     max_travel: Array | None = None,
     mentioned: Array | None = None,
     pools_counts: bool = False,
@@ -173,7 +172,6 @@ def step(
         observation: pose and detections now; rejected and flagged if impossible.
         params: traced parameters.
         context: poses at which relations were uttered; by default the belief's viewer.
-        is_sparse: under ``vmap`` ground the words only where needed; no reverse-mode gradient.
         max_travel: f32[], metres that the robot can have gone since the last step; None: no bound.
         mentioned: bool[T], types that the task mentions; the others are bystanders; None: all.
         pools_counts: whether the mentioned types share one rate (``counts``).
@@ -193,8 +191,7 @@ def step(
     for component in components:
         belief, gated = component.after_update(belief, gated)
     # Sample new groundings of the utterance (7a) where they were refuted.
-    options = {"context": context, "is_sparse": is_sparse, "num_pooled": pooled}
-    ground = functools.partial(ground_words, params=params, **options)
+    ground = functools.partial(ground_words, params=params, context=context, num_pooled=pooled)
     grounded = reground(keys[1], survive, belief, readings, update, ground)
     belief, ess, is_resampled = _resample(resample, belief, grounded, params)
     for component in components:

@@ -80,10 +80,18 @@ class Labelling:
         return [*label[2:].split(), self.sentence.words[index]] if is_kept else label[1:].split()
 
     def is_faithful(self) -> bool:
-        """Check that no quantity is halved, and relations are replaced by their converse only."""
-        return not any(map(self._splits_quantity, self.runs)) and all(
+        """Check that quantities stay as they are, and relations become their converse only."""
+        is_edited = any(self._splits_quantity(r) or self._edits_number(r) for r in self.runs)
+        return not is_edited and all(
             self._is_converse(i) for i, tag in enumerate(self.labels) if tag[0] == "="
         )
+
+    def _edits_number(self, run: range) -> bool:
+        """Check whether a span edits digits in a new way, in a clause of which words are kept."""
+        words, clause = self.sentence.words, self.sentence.clause
+        rest = {clause[i] for i in range(len(words)) if i not in run and words[i] not in MARKS}
+        is_number = any(words[i][0].isdigit() and clause[i] in rest for i in run)
+        return is_number and self.span_key(run) not in self.met
 
     def _splits_quantity(self, run: range) -> bool:
         """Check whether a span deletes one part of a quantity: "3 metres and a quarter"."""

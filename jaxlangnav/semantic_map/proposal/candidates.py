@@ -91,8 +91,7 @@ class Candidates(NamedTuple):
     x: Array  # f32[2, O + 1, ...] metres; the last entry is the earlier grounding
     y: Array  # f32[2, O + 1, ...]
     log_prior: Array  # f32[2, O + 1, ...] −∞ where not a candidate
-    log_pair_gain: Array  # f32[O, O, ...] log-prior of pairs of one type in excess of
-    # the sum of both
+    log_pair_gain: Array  # f32[O, O, ...] log-prior of pairs of one type, less the sum of both
     is_open: Array  # bool[2, ...] not grounded earlier: may also be a new object
     earlier: Grounding  # the earlier grounding, leaves [2, ...]
 

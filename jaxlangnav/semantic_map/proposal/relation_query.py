@@ -2,7 +2,7 @@
 
 A relation locates a figure with respect to a landmark. Both are its *ends*: of any leaf [2, ...]
 the first entry is the figure's, the second the landmark's. "Between" has two relations, one per
-landmark: the first asserts that its landmark exists, the second has its position as the viewer.
+landmark: the first asserts that its landmark exists; the second has that as its other landmark.
 
 Shapes are those of one particle; with many, the particle axis is last ("...").
 """
@@ -52,13 +52,18 @@ class Query(NamedTuple):
     is_rangeless: Array  # bool[...] ordinal or "on your left": at any distance
     sides: Array  # i32[J, ...] of an ordinal rank: the side relations of its figure; NONE
     pdf: Density  # leaves f32[...]
-    viewer: Array  # f32[3, ...] x, y, heading of the robot at the time of utterance; map frame
+    viewer: Array  # f32[3, ...] robot's pose when heard, map frame; see ``other_landmark``
     excluded: Array  # i32[2, ...] observed slots excluded for the ends: bit s is slot s
 
     @property
     def is_between(self) -> Array:
         """Whether the figure lies between the landmark and another one, bool[...]."""
         return self.other != NONE
+
+    @property
+    def other_landmark(self) -> tuple[Array, Array]:
+        """Position of the other landmark of "between", f32[1, ...] metres: it is the viewer."""
+        return self.viewer[0][None], self.viewer[1][None]
 
     @property
     def is_by_robot(self) -> Array:
@@ -92,8 +97,7 @@ class Query(NamedTuple):
         log_single = log_density(self.pdf, x - landmark_x, y - landmark_y, frame)
 
         def log_between(positions: _Pairs) -> Array:
-            other = self.viewer[0][None], self.viewer[1][None]
-            return between.log_density(positions[:2], positions[2:], other)
+            return between.log_density(positions[:2], positions[2:], self.other_landmark)
 
         ends = x, y, landmark_x, landmark_y
         return skip_unless_any(self.is_between, log_between, ends, log_single)
@@ -118,8 +122,7 @@ class Query(NamedTuple):
         along, lateral = to_frame(frame, dx, dy)
         relation, has_range = jnp.maximum(self.relation, 0)[None], self.pdf.has_range[None] > 0.0
         is_single = holds_at(relation, along, lateral, has_range=has_range)
-        other = self.viewer[0][None], self.viewer[1][None]
-        is_between = between.lies_between((x, y), (landmark_x, landmark_y), other)
+        is_between = between.lies_between((x, y), (landmark_x, landmark_y), self.other_landmark)
         has_position = (self.relation != NONE) & (self.rank <= 0)
         return jnp.where(self.is_between[None], is_between, is_single) | ~has_position[None]
 
@@ -145,7 +148,8 @@ class Query(NamedTuple):
         The unit is a metre; for "between" it is the distance from the other landmark. x and y are
         the positions that the offsets are relative to, metres, map frame.
         """
-        base_x, base_y = x - self.viewer[0][None], y - self.viewer[1][None]
+        other_x, other_y = self.other_landmark
+        base_x, base_y = x - other_x, y - other_y
         squared = base_x * base_x + base_y * base_y + 1e-6
         squared = jnp.where(self.is_between[None], squared, 1.0)
         unit = jnp.sqrt(squared)
@@ -184,40 +188,40 @@ def pick_queries(queries: Query, reading: Array) -> Query:
     return unpack(lookup(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), queries)
 
 
-def split_by_robot(queries: Query) -> tuple[Query, Query]:
-    """Split off the relations to the robot of mentions that an earlier relation grounds.
+def split_robot_relations(queries: Query) -> tuple[Query, Query]:
+    """Split off relations to the robot, so that they weigh referents before one is chosen.
 
-    Queries and what is split off, leaves [J, ...]; in either, a relation of the other is none. The
-    latter weigh the referents among which the former choose. Weighed only once chosen, those on the
-    side said would be left to a few particles: all others would have chosen the likelier pair.
+    Of mentions that an earlier relation grounds. The rest, and what is split off, leaves [J, ...];
+    in either, a relation of the other is none. Weighed only once chosen, referents on the stated
+    side would be left to a few particles: all others would have chosen the likelier pair.
     """
     ends, figures = queries.mention, enumerate(queries.mention[:, None, None, FIGURE])
     is_grounded = jnp.stack([jnp.any(ends[:j] == one, axis=(0, 1)) for j, one in figures])
-    is_split = (is_grounded & jax.vmap(lambda said: said.is_place_by_robot)(queries))[:, None]
+    is_split = (is_grounded & jax.vmap(lambda query: query.is_place_by_robot)(queries))[:, None]
     rest, split = (jnp.where(is_split == out, NONE, queries.mention) for out in (True, False))
     return queries._replace(mention=rest), queries._replace(mention=split)
 
 
-def weigh_told(
-    log_weight: Array, told: Query, mention: Array, pairs: _Pairs, log_area: Array, rate: Array
+def weigh_by_robot(
+    log_weight: Array, queries: Query, mention: Array, pairs: _Pairs, log_area: Array, rate: Array
 ) -> Array:
     """Add ``log_by_robot`` of J relations to the robot to the log-weights of pairs, f32[n, ...].
 
-    Leaves of ``told`` are [J, ...]; the ends' mentions i32[2, ...], NONE where they do not count.
+    Leaves of ``queries`` are [J, ...]; the ends' mentions i32[2, ...], NONE if not to be weighed.
     """
 
     def evaluate(records: tuple[Array, _Pairs]) -> Array:
         log_weight, pairs = records
 
-        def of_relation(said: Query) -> Array:
-            is_end = (said.mention[:LANDMARK] == mention) & (mention != NONE)
-            ends = (said.log_by_robot(*at, log_area, rate) for at in (pairs[:2], pairs[2:]))
+        def of_relation(query: Query) -> Array:
+            is_end = (query.mention[:LANDMARK] == mention) & (mention != NONE)
+            ends = (query.log_by_robot(*at, log_area, rate) for at in (pairs[:2], pairs[2:]))
             return jnp.sum(jnp.where(is_end[:, None], jnp.stack([*ends]), 0.0), axis=0)
 
-        return log_weight + jnp.sum(jax.lax.map(of_relation, told), axis=0)
+        return log_weight + jnp.sum(jax.lax.map(of_relation, queries), axis=0)
 
-    is_said = (told.mention[:, :LANDMARK] == mention[None]) & (mention != NONE)[None]
-    is_any = jnp.any(is_said, axis=(0, 1))
+    is_end = (queries.mention[:, :LANDMARK] == mention[None]) & (mention != NONE)[None]
+    is_any = jnp.any(is_end, axis=(0, 1))
     return skip_unless_any(is_any, evaluate, (log_weight, pairs), log_weight)
 
 
@@ -228,10 +232,9 @@ def _split_between(reading: Readings) -> tuple[Readings, Array]:
     """
     is_between, figure = reading.relation == BETWEEN, reading.figure
     same = (figure[:, None] == figure[None]) & is_between[:, None] & is_between[None]
-    num_relations = figure.shape[0]
-    is_earlier = same & np.tri(num_relations, k=-1, dtype=bool)
+    is_earlier = same & np.tri(figure.size, k=-1, dtype=bool)
     # A figure may have several "between" relations, each with two landmarks.
-    last = jnp.max(jnp.where(is_earlier, np.arange(num_relations)[None], 0), axis=1)
+    last = jnp.max(jnp.where(is_earlier, np.arange(figure.size)[None], 0), axis=1)
     second = is_between & (jnp.sum(is_earlier, axis=1) % 2 == 1)
     other = jnp.where(second, reading.landmark[last], NONE)
     first = is_between & ~second

@@ -44,7 +44,7 @@ from jaxlangnav.semantic_map.proposal.candidates import (
 )
 from jaxlangnav.semantic_map.proposal.enumerate import Proposals, proposal_layout, propose
 from jaxlangnav.semantic_map.proposal.ranks import log_rank
-from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query, weigh_told
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query, weigh_by_robot
 
 _MIN_LOG_TOTAL = -60.0
 
@@ -52,7 +52,7 @@ _MIN_LOG_TOTAL = -60.0
 def ground_relation(
     seen: Observed,
     query: Query,
-    told: Query,
+    robot_relations: Query,
     grounding: Grounding,
     draws: Draws,
     scene: Unexplored,
@@ -61,21 +61,21 @@ def ground_relation(
 ) -> Grounding:
     """Sample the grounding of one relation in one particle, given earlier ones (eq. 7a).
 
-    The grounding is unchanged if the particle's interpretation has no such relation. Those of
-    ``told``, leaves [J, ...], weigh the ends that it grounds.
+    The grounding is unchanged if the particle's interpretation has no such relation. The
+    ``robot_relations``, leaves [J, ...], weigh the ends that it grounds.
     """
     # The referent of another mention cannot also be the referent of an untyped one.
     bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
     used = jax.lax.reduce_or(bits, axes=(0,))[None]
     excluded = query.excluded | jnp.where(is_anything(query.types), used, 0)
-    query = materialize(_view_from_other(query._replace(excluded=excluded), grounding))
+    query = materialize(_set_other_landmark(query._replace(excluded=excluded), grounding))
     ends = list_candidates(seen, query, grounding, scene, params=params)
     proposals = materialize(propose(query, ends, draws, params.relations))
     rank = log_rank(query, proposals.related, seen, scene, params=params)
     log_weight = _log_weights(query, ends, proposals, rank, scene, params.misleading)
     mention = jnp.where(ends.is_open, query.mention, NONE)
-    told_of = told, mention, proposals.pairs, scene.log_area, params.misleading
-    log_weight = weigh_told(log_weight, *told_of)
+    weighed = robot_relations, mention, proposals.pairs, scene.log_area, params.misleading
+    log_weight = weigh_by_robot(log_weight, *weighed)
     choice, log_total = categorical.draw(log_weight, draws.choice)
     # One object of each chain of relations has the uniform prior over the area: for a figure
     # grounded earlier and now related to the robot that prior is divided out.
@@ -89,13 +89,12 @@ def ground_relation(
     return _update_grounding(grounding, query, ends, proposals, choice, log_total)
 
 
-def _view_from_other(query: Query, grounding: Grounding) -> Query:
-    """For "between", make the other landmark the viewer and exclude it as an end."""
+def _set_other_landmark(query: Query, grounding: Grounding) -> Query:
+    """Set the ``other_landmark`` of "between", grounded before, and exclude it as an end."""
     table = jnp.stack([grounding.x, grounding.y, grounding.slot.astype(jnp.float32)], axis=1)
     other = lookup(table, jnp.broadcast_to(query.other, table.shape[1:]))
     slot = jnp.where(query.is_between, other[2], NONE).astype(jnp.int32)
     return query._replace(
-        # The speaker's heading is irrelevant then.
         viewer=jnp.where(query.is_between[None], other, query.viewer),
         excluded=query.excluded | jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))[None],
     )

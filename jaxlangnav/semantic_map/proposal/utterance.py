@@ -7,7 +7,7 @@ hypothesis was refuted, usually few, are gathered across the batch into chunks o
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +39,7 @@ from jaxlangnav.semantic_map.proposal.relation_query import (
     build_queries,
     current_context,
     pick_queries,
-    split_by_robot,
+    split_robot_relations,
 )
 from jaxlangnav.semantic_map.proposal.sample import ground_relation
 
@@ -48,8 +48,14 @@ _NUM_CHUNKS, _MIN_CHUNK = 8, 256
 
 _RECURRENCES = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
 """Steps of additive recurrences, fractional parts of √5, √2, √3, √7: jointly low-discrepancy."""
-Inputs = tuple[Observed, Draws, Array]
-"""Observed objects of each particle, random draws, leaves [J, ..., P], and its reading, i32[P]."""
+
+
+class ParticleInputs(NamedTuple):
+    """What grounding reads of each particle."""
+
+    seen: Observed
+    draws: Draws  # leaves [J, ..., P]
+    reading: Array  # i32[P]
 
 
 def _draw_unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple[Unexplored, Array]:
@@ -93,8 +99,7 @@ def _draw_randoms(
 
 def _relation_draws(uniform: Array, shuffle_key: Array, step: Array, points: Array) -> Draws:
     """Draw the random numbers of one relation, for all particles; leaves [..., P]."""
-    pool = points.shape[1]
-    count = pool // NUM_UNSEEN
+    pool, count = points.shape[1], points.shape[1] // NUM_UNSEEN
     stride = next(k for k in range(int(0.618 * count), 0, -1) if math.gcd(k, count) == 1)
     # The assignment of points to particles is shifted at random: a fixed one would tie particles
     # to regions. Each row is spread over the whole pool.
@@ -117,18 +122,17 @@ def _relation_draws(uniform: Array, shuffle_key: Array, step: Array, points: Arr
 
 
 def _ground(
-    num_mentions: int, inputs: Inputs, query: Query, scene: Unexplored, params: MapParams
+    num_mentions: int, inputs: ParticleInputs, queries: Query, scene: Unexplored, params: MapParams
 ) -> Grounding:
     """Ground the words in particles, relation by relation; queries have leaves [J, ..., P]."""
-    seen, draws, _ = inputs
-    num_relations = jnp.max(jnp.sum(query.mention[:, FIGURE] != NONE, axis=0))
-    query, told = split_by_robot(query)
+    num_relations = jnp.max(jnp.sum(queries.mention[:, FIGURE] != NONE, axis=0))
+    queries, by_robot = split_robot_relations(queries)
 
     def body(index: Array, grounding: Grounding) -> Grounding:
-        query_j, draws_j = select_row((query, draws), index)
-        return ground_relation(seen, query_j, told, grounding, draws_j, scene, params=params)
+        query, draws = select_row((queries, inputs.draws), index)
+        return ground_relation(inputs.seen, query, by_robot, grounding, draws, scene, params=params)
 
-    start = empty_grounding(num_mentions, *query.relation.shape[1:])
+    start = empty_grounding(num_mentions, *queries.relation.shape[1:])
     return jax.lax.fori_loop(0, num_relations, body, start)
 
 
@@ -136,26 +140,24 @@ def _ground(
 def _ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
     """Build ``_ground`` of all particles, with a custom ``vmap`` rule for a batch of lanes."""
 
-    def dense(inputs: Inputs, queries: Query, *rest: Any) -> Grounding:
-        return _ground(num_mentions, inputs, pick_queries(queries, inputs[2]), *rest)
+    def dense(inputs: ParticleInputs, queries: Query, *rest: Any) -> Grounding:
+        return _ground(num_mentions, inputs, pick_queries(queries, inputs.reading), *rest)
 
     @custom_vmap
     def ground(is_asked: Array, *args: Any) -> Grounding:
         return dense(*args)  # a single lane grounds all its particles
 
     def rule(num_lanes: int, is_batched: Any, *args: Any) -> tuple[Grounding, Grounding]:
+        def batch(leaf: Array, has_lanes: bool) -> Array:
+            return leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
+
         if any(jax.tree.leaves(is_batched[-1])):
             # Parameters that differ between lanes: rare, and not worth gathering them too.
             axes = jax.tree.map(lambda has_lanes: 0 if has_lanes else None, tuple(is_batched[1:]))
             grounding = jax.vmap(dense, in_axes=axes, axis_size=num_lanes)(*args[1:])
         else:
-
-            def batch(leaf: Array, has_lanes: bool) -> Array:
-                return leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
-
             batched = jax.tree.map(batch, args[:-1], tuple(is_batched[:-1]))
-            is_asked, inputs, queries, scene = batched
-            grounding = _ground_gathered(num_mentions, is_asked, inputs, queries, scene, args[-1])
+            grounding = _ground_gathered(num_mentions, *batched, params=args[-1])
         return grounding, jax.tree.map(lambda _: True, grounding)
 
     ground.def_vmap(rule)
@@ -165,7 +167,7 @@ def _ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
 def _ground_gathered(
     num_mentions: int,
     is_asked: Array,
-    inputs: Inputs,
+    inputs: ParticleInputs,
     queries: Query,
     scene: Unexplored,
     params: MapParams,
@@ -185,7 +187,7 @@ def _ground_gathered(
     def ground_chunk(start: Array) -> Array:
         idx = jax.lax.dynamic_slice_in_dim(order, start, chunk)
         part, lane = unpack(table[:, idx], flat), idx // count
-        column, local = lane * num_readings + part[2], _gather_scene(scene, idx, lane)
+        column, local = lane * num_readings + part.reading, _gather_scene(scene, idx, lane)
         return pack(_ground(num_mentions, part, take(all_queries, column), local, params))
 
     template = jax.eval_shape(lambda: empty_grounding(num_mentions, size))
@@ -234,7 +236,6 @@ def ground_words(
     params: MapParams,
     context: UtteranceContext | None = None,
     is_asked: Array | None = None,
-    is_sparse: bool = False,
     num_pooled: Array | None = None,
 ) -> tuple[SemanticMap, Array]:
     """Sample an interpretation and its grounding for each particle (eq. 7a).
@@ -245,8 +246,7 @@ def ground_words(
         readings: interpretations of the sentence.
         params: relations, concentration.
         context: poses at which relations were heard; all at the belief's viewer by default.
-        is_asked: bool[P], the particles to ground; all by default.
-        is_sparse: under ``vmap``, compute only those; no gradient in reverse mode.
+        is_asked: bool[P], the particles to ground; all by default. Under ``vmap`` no others are.
         num_pooled: f32[], number of types that share one rate (``counts``); None: no sharing.
 
     Returns:
@@ -258,16 +258,13 @@ def ground_words(
     uniform, draws, scene = _draw_randoms(key, belief, readings.figure.shape[1])
     scene = scene._replace(num_pooled=num_pooled)
     cumulative = jnp.cumsum(jnp.exp(readings.log_probability))
-    point = uniform * cumulative[-1]
-    reading = jnp.sum(cumulative[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
-    inputs = observed(particles), draws, reading
+    is_later = cumulative[:-1, None] <= (uniform * cumulative[-1])[None]
+    reading = jnp.sum(is_later, axis=0).astype(jnp.int32)
+    inputs = ParticleInputs(observed(particles), draws, reading)
     context = current_context(readings, belief.viewer) if context is None else context
     queries = build_queries(readings, context, params.relations, scene.log_area)
-    num_mentions = readings.mention_type.shape[1]
-    if is_sparse:
-        grounding = _ground_sparse(num_mentions)(is_asked, inputs, queries, scene, params)
-    else:
-        grounding = _ground(num_mentions, inputs, pick_queries(queries, reading), scene, params)
+    ground = _ground_sparse(readings.mention_type.shape[1])
+    grounding = ground(is_asked, inputs, queries, scene, params)
     grounded = replace(
         particles,
         reading=reading,
