@@ -158,4 +158,4 @@ def make_recording(
         mean_effective_sample_size=np.float32(18.0),
         is_valid=np.array(True),
     )
-    return stack_frames(make_scene(policy=policy, text=text), frames, result)
+    return stack_frames(make_scene(policy=policy, text=text), [(it, result) for it in frames])

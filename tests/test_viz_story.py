@@ -178,9 +178,9 @@ def test_what_is_passed_and_not_spoken_of_is_told_once():
     tree = {"object_type": np.array([4, NONE]), "x": np.array([2.0, 0]), "y": np.array([1.0, 0])}
     passed = replace(one.at(1).bystanders, **tree)
     frames = [one.at(0), *(replace(one.at(step), bystanders=passed) for step in range(1, 6))]
-    live = list[str]()
-    list(narrative.narrate_live(one.scene, ((it, one.result) for it in frames), [], live.extend))
-    for told in (narrative.narrate(stack_frames(one.scene, frames, one.result)), live):
+    steps, live = [(it, one.result) for it in frames], list[str]()
+    list(narrative.narrate_live(one.scene, steps, [], live.extend))
+    for told in (narrative.narrate(stack_frames(one.scene, steps)), live):
         assert sum("a tree" in line for line in told) == 1
     # What words come to mention moves to another slot, and is not discovered again.
     other = {name: values[::-1] for name, values in tree.items()}

@@ -199,8 +199,7 @@ class Follow:
             if is_typed:
                 output.print_wrapped(opening(scene))
                 steps = narrate_live(scene, steps, utterances, output.print_wrapped)
-            frames, results = zip(*steps, strict=True)
-            recording = stack_frames(scene, list(frames), results[-1])
+            recording = stack_frames(scene, steps)
         recording = score(recording, opened.prepared, has_person=self.person is not None)
         recording = recording if source is None else add_talk(recording, source)
         if self.live or is_typed:

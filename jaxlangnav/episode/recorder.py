@@ -1,7 +1,7 @@
 """Step-by-step simulation of an episode, for display and recording (section 4).
 
-A Python loop over one compiled cycle, ``episode.advance``: ``play`` yields each step, ``record``
-stacks them as NumPy arrays.
+A Python loop over one compiled cycle, ``episode.advance``: ``play`` yields each step,
+``recording.stack_frames`` stacks them as NumPy arrays.
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
-from jaxlangnav.episode.recording import Recording, Snapshot, StaticScene, stack_frames
+from jaxlangnav.episode.recording import Snapshot, StaticScene
 from jaxlangnav.grounding.command_summary import summarize_commands
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.limits import check_minimum
@@ -98,25 +98,6 @@ def play(
         yield frame, result
         if bool(state.navigator.is_resting) and (speech is None or not speech.expects(state)):
             return
-
-
-def record(
-    task: Task,
-    instructions: Instruction,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    max_steps: int = MAX_STEPS,
-    text: str = "",
-    type_names: tuple[str, ...] | None = None,
-) -> Recording:
-    """Record an episode that is run as by ``play``; text and names as of ``make_scene``."""
-    row = int(task.instruction_index)
-    instruction = jax.tree.map(lambda leaf: leaf[row], jax.device_get(instructions))
-    kw = {"text": text, "type_names": type_names}
-    scene = make_scene(task.scenario, task.sensor, instruction, params=params, config=config, **kw)
-    steps = list(play(task, instructions, params=params, config=config, max_steps=max_steps))
-    return stack_frames(scene, [frame for frame, _ in steps], steps[-1][1])
 
 
 @cached_jit(static_argnames=("config",))

@@ -239,7 +239,8 @@ def missing_names(scene: StaticScene, frame: Snapshot) -> list[str]:
     return [scene.type_name(object_type) for object_type in missing]
 
 
-def stack_frames(scene: StaticScene, frames: list[Snapshot], result: EpisodeResult) -> Recording:
-    """Stack at least one frame into a recording; ``result`` is of the last step."""
+def stack_frames(scene: StaticScene, steps: Iterable[tuple[Snapshot, EpisodeResult]]) -> Recording:
+    """Stack the steps of ``recorder.play``, at least one, into a recording."""
+    frames, results = zip(*steps, strict=True)
     stacked: Snapshot = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
-    return Recording(scene=scene, frames=stacked, result=result)
+    return Recording(scene=scene, frames=stacked, result=results[-1])

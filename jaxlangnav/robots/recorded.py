@@ -161,8 +161,9 @@ class DriveRecorder:
         navigator = self._navigator
         names = {"text": self._text, "type_names": navigator.type_names}
         inputs = self._scenario, self._robot.sensor, run.state.instruction
+        result = self._result(run)
         scene = make_scene(*inputs, **names, params=navigator.params, config=navigator.config)
-        recording = stack_frames(scene, self._frames, self._result(run))
+        recording = stack_frames(scene, [(frame, result) for frame in self._frames])
         why = "" if run.ending is Ending.ARRIVED else f"{run.ending.value}: {run.why}"
         pictures = tuple(self._step_images) if self._views is not None else ()
         return dataclasses.replace(recording, pictures=pictures, end_reason=why)

@@ -220,8 +220,7 @@ class LiveEpisode:
         steps = list(self._steps)
         if not steps:
             return None
-        frames, results = zip(*steps, strict=True)
-        recording = stack_frames(self._source.scene, list(frames), results[-1])
+        recording = stack_frames(self._source.scene, steps)
         return add_talk(score(recording, self._opened.prepared), self._source)
 
     def describe(self) -> dict[str, Any]:

@@ -189,9 +189,7 @@ def record_episode(opened: PreparedEpisode, max_steps: int | None = None) -> Rec
     """Record one episode and evaluate its success; steps as of ``follow``."""
     task = opened.prepared.task
     max_steps = loading.step_limit(task.scenario, task.sensor) if max_steps is None else max_steps
-    frames, results = zip(*opened.play(max_steps), strict=True)
-    recording = stack_frames(opened.scene(), list(frames), results[-1])
-    return score(recording, opened.prepared)
+    return score(stack_frames(opened.scene(), opened.play(max_steps)), opened.prepared)
 
 
 def score(

@@ -117,7 +117,7 @@ def watch(
     console: "Console | None" = None,
     seconds_per_step: float = 0.4,
 ) -> Recording:
-    """Show an episode in the terminal while it runs; returns the recording, as ``recorder.record``.
+    """Show an episode in the terminal while it runs; returns the recording.
 
     ``scene`` is of ``recorder.make_scene``, ``steps`` of ``recorder.play``, at least one; ``said``
     may grow as the episode runs. ``seconds_per_step``: minimum display time of a step.
@@ -140,7 +140,7 @@ def watch(
                 time.sleep(seconds_per_step)
     if not shown:
         raise ValueError("an episode needs at least one step")
-    return stack_frames(scene, [step.frame for step in shown], shown[-1].result)
+    return stack_frames(scene, [(step.frame, step.result) for step in shown])
 
 
 def _shade(
