@@ -129,9 +129,8 @@ def test_falls_are_found() -> None:
 def test_totals_and_refusals() -> None:
     given = Options(episodes=100, policies=["faithful", "known"])
     assert (TABLE.total_episodes(given), TABLE.check(given)[0].calibration_episodes) == (1400, 32)
-    for name, value, least in (("episodes", 0, 1), ("environments", -1, 0)):
-        with pytest.raises(ValueError, match=f"{name} is {value}, but must be at least {least}"):
-            TABLE.run(Options(**{name: value}))
+    with pytest.raises(ValueError, match="episodes is 0, but must be at least 1"):
+        TABLE.run(Options(episodes=0))
     with pytest.raises(ValueError, match=r'unknown policy "faithfull".*did you mean "faithful"'):
         TABLE.run(Options(episodes=1, policies=["faithfull"]))
 

@@ -165,8 +165,6 @@ class Options:
     policies: Sequence[str] = POLICY_NAMES
     seed: int = 0  # root seed of worlds and noise
     num_particles: int = DEFAULT_PARTICLES  # P, of the navigator's policies
-    environments: int = 0
-    """Worlds of a template, used cyclically, ten in the paper; 0 for a new one per episode."""
     params: NavigatorParams | None = None  # the navigator's defaults if None
     sensor: SensorParams | None = None
     """Sensor model; its range is that of each row. The default one if None."""
@@ -203,8 +201,8 @@ class Experiment(Report):
     def check(self, options: Options) -> list[Arm]:
         """Validate the options and build the arms, before anything is run.
 
-        ``ValueError``: fewer than one episode, a negative number of worlds, an unknown policy, more
-        than memory holds, or numbers with which the robot could never stop.
+        ``ValueError``: fewer than one episode, an unknown policy, more than memory holds, or
+        numbers with which the robot could never stop.
         """
         limit, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
         arms = [
@@ -212,7 +210,6 @@ class Experiment(Report):
             for arm in self.arms(options)
         ]
         check_minimum(1, episodes=options.episodes)
-        check_minimum(0, environments=options.environments)
         # Tasks and columns are laid out in parts and then put together: for a moment twice.
         episode_bytes = 2 * rows * (task_bytes() + len(arms) * (result_bytes() + _LABEL_BYTES))
         context = f"{rows} rows run {len(arms)} times"
@@ -244,8 +241,7 @@ class Experiment(Report):
         """
         options = Options() if options is None else options
         arms, begin = self.check(options), time.perf_counter()
-        shared = {name: getattr(options, name) for name in ("seed", "environments", "sensor")}
-        settings = [spec.setting(**shared) for spec in self.specs]
+        settings = [spec.setting(seed=options.seed, sensor=options.sensor) for spec in self.specs]
         names = (*settings[0].labels, *arms[0].labels)
         grid = Grid(settings=settings, arms=arms, episodes=options.episodes, names=names)
         rows, parts = list[Row](), list[pa.Table]()
@@ -257,7 +253,8 @@ class Experiment(Report):
                 parts.append(pa.table(grid.columns(run.arm, indices, run.results, distances)))
         document = {
             "experiment": self.name,
-            **{name: getattr(options, name) for name in ("episodes", "environments", "seed")},
+            "episodes": options.episodes,
+            "seed": options.seed,
             "policies": list(dict.fromkeys(arm.policy for arm in arms)),
             "num_particles": options.num_particles,
             "calibration_episodes": min(options.episodes, self.calibration_episodes),

@@ -132,10 +132,8 @@ def results_table(document: Document, *, collapsed_title: str = "") -> Table:
 def caption(document: Document) -> list[str]:
     """Describe the experimental conditions of a table, and its limits."""
     noise = document["noise"]
-    num_worlds = document.get("environments", 0)  # per template
-    source = f"{num_worlds} worlds a template in turn" if num_worlds else "a fresh world each"
     lines = [
-        f"{document['episodes']} episodes a row, {source}, seed {document['seed']}, "
+        f"{document['episodes']} episodes a row, a fresh world each, seed {document['seed']}, "
         f"{document['num_particles']} particles; every policy has the same worlds and noise.",
         f"Noise: detection {noise['detection_probability']:g}, {noise['detection_noise']:g} m; "
         f"field of view {math.degrees(noise['field_of_view']):.0f}°; odometry "

@@ -32,12 +32,9 @@ class RowSpec:
         relation = None if self.relation == "null" else self.relation
         return {"world": self.world, "range": self.range, "relation": relation}
 
-    def setting(
-        self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
-    ) -> Cell:
+    def setting(self, *, seed: int, sensor: SensorParams | None = None) -> Cell:
         """Build the setting of its episodes; commands are numbered in the order of ``SENTENCES``.
 
-        ``environments``: worlds of a template, used cyclically; 0: a new one per episode.
         ``sensor``: sensor model, except its range; the default one if None.
         """
         default = default_sensor(self.range)
@@ -47,7 +44,6 @@ class RowSpec:
             instruction_index=list(SENTENCES).index(self.relation),
             sensor=default if sensor is None else replace(sensor, range_max=default.range_max),
             seed=seed,
-            environments=environments,
             labels={"world": self.world, "range": self.range, "relation": self.relation},
         )
 

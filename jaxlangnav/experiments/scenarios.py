@@ -94,9 +94,7 @@ class ScenarioSpec(RowSpec):
             "is_told": self.is_matched,
         }
 
-    def setting(
-        self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
-    ) -> Cell:
+    def setting(self, *, seed: int, sensor: SensorParams | None = None) -> Cell:
         """Build the setting of its episodes; ``sensor`` is ignored for the scenario's own."""
         motion = {name: jnp.float32(value) for name, value in self.motion.items()}
         return Cell(
@@ -106,7 +104,6 @@ class ScenarioSpec(RowSpec):
             sensor=default_sensor(self.range, **self.truth),
             motion=replace(default_motion(), **motion),
             seed=seed,
-            environments=environments,
             world_params=world_params(**{"area": _AREA, **self.layout}),
             assumed_sensor=default_sensor(self.range, **{**self.truth, **self.assumed}),
             labels=self.heading() | {"relation": self.relation},
