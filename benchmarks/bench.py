@@ -26,9 +26,9 @@ from jaxlangnav.episode.lanes import run_batch
 from jaxlangnav.experiments.monte_carlo import NUM_LANES, run_tasks, usable_cores
 from jaxlangnav.experiments.paper import SENSING_RANGES
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
+from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.tasks import (
     SENTENCES,
-    cell,
     concatenate,
     ground_sentences,
     make_tasks,
@@ -110,14 +110,13 @@ def set_up(*, is_quick: bool = False) -> Workbench:
     largest = 256 if is_quick else 512
     grid = list(itertools.product(TEMPLATE_NAMES, SENTENCES, SENSING_RANGES))
     count = -(-largest // len(grid))
-    order = list(SENTENCES)
     cells = [
-        cell(world, relation, order.index(relation), sensing_range, count, 4242)
+        RowSpec(world=world, range=sensing_range, relation=relation).setting(seed=4242)
         for world, relation, sensing_range in grid
     ]
     shuffled = np.random.default_rng(0).permutation(count * len(grid))[:largest]
     return Workbench(
-        tasks=take_tasks(concatenate([make_tasks(item) for item in cells]), shuffled),
+        tasks=take_tasks(concatenate([make_tasks(item, count) for item in cells]), shuffled),
         instructions=ground_sentences(list(SENTENCES.values())).instructions,
         params=default_params(),
         repetitions=1 if is_quick else 3,

@@ -32,7 +32,7 @@ from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.tasks import (
     SENTENCES,
-    cell,
+    Cell,
     ground_sentences,
     known_distances,
     make_tasks,
@@ -233,7 +233,7 @@ def main(minutes: str = "10", world: str = "1H1C", relation: str = "behind") -> 
     """Train, and compare in 256 test worlds; success in per cent, mean distance in metres."""
     keep_compiled_programs()
     params = functional.default_params(world=world, relation=relation)
-    tasks = make_tasks(cell(world, relation, 0, 3.0, 256, seed=2))
+    tasks = make_tasks(Cell(world=world, relation=relation, seed=2), 256)
     weights, num_steps = train(params, float(minutes))
 
     def greedy(key: Array, observation: Array) -> Array:

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav import SensorParams, keep_compiled_programs
+from jaxlangnav import SensorParams, default_sensor, keep_compiled_programs
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.policies import run_policy
-from jaxlangnav.experiments.tasks import cell, ground_sentences, known_distances, make_tasks
+from jaxlangnav.experiments.tasks import Cell, ground_sentences, known_distances, make_tasks
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.terrain import RANGING, SensorModel
 from jaxlangnav.terrain.view import wrapped
@@ -72,7 +72,8 @@ class BearingCamera(SensorModel):
 
 def success_rate(model: SensorModel, episodes: int, *, particles: int = 256) -> float:
     """Follow a sentence in Table 2's worlds: percent of the episodes that end at the hydrant."""
-    tasks = make_tasks(cell("1H1C", "behind", 0, 5.0, episodes, seed=0))
+    cell = Cell(world="1H1C", relation="behind", sensor=default_sensor(5.0), seed=0)
+    tasks = make_tasks(cell, episodes)
     model = jax.tree.map(lambda leaf: jnp.full(episodes, leaf), model)
     tasks = replace(tasks, scenario=replace(tasks.scenario, sensor_model=model))
     instructions = ground_sentences(["go to the hydrant behind the cone"]).instructions

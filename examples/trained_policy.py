@@ -19,7 +19,7 @@ from jaxlangnav import keep_compiled_programs
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.metrics import RowMetrics, summarize
 from jaxlangnav.experiments.policies import run_policy
-from jaxlangnav.experiments.tasks import cell, ground_sentences, known_distances, make_tasks
+from jaxlangnav.experiments.tasks import Cell, ground_sentences, known_distances, make_tasks
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.faithful import Faithful, WaypointKeeping, qmdp_value
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
@@ -97,8 +97,8 @@ def train(tasks: Task, steps: int) -> Learned:
 def main(steps: str = "30") -> dict[str, RowMetrics]:
     """Train, and compare in test worlds."""
     keep_compiled_programs()
-    trained = train(make_tasks(cell("1H1C", "behind", 0, 3.0, 64, seed=1)), int(steps))
-    tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 256, seed=2))
+    trained = train(make_tasks(Cell(world="1H1C", relation="behind", seed=1), 64), int(steps))
+    tasks = make_tasks(Cell(world="1H1C", relation="behind", seed=2), 256)
     policies = {"learned": trained, "faithful": "faithful", "informed": "informed"}
     results = {name: evaluate(policy, tasks) for name, policy in policies.items()}
     for name, row in results.items():

@@ -31,7 +31,7 @@ import jaxlangnav
 from jaxlangnav.experiments import calibration
 from jaxlangnav.experiments.reliability import bin_sums, reliability_curve
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, Cell, ground_sentences, make_tasks
 from jaxlangnav.messages import Observation
 from jaxlangnav.navigator import default_params
 from jaxlangnav.semantic_map import filter as semantic_filter
@@ -178,7 +178,7 @@ reliability_figure({"": curves}, title='"This object is the goal"')
 # false objects are not, for the robot takes detections never to be false.
 
 # %%
-tasks = make_tasks(cell("1H1C", "behind", list(SENTENCES).index("behind"), 3.0, 16, 3))
+tasks = make_tasks(Cell(world="1H1C", relation="behind", instruction_index=1, seed=3), 16)
 figure = Figure(figsize=(8.4, 2.6), layout="constrained")
 for fault, axes in enumerate(figure.subplots(1, len(provoked.FAULTS), sharey=True)):
     found = provoked.run_provoked(

@@ -31,7 +31,7 @@ from studies.own_worlds import OWN_AREA, own_tasks
 import jaxlangnav
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table1 import CORPUS, draw_splits
-from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences
+from jaxlangnav.experiments.tasks import SENTENCES, Cell, ground_sentences
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, FEATURE_GROUPS, CorrespondenceModel
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
@@ -107,10 +107,11 @@ START = jnp.zeros(3)
 where = jnp.asarray(OWN_AREA, jnp.float32)
 
 
-def episodes(relations, seed, number=128):
+def episodes(relations, seed):
     """Tasks in worlds where people use these relations."""
-    one = cell("own", "behind", list(SENTENCES).index("behind"), 3.0, number, seed)
-    return own_tasks(one, sentences.instructions, where, START, params=believing(relations).map)
+    one = Cell(world="own", relation="behind", instruction_index=1, seed=seed)
+    assumed_map = believing(relations).map
+    return own_tasks(one, 128, sentences.instructions, where, START, params=assumed_map)
 
 
 config = navigator_config("informed")

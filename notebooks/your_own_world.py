@@ -234,14 +234,14 @@ from jaxlangnav.experiments.metrics import compare, summarize
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.tasks import (
     SENTENCES,
-    cell,
+    Cell,
     ground_sentences,
     known_distances,
     make_tasks,
 )
 
 instructions = ground_sentences([SENTENCES["null"], SENTENCES["behind"]]).instructions
-tasks = make_tasks(cell("2H1C", "behind", 1, sensing_range=3.0, episodes=200, seed=0))
+tasks = make_tasks(Cell(world="2H1C", relation="behind", instruction_index=1, seed=0), 200)
 policies = {"greedy": greedy, "informed": "informed", "frontier": "frontier", "known": "known"}
 results = {name: run_policy(one, tasks, instructions) for name, one in policies.items()}
 

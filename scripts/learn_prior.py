@@ -8,11 +8,11 @@ seeds. The histogram is over all objects, not only goals, by range and bearing f
 
 import numpy as np
 
-from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.experiments.rows import TABLE2_ROWS
+from jaxlangnav.experiments.tasks import make_tasks
 from jaxlangnav.inputs.atomic_files import replacing
 from jaxlangnav.planner.prior import BEARING_BINS, BEARING_MAX, RANGE_BINS, RANGE_MAX, TABLE_FILE
 from jaxlangnav.world.state import Scenario
-from jaxlangnav.world.templates import TABLE_2
 
 SEED = 2000
 WORLDS = 1000
@@ -72,10 +72,7 @@ def learn(rows: list[Scenario]) -> np.ndarray:
 
 def training_worlds(worlds: int = WORLDS) -> list[Scenario]:
     """Sample the training worlds, one record per row of Table 2."""
-    return [
-        make_tasks(cell(row.world, row.relation, 0, row.range, worlds, SEED)).scenario
-        for row in TABLE_2
-    ]
+    return [make_tasks(row.setting(seed=SEED), worlds).scenario for row in TABLE2_ROWS]
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from test_docs import frozen
 import jaxlangnav
 from jaxlangnav.cli import main as cli
 from jaxlangnav.cli.settings import apply_to_episode
-from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.experiments.tasks import Cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.inputs import program_cache
 from jaxlangnav.messages import Status
@@ -192,7 +192,7 @@ def test_the_worlds_of_the_tables_keep_their_goal() -> None:
     """With two hydrants and no relation, the lot decides which is meant, not the robot's model."""
     for text, relation in (("go to the hydrant", "null"), (COMMAND, "behind")):
         prepared = prepare(text, "2H1C", seed=1)
-        drawn = make_tasks(cell("2H1C", relation, 0, 3.0, 1, 1)).scenario
+        drawn = make_tasks(Cell(world="2H1C", relation=relation, seed=1), 1).scenario
         np.testing.assert_array_equal(prepared.task.scenario.goal, drawn.goal[0])
         np.testing.assert_array_equal(prepared.task.scenario.object_x, drawn.object_x[0])
 

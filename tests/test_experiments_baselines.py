@@ -12,7 +12,7 @@ from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments import baselines
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.rows import RowSpec, bound_rows
-from jaxlangnav.experiments.tasks import BLOCK, SENTENCES, cell, ground_sentences, make_tasks
+from jaxlangnav.experiments.tasks import BLOCK, SENTENCES, Cell, ground_sentences, make_tasks
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -27,7 +27,7 @@ def instructions() -> Any:
 
 @pytest.fixture(scope="module")
 def tasks() -> Task:
-    return make_tasks(cell("2H1C", "behind", 1, 3.0, BLOCK, 7))
+    return make_tasks(Cell(world="2H1C", relation="behind", instruction_index=1, seed=7), BLOCK)
 
 
 def run(policy: str, tasks: Task, instructions: Any) -> EpisodeResult:
@@ -76,7 +76,7 @@ def test_arcs_by_hand() -> None:
 
 @pytest.mark.slow
 def test_knowing_the_law_is_worth_metres(instructions: Any) -> None:
-    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, BLOCK, 11))
+    tasks = make_tasks(Cell(world="1H1C", relation="null", seed=11), BLOCK)
     mean = {name: float(np.mean(run(name, tasks, instructions).distance)) for name in SEARCHES}
     assert mean["arc"] < mean["frontier"] < mean["lawnmower"]
 
@@ -118,7 +118,7 @@ def test_what_is_not_seen_changes_nothing(tasks: Task, instructions: Any) -> Non
 
 def test_a_noiseless_walk_by_hand(instructions: Any) -> None:
     """A hydrant in view at the start: straight to it, stop within reach."""
-    tasks = make_tasks(cell("1H1C", "null", 0, 5.0, BLOCK, 0))
+    tasks = make_tasks(RowSpec(world="1H1C", range=5.0, relation="null").setting(seed=0), BLOCK)
     worlds, none, sure = tasks.scenario, jnp.zeros(BLOCK), jnp.ones(BLOCK)
     worlds = replace(
         worlds,

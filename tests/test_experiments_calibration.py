@@ -28,7 +28,7 @@ from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.reliability import TALLY_PROGRAM, bin_sums, pool_bins, reliability_curve
-from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, Cell, ground_sentences, make_tasks
 from jaxlangnav.messages import NONE
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
@@ -218,7 +218,7 @@ def test_places_drawn_are_of_the_law_of_what_is_unseen() -> None:
 @pytest.mark.slow
 def test_every_step_of_an_episode_is_judged_once() -> None:
     sentences = ground_sentences([SENTENCES["behind"]])
-    tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 40, 5))
+    tasks = make_tasks(Cell(world="1H1C", relation="behind", seed=5), 40)
     # Three of the episodes have no goal that the belief could be compared with.
     goal_index = tasks.scenario.goal_index.at[:3].set(NONE)
     tasks = replace(tasks, scenario=replace(tasks.scenario, goal_index=goal_index))

@@ -19,7 +19,7 @@ from jaxlangnav.experiments.sweep_plan import make_plan
 from jaxlangnav.experiments.tasks import (
     BLOCK,
     SENTENCES,
-    cell,
+    Cell,
     draw_tasks,
     ground_sentences,
     known_distances,
@@ -42,20 +42,20 @@ def take(tasks: Task, index: Any) -> Task:
 
 
 def test_an_episode_depends_on_its_number_only() -> None:
-    whole = make_tasks(cell("2H1C", "behind", 1, 3.0, BLOCK + 30, 5))
+    one = Cell(world="2H1C", relation="behind", instruction_index=1, seed=5)
+    whole = make_tasks(one, BLOCK + 30)
     assert whole.instruction_index.shape == (BLOCK + 30,)
-    same(take(whole, slice(0, 7)), make_tasks(cell("2H1C", "behind", 1, 3.0, 7, 5)))
-    later = dataclasses.replace(cell("2H1C", "behind", 1, 3.0, 20, 5), first_episode=BLOCK)
-    same(take(whole, slice(BLOCK, BLOCK + 20)), make_tasks(later))
+    same(take(whole, slice(0, 7)), make_tasks(one, 7))
+    same(take(whole, slice(BLOCK, BLOCK + 20)), make_tasks(one, 20, first=BLOCK))
 
 
 def test_any_selection_of_cells_gives_the_same_tasks() -> None:
     cells = [
-        cell("1H1C", "null", 0, 2.0, 6, 0),
-        cell("2H2C", "nearest", 2, 5.0, 6, 0),
-        cell("1H2C", "behind", 1, 3.0, 6, 9),
+        RowSpec(world="1H1C", range=2.0, relation="null").setting(seed=0),
+        RowSpec(world="2H2C", range=5.0, relation="nearest").setting(seed=0),
+        Cell(world="1H2C", relation="behind", instruction_index=1, seed=9),
     ]
-    alone = [make_tasks(one) for one in cells]
+    alone = [make_tasks(one, 6) for one in cells]
     index, numbers = np.array([2, 0, 1, 1, 0]), np.array([5, 0, 3, 2, 4])
     mixed = draw_tasks(cells, index, numbers)
     for place, (which, number) in enumerate(zip(index, numbers, strict=True)):
@@ -63,18 +63,18 @@ def test_any_selection_of_cells_gives_the_same_tasks() -> None:
 
 
 def test_worlds_are_shared_by_ranges_and_commands_but_not_by_seeds() -> None:
-    near = make_tasks(cell("1H1C", "behind", 1, 2.0, 4, 0))
-    far = make_tasks(cell("1H1C", "behind", 1, 20.0, 4, 0))
+    near = make_tasks(RowSpec(world="1H1C", range=2.0, relation="behind").setting(seed=0), 4)
+    far = make_tasks(RowSpec(world="1H1C", range=20.0, relation="behind").setting(seed=0), 4)
     same(take(near, slice(4)), dataclasses.replace(far, sensor=near.sensor))
-    null = make_tasks(cell("1H1C", "null", 0, 2.0, 4, 0))
+    null = make_tasks(RowSpec(world="1H1C", range=2.0, relation="null").setting(seed=0), 4)
     np.testing.assert_array_equal(null.scenario.object_x, near.scenario.object_x)
-    other = make_tasks(cell("1H1C", "behind", 1, 2.0, 4, 1))
+    other = make_tasks(RowSpec(world="1H1C", range=2.0, relation="behind").setting(seed=1), 4)
     assert not np.any(near.scenario.goal == other.scenario.goal)
 
 
 def test_environments_are_taken_in_turn() -> None:
-    fresh = make_tasks(cell("2H1C", "behind", 1, 3.0, 7, 0))
-    few = make_tasks(dataclasses.replace(cell("2H1C", "behind", 1, 3.0, 7, 0), environments=3))
+    one = Cell(world="2H1C", relation="behind", instruction_index=1, seed=0)
+    fresh, few = make_tasks(one, 7), make_tasks(dataclasses.replace(one, environments=3), 7)
     turn = np.arange(7) % 3
     same(dataclasses.replace(few, scenario=take(fresh, turn).scenario), few)
     # The noise is each episode's own.
@@ -84,27 +84,27 @@ def test_environments_are_taken_in_turn() -> None:
 def test_a_world_of_ones_own_stands_as_it_is() -> None:
     own = open_world("yard")
     assert isinstance(own, WorldFile)
-    one = dataclasses.replace(cell("yard", "null", 0, 3.0, 5, 0), scenario=own.scenario)
-    tasks = make_tasks(one)
+    one = Cell(world="yard", relation="null", seed=0, scenario=own.scenario)
+    tasks = make_tasks(one, 5)
     np.testing.assert_array_equal(tasks.scenario.goal, np.tile(own.scenario.goal, (5, 1)))
     np.testing.assert_array_equal(tasks.scenario.area[3], own.scenario.area)
     assert len(np.unique(np.asarray(jax.random.key_data(tasks.key)), axis=0)) == 5
-    cells = [one, cell("1H1C", "null", 0, 3.0, 5, 0)]
+    cells = [one, Cell(world="1H1C", relation="null", seed=0)]
     mixed = draw_tasks(cells, np.array([1, 0]), np.array([0, 1]))
     np.testing.assert_array_equal(mixed.scenario.goal[1], own.scenario.goal)
-    same(take(mixed, slice(0, 1)), make_tasks(cell("1H1C", "null", 0, 3.0, 1, 0)))
+    same(take(mixed, slice(0, 1)), make_tasks(Cell(world="1H1C", relation="null", seed=0), 1))
 
 
 def test_bad_cells_are_refused() -> None:
     with pytest.raises(ValueError, match="episodes is 0, but must be at least 1"):
-        make_tasks(cell("1H1C", "null", 0, 3.0, 0, 0))
+        make_tasks(Cell(world="1H1C", relation="null", seed=0), 0)
     with pytest.raises(ValueError, match="seed is 4294967296, but must lie between 0 and"):
-        cell("1H1C", "null", 0, 3.0, 1, 2**32)
+        Cell(world="1H1C", relation="null", seed=2**32)
 
 
 def test_pieces_come_back_in_order_and_without_padding() -> None:
     number = 2 * monte_carlo.CHUNK_SIZE + 3
-    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, number, 0))
+    tasks = make_tasks(Cell(world="1H1C", relation="null", seed=0), number)
     seen: list[int] = []
     found = run_policy("known", tasks, INSTRUCTIONS, on_progress=seen.append, num_threads=2)
     np.testing.assert_allclose(found.distance, known_distances(tasks), atol=1.0)

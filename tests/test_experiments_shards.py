@@ -27,7 +27,7 @@ from jaxlangnav.experiments import archive, shards
 from jaxlangnav.experiments.archive import CompileClock
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.shards import FileError, FileId, Part, lock
-from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, Cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 
@@ -305,7 +305,7 @@ def test_weak_types_do_not_compile_a_batch_again(monkeypatch: pytest.MonkeyPatch
         "_run_batch",
         lambda *arrays: seen.append([jax.typeof(leaf) for leaf in jax.tree.leaves(arrays[:4])]),
     )
-    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, 4, 0))
+    tasks = make_tasks(Cell(world="1H1C", relation="null", seed=0), 4)
     instructions = ground_sentences([SENTENCES["null"]]).instructions
     weak = replace(tasks, sensor=replace(tasks.sensor, range_max=jnp.full(4, 2.0)))
     params = default_params()

@@ -12,8 +12,9 @@ from test_episode_batch import MAX_STEPS, SENTENCES, config, in_lanes, instructi
 from jaxlangnav.episode import Task, recorder
 from jaxlangnav.episode.recording import Recording, stack_frames
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.experiments.tasks import Cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator import default_params
 from jaxlangnav.task.follow import batched
 
@@ -32,7 +33,8 @@ def record() -> Callable[..., Recording]:
     given = {"params": numbers, "config": navigator_config("informed")}
 
     def of(seed: int, max_steps: int = MAX_STEPS) -> Recording:
-        task = first(make_tasks(cell("1H1C", "behind", 0, RANGES[seed % len(RANGES)], 1, seed)))
+        sensor = default_sensor(RANGES[seed % len(RANGES)])
+        task = first(make_tasks(Cell(world="1H1C", relation="behind", sensor=sensor, seed=seed), 1))
         scene = recorder.make_scene(task.scenario, task.sensor, first(told), text=TEXT, **given)
         return stack_frames(scene, recorder.play(task, told, max_steps=max_steps, **given))
 

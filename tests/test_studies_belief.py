@@ -23,7 +23,7 @@ from studies.provoked import (
 
 from jaxlangnav.experiments.calibration import scores
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, Cell, ground_sentences, make_tasks
 from jaxlangnav.messages import BEHIND, LEFT, NEAR, ROBOT, Readings
 from jaxlangnav.navigator import default_params as default_navigator_params
 from jaxlangnav.pytree import replace
@@ -165,7 +165,7 @@ RUNS = 16
 @pytest.fixture(scope="module")
 def provoked() -> dict[int, ProvokedResult]:
     sentences = ground_sentences(list(SENTENCES.values()))
-    tasks = make_tasks(cell("1H1C", "behind", 1, 3.0, RUNS, 5))
+    tasks = make_tasks(Cell(world="1H1C", relation="behind", instruction_index=1, seed=5), RUNS)
     return {
         fault: jax.tree.map(
             np.asarray,

@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.experiments import tasks
 from jaxlangnav.experiments.tasks import Cell, draw_tasks
-from jaxlangnav.messages import NONE, default_motion, default_sensor
+from jaxlangnav.messages import NONE, default_sensor
 from jaxlangnav.world.places import (
     BORDER_MARGIN,
     GOAL_GAP,
@@ -33,10 +32,8 @@ LAWS = {
 
 
 def cell(law: WorldParams) -> Cell:
-    return Cell(
-        world="here", relation="behind", instruction_index=0, sensor=default_sensor(), seed=0,
-        motion=default_motion(), episodes=1, world_params=law, assumed_sensor=default_sensor(),
-    )  # fmt: skip
+    told = default_sensor()
+    return Cell(world="here", relation="behind", seed=0, world_params=law, assumed_sensor=told)
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +115,6 @@ def test_a_given_gap_is_kept_in_a_crowd() -> None:
 
 
 def test_places_and_templates_are_not_drawn_at_once() -> None:
-    both = [cell(LAWS["plain"]), tasks.cell("1H1C", "null", 0, 3.0, 1, 0)]
+    both = [cell(LAWS["plain"]), Cell(world="1H1C", relation="null", seed=0)]
     with pytest.raises(ValueError, match="cannot be drawn at once"):
         draw_tasks(both, np.array([0, 1]), np.array([0, 0]))

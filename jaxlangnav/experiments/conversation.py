@@ -17,7 +17,8 @@ from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Report, Row, Table, TableColumns
-from jaxlangnav.experiments.tasks import SENTENCES, cell, known_distances, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, Cell, known_distances, make_tasks
+from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import params_of
@@ -71,8 +72,9 @@ ROWS = (
 
 
 def _run_row(spec: DialogueSpec, options: Options, on_progress: OnProgress | None = None) -> Row:
-    cell_args = spec.world, spec.relation, 0, spec.sensing_range, options.episodes, options.seed
-    tasks = make_tasks(cell(*cell_args))
+    sensor = default_sensor(spec.sensing_range)
+    cell = Cell(world=spec.world, relation=spec.relation, sensor=sensor, seed=options.seed)
+    tasks = make_tasks(cell, options.episodes)
     params = default_params() if options.params is None else options.params
     planner = replace(params.planner, question_cost=jnp.float32(spec.cost))
     navigator, person = replace(params, planner=planner), params_of(**spec.person)

@@ -68,12 +68,10 @@ class Cell:
 
     world: str  # name of a template, or of a custom world
     relation: str  # of the command, for which a template's worlds are sampled
-    instruction_index: int  # of the command, among the instructions of the batch
+    instruction_index: int = 0  # of the command, among the instructions of the batch
     sensor: SensorParams = dataclasses.field(default_factory=default_sensor)
     motion: MotionParams = dataclasses.field(default_factory=default_motion)
-    episodes: int = 1  # drawn by ``make_tasks``; a grid has its own number
     seed: int
-    first_episode: int = 0
     environments: int = 0
     """Number of worlds, used cyclically (ten in the paper); 0: a new one per episode."""
     scenario: Scenario | None = None
@@ -90,25 +88,6 @@ class Cell:
         """Raise ``ValueError`` for a seed outside 32 bits."""
         if not 0 <= self.seed < SEED_LIMIT:
             raise ValueError(f"seed is {self.seed}, but must lie between 0 and {SEED_LIMIT - 1}")
-
-
-def cell(
-    world: str,
-    relation: str,
-    instruction_index: int,
-    sensing_range: float,
-    episodes: int,
-    seed: int,
-) -> Cell:
-    """Build a cell with the default noise."""
-    return Cell(
-        world=world,
-        relation=relation,
-        instruction_index=instruction_index,
-        sensor=default_sensor(sensing_range),
-        episodes=episodes,
-        seed=seed,
-    )
 
 
 @cached_jit()
@@ -145,8 +124,7 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, episodes: np.ndarray) -
     """Sample the worlds and keys of any selection of episodes, leaves [E, …].
 
     ``index``: i[E], the cell of each; ``episodes``: i[E], its index within the cell's (seed,
-    world); ``episodes`` and ``first_episode`` of the cells are not used. ``ValueError``: unknown
-    world or relation, or cells with and without ``world_params``.
+    world). ``ValueError``: unknown world or relation, or cells with and without ``world_params``.
     """
     if len({cell.world_params is None for cell in cells}) > 1:
         raise ValueError("places and templates cannot be drawn at once: they differ in size")
@@ -183,12 +161,11 @@ def _shared_fields(cell: Cell) -> dict[str, Any]:
     }
 
 
-def make_tasks(cell: Cell) -> Task:
-    """Sample the worlds and keys of a cell, at least one, leaves [E, …]."""
-    check_minimum(1, episodes=cell.episodes)
+def make_tasks(cell: Cell, count: int, *, first: int = 0) -> Task:
+    """Sample the worlds and keys of a cell's episodes from ``first`` on, leaves [E, …]."""
+    check_minimum(1, episodes=count)
     check_minimum(0, environments=cell.environments)
-    numbers = cell.first_episode + np.arange(cell.episodes)
-    return draw_tasks([cell], np.zeros(cell.episodes, np.int32), numbers)
+    return draw_tasks([cell], np.zeros(count, np.int32), first + np.arange(count))
 
 
 def take_tasks(tasks: Task, index: np.ndarray) -> Task:

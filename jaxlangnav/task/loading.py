@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import MAX_STEPS, Task
-from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.experiments.tasks import Cell, make_tasks
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.grounding.worlds import explain_mismatch
-from jaxlangnav.messages import SensorParams
+from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import intended_goals, is_among, placed_world, with_goal
 from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
@@ -211,7 +211,9 @@ def _sample_tasks(
 ) -> list[Task]:
     """Sample the tasks of the first episodes of a table's row, unstacked on the host."""
     relation = relation if template.num_cones else "null"
-    tasks = make_tasks(cell(template.name, relation, 0, sensing_range, count, seed))
+    sensor = default_sensor(sensing_range)
+    cell = Cell(world=template.name, relation=relation, sensor=sensor, seed=seed)
+    tasks = make_tasks(cell, count)
     # On the host: unstacking on the device would compile a small program for each leaf.
     batch = jax.device_get(replace(tasks, key=jax.random.key_data(tasks.key)))
     host = (jax.tree.map(lambda leaf, i=index: leaf[i], batch) for index in range(count))

@@ -25,7 +25,8 @@ from jaxlangnav.experiments.calibration import Tally
 from jaxlangnav.experiments.reliability import TALLY_PROGRAM
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
-from jaxlangnav.experiments.tasks import SENTENCES, Cell, GroundedSentences, cell, concatenate
+from jaxlangnav.experiments.rows import RowSpec
+from jaxlangnav.experiments.tasks import SENTENCES, Cell, GroundedSentences, concatenate
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.navigator import NavigatorParams, default_params
@@ -241,13 +242,13 @@ def draw_own_world(
 
 
 def own_tasks(
-    one: Cell, instructions: Instruction, area: Array, start: Array, *, params: MapParams
+    one: Cell, runs: int, instructions: Instruction, area: Array, start: Array, *, params: MapParams
 ) -> Task:
     """Draw the episodes of a cell in worlds of the belief's own prior.
 
     Args:
-        one: number of episodes, seed, sentence, sensor and odometry; ``world`` and ``relation``
-            are not read.
+        one: seed, sentence, sensor and odometry; ``world`` and ``relation`` are not read.
+        runs: number of episodes.
         instructions: leaves [I, …].
         area: f32[4], operating area, metres.
         start: f32[3], x, y, heading, metres and radians, map frame.
@@ -261,7 +262,7 @@ def own_tasks(
     """
     readings = jax.tree.map(lambda leaf: leaf[one.instruction_index], instructions.readings)
     check_readings(readings)
-    numbers = one.first_episode + jnp.arange(one.episodes, dtype=jnp.uint32)
+    numbers = jnp.arange(runs, dtype=jnp.uint32)
 
     @jax.jit
     def draw(number: Array) -> tuple[Array, Scenario]:
@@ -269,7 +270,7 @@ def own_tasks(
         return keys[1], draw_own_world(keys[0], readings, area, start, params=params)
 
     parts = []
-    for begin in range(0, one.episodes, 256):
+    for begin in range(0, runs, 256):
         keys, scenario = jax.vmap(draw)(numbers[begin : begin + 256])
         size = keys.shape[0]
         parts.append(
@@ -316,8 +317,8 @@ def judge_own_worlds(
     bounds, start = jnp.asarray(area, jnp.float32), jnp.zeros(3, jnp.float32)
     found = {}
     for name, reach in ranges.items():
-        one = cell("own", name, list(SENTENCES).index(name), reach, episodes, seed)
-        tasks = own_tasks(one, sentences.instructions, bounds, start, params=numbers.map)
+        one = RowSpec(world="own", range=reach, relation=name).setting(seed=seed)
+        tasks = own_tasks(one, episodes, sentences.instructions, bounds, start, params=numbers.map)
         if not bool(np.all(np.asarray(tasks.scenario.is_valid))):
             raise ValueError(f'no world fits "{SENTENCES[name]}" in the area {area}: enlarge it')
         _, found[name] = run_tasks(
