@@ -105,7 +105,7 @@ def test_live_draws_and_ends_with_the_verdict(capsys: pytest.CaptureFixture[str]
 
 def test_settings_reach_the_world_and_the_filter_which_estimates_drift_if_there_is_any() -> None:
     understood = understand(COMMAND, load_shipped())
-    still = prepare_episode(COMMAND, understood, "1H1C", None, "informed", 0, 8)
+    still = prepare_episode(COMMAND, understood, open_world("1H1C"), None, "informed", 0, 8)
     opened = apply_to_episode(still, {("motion", "heading_bias"): 0.01, ("sensor", "noise"): 0.2})
     assert opened.config.map.has_drift > still.config.map.has_drift
     assert opened.params.map.motion is opened.prepared.task.motion
@@ -155,7 +155,7 @@ def test_numbers_on_the_command_line_reach_the_engine(capsys: pytest.CaptureFixt
 
 def prepare(text: str, world: str, seed: int = 0) -> PreparedTask:
     understood = understand(text, load_shipped())
-    return load_task(world, understood, sensing_range=None, seed=seed)
+    return load_task(open_world(world), understood, sensing_range=None, seed=seed)
 
 
 def places(prepared: PreparedTask) -> dict[str, list[np.ndarray]]:
@@ -206,7 +206,7 @@ def test_a_world_is_drawn_in_which_the_sentence_is_true() -> None:
 
 def test_the_known_way_goes_by_where_earlier_commands_end(tmp_path):
     world, text = bare(tmp_path / "park.toml", 4), "go to the bench then go to the car"
-    understood = understand(text, load_shipped(), detector_of(world, ()))
+    understood = understand(text, load_shipped(), detector_of(open_world(world), ()))
     (goals, car), _ = intended_goals(understood, open_world(world).scenario)
     assert (goals[0].position, car[0].position) == ((18.0, -9.0), (6.0, 0.0))
     found = follow_text(text, world=world, max_steps=1).scene
@@ -236,9 +236,9 @@ def test_a_world_of_own_nouns_needs_no_lexicon(tmp_path, capsys):
 
 
 def prepare_own(text: str, world: str) -> PreparedTask:
-    return load_task(
-        world, understand(text, load_shipped(), detector_of(world, ())), sensing_range=None, seed=0
-    )
+    source = open_world(world)
+    understood = understand(text, load_shipped(), detector_of(source, ()))
+    return load_task(source, understood, sensing_range=None, seed=0)
 
 
 def test_a_world_without_a_goal_is_judged_by_what_is_said(tmp_path: Path) -> None:
@@ -271,12 +271,12 @@ def test_a_world_without_a_goal_is_not_judged_where_several_fit_alike(tmp_path: 
 @pytest.mark.parametrize(("number", "slots"), [(4, 8), (12, 16)])
 def test_crowded_worlds_get_the_sizes_for_places_as_they_are(number, slots, tmp_path):
     world = bare(tmp_path / "bare.toml", number)
-    params, config = params_and_config(world, "informed", 32)
+    params, config = params_and_config(open_world(world), "informed", 32)
     assert config.map.num_particles == 32
     assert config.map.has_doubts == (slots > 8)
     # The search prior is of the worlds of the templates: nowhere else is it of use.
     assert float(params.planner.prior_share) == 0.0
-    assert float(params_and_config("1H1C", "informed", 32)[0].planner.prior_share) > 0.0
+    assert float(params_and_config(open_world("1H1C"), "informed", 32)[0].planner.prior_share) > 0.0
 
 
 # ``jaxlangnav.follow``: the same in one call.

@@ -15,6 +15,7 @@ from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.follow import batched
 from jaxlangnav.task.loading import load_task
+from jaxlangnav.world.files import open_world
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 PLACES = {
@@ -93,9 +94,9 @@ class Followed(NamedTuple):
 
 @functools.cache
 def task() -> Task:
-    model = load_shipped()
+    model, source = load_shipped(), open_world("1H1C")
     things = [(model.type_names.index(kind), x, y) for kind, x, y in PLACES.values()]
-    prepared = load_task("1H1C", understand("go to the cone", model), sensing_range=25.0, seed=0)
+    prepared = load_task(source, understand("go to the cone", model), sensing_range=25.0, seed=0)
     return replace(prepared.task, scenario=placed(things, slots=len(things), area=AREA))
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.task.follow import PreparedEpisode
     from jaxlangnav.task.talk import Dialogue
+    from jaxlangnav.world.files import WorldSource
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -90,19 +91,19 @@ class Follow:
         """Run the episode, print its narrative, and write figures if a folder is given."""
         script = self._check()
         values = read_options(self.settings, self.SETTINGS)
-        understood, models, detector = understand_text(
+        understood, models, world = understand_text(
             self.text, output, world=self.world, weights=self.weights
         )
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.task.follow import precompile_cycle
-        from jaxlangnav.task.loading import step_limit
+        from jaxlangnav.task.loading import detector_of, step_limit
         from jaxlangnav.task.talk import padded
 
-        opened = self._open(understood, values)
+        opened = self._open(world, understood, values)
         source = None
         if script or self.ask or self.talk or self.person:
-            grounder = GraphGrounder.of_detector(models, detector)
+            grounder = GraphGrounder.of_detector(models, detector_of(world, models.type_names))
             speech.check_script(script, grounder, understood)
             opened = dataclasses.replace(opened, understood=padded(understood))
             speakers = {name: getattr(self, name) for name in ("person", "ask", "talk")}
@@ -143,15 +144,17 @@ class Follow:
             checks.check_extra("--mp4 is written by OpenCV", "cv2", "robot")
         return script
 
-    def _open(self, understood: "Understanding", values: dict[Any, Any]) -> "PreparedEpisode":
-        """Open the world, set the parameters, and check their validity."""
+    def _open(
+        self, world: "WorldSource", understood: "Understanding", values: dict[Any, Any]
+    ) -> "PreparedEpisode":
+        """Prepare the episode, set the parameters, and check their validity."""
         from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
         from jaxlangnav.task.follow import prepare_episode
         from jaxlangnav.task.talk import allow_questions
 
         options = self.range, self.policy, self.seed, self.particles
-        opened = prepare_episode(self.text, understood, self.world, *options)
+        opened = prepare_episode(self.text, understood, world, *options)
         opened = apply_to_episode(opened, values)
         if self.ask:
             opened = dataclasses.replace(opened, params=allow_questions(opened.params))

@@ -18,9 +18,9 @@ from jaxlangnav.experiments.table import Table, TableColumns
 if TYPE_CHECKING:
     from rich.tree import Tree
 
-    from jaxlangnav.grounding.binding import Detector
     from jaxlangnav.grounding.instruction import GroundingModel, Understanding
     from jaxlangnav.language.phrase import Parse as ParsedSentence
+    from jaxlangnav.world.files import WorldSource
 
 PAPER_NUM_OBJECTS = 7  # objects of the behavior graph if no world is given
 
@@ -46,8 +46,8 @@ def parse_text(text: str, output: Output, labels: Collection[str] = ()) -> "Pars
 
 def understand_text(
     text: str, output: Output, *, world: str, weights: Path | None
-) -> "tuple[Understanding, GroundingModel, Detector]":
-    """Ground a sentence with a world's detector; returns the models and the detector too.
+) -> "tuple[Understanding, GroundingModel, WorldSource]":
+    """Ground a sentence with a world's detector; returns the models and the world too.
 
     Template worlds (2H1C) have a fixed vocabulary, so bad sentences are refused at once; other
     worlds bring their own labels.
@@ -58,15 +58,16 @@ def understand_text(
     from jaxlangnav.grounding.instruction import understand_parse
     from jaxlangnav.grounding.weights import load
     from jaxlangnav.task.loading import detector_of
+    from jaxlangnav.world.files import open_world
 
-    models = load(weights)
-    detector = detector_of(world, models.type_names)
+    models, source = load(weights), open_world(world)
+    detector = detector_of(source, models.type_names)
     parsed = parsed or parse_text(text, output, detector.plain_labels)
     understood = understand_parse(parsed, models, detector)
     understood.check_others()
     for note in understood.notes:
         output.note(f"note: {note}")
-    return understood, models, detector
+    return understood, models, source
 
 
 def _draw_tree(phrase: Mapping[str, Any], branch: "Tree | None" = None) -> "Tree":
@@ -155,7 +156,7 @@ class Ground:
         check_folder("--out", self.out)
         if self.out is not None:
             check_extra("--out draws a picture and needs", "matplotlib", "viz")
-        understood, model, _ = understand_text(
+        understood, model, source = understand_text(
             self.text, output, world=self.world or "1H1C", weights=self.weights
         )
         from rich.text import Text
@@ -171,7 +172,7 @@ class Ground:
         }
         # Errors come before any output.
         if self.world is not None:
-            document |= self._ground_in(self.world, understood)
+            document |= self._ground_in(source, understood)
         document["commands"] = commands
         title = "Annotations: what it says of the world"
         output.print(Table.of(annotations, _ANNOTATIONS, title=title).text())
@@ -199,12 +200,12 @@ class Ground:
             output.print(f"Wrote {', '.join(document['pictures'])}")
         return document
 
-    def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:
+    def _ground_in(self, source: "WorldSource", understood: "Understanding") -> dict[str, Any]:
         """Infer the behavior distribution in a fully known world."""
         from jaxlangnav.task.labelled import list_behaviors, placed_world
         from jaxlangnav.task.loading import load_task
 
-        prepared = load_task(world_name, understood, sensing_range=None, seed=self.seed)
+        prepared = load_task(source, understood, sensing_range=None, seed=self.seed)
         labelled = placed_world(prepared.task.scenario, understood.type_names)
         return {
             "world": prepared.world,

@@ -25,6 +25,7 @@ from jaxlangnav.viz.html import write_html
 from jaxlangnav.viz.narrative import MOMENT_COLUMNS, describe_moments, narrate, select_steps
 from jaxlangnav.viz.panels import belief_figure, values_figure
 from jaxlangnav.viz.style import save
+from jaxlangnav.world.files import open_world
 
 StudyResult = tuple[dict[str, Any], Callable[[Path], Iterable[Path]]]
 """A document, and a function that writes its files into a folder."""
@@ -99,10 +100,11 @@ def _figure(
         # The paper's policy unless exactly one is given.
         known = [key for key in settings.options.policies if key in POLICIES]
         policy = known[0] if len(known) == 1 else "faithful"
-        options = None, policy, settings.options.seed, settings.num_figure_particles
+        seed, particles = settings.options.seed, settings.num_figure_particles
         with CompileClock() as clock, spinner(f"an episode in {name}"):
             understood = understand_parse(parse(TEXT), load(None))
-            prepared = prepare_episode(TEXT, understood, name, *options, params=settings.params)
+            options = open_world(name), None, policy, seed, particles
+            prepared = prepare_episode(TEXT, understood, *options, params=settings.params)
             episode = record_episode(apply_to_episode(prepared, settings.values))
         output.print_wrapped(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result
@@ -111,8 +113,8 @@ def _figure(
             "instruction": TEXT,
             "world": name,
             "policy": policy,
-            "seed": settings.options.seed,
-            "num_particles": settings.num_figure_particles,
+            "seed": seed,
+            "num_particles": particles,
             "range": float(scene.sensor.range_max),
             "success": bool(result.is_success),
             "distance": float(result.distance),

@@ -150,8 +150,8 @@ def default_params(
         text = command_text(world=world, instruction=instruction)
         if not text:
             raise ValueError(f"world {source.name} has no instruction of its own: give one")
-        understood = understand(text, model, detector_of(world, model.type_names))
-        prepared = load_task(world, understood, sensing_range=sensing_range, seed=0)
+        understood = understand(text, model, detector_of(source, model.type_names))
+        prepared = load_task(source, understood, sensing_range=sensing_range, seed=0)
         if prepared.unscored:
             raise ValueError(f"world {source.name}: {prepared.unscored}")
         task, is_find_task = prepared.task, prepared.is_find_task

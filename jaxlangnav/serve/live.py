@@ -85,7 +85,7 @@ class LiveEpisode:
             ValueError: the sentence, the world or an option is refused; one line.
         """
         self.request, self._pace = request, pace
-        self._world = self._resolve_world(folder)
+        self._world = self._open_world(folder)
         options = request.range, request.policy, request.seed, request.particles
         with _compile_lock:
             detector = detector_of(self._world, model.type_names)
@@ -115,15 +115,15 @@ class LiveEpisode:
         self._closed = threading.Event()
         self.is_over, self.fault = False, ""
 
-    def _resolve_world(self, folder: Path) -> str:
-        """Return the world's name, or the path of the file to which a sent world is written."""
+    def _open_world(self, folder: Path) -> files.WorldSource:
+        """Open the world of a name, or the file to which a sent world is written."""
         if not self.request.document:
             if self.request.world not in world_names():
                 raise ValueError(bad_choice("world", self.request.world, world_names()))
-            return self.request.world
+            return files.open_world(self.request.world)
         path = folder / "your world.toml"
         write_text(files.to_toml(read_world(self.request.document)) + "\n", path)
-        return str(path)
+        return files.open_world(str(path))
 
     def start(self) -> None:
         """Run the episode in a new thread."""
@@ -243,7 +243,7 @@ class LiveEpisode:
 
     def world(self) -> str:
         """Serialize the world of this episode as a TOML world file."""
-        prepared, source = self._opened.prepared, files.open_world(self._world)
+        prepared, source = self._opened.prepared, self._world
         task = prepared.task
         if isinstance(source, files.WorldFile):
             world = dataclasses.replace(source, scenario=task.scenario, sensor=task.sensor)

@@ -29,7 +29,7 @@ from jaxlangnav.planner.config import AnyPolicy, split_arrays
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task import loading
-from jaxlangnav.world.files import open_world
+from jaxlangnav.world.files import WorldSource, open_world
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import NUM_SLOTS
 from jaxlangnav.world.templates import Template
@@ -91,9 +91,10 @@ def follow(
         ValueError: the sentence, the world or an option is refused; one line.
     """
     model = load_shipped() if model is None else model
-    understood = understand(text, model, loading.detector_of(str(world), model.type_names))
+    source = open_world(str(world))
+    understood = understand(text, model, loading.detector_of(source, model.type_names))
     opened = prepare_episode(
-        text, understood, str(world), sensing_range, policy, seed, particles, params=params
+        text, understood, source, sensing_range, policy, seed, particles, params=params
     )
     return record_episode(opened, max_steps)
 
@@ -101,7 +102,7 @@ def follow(
 def prepare_episode(
     text: str,
     understood: Understanding,
-    world: str,
+    source: WorldSource,
     sensing_range: float | None,
     policy: AnyPolicy,
     seed: int,
@@ -109,14 +110,14 @@ def prepare_episode(
     *,
     params: NavigatorParams | None = None,
 ) -> PreparedEpisode:
-    """Open a world for a grounded sentence; other arguments and errors as of ``follow``."""
+    """Prepare a world of ``open_world`` for a grounded sentence; the rest is as of ``follow``."""
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
-    loading.check_template(world, understood)
-    defaults, config = params_and_config(world, policy, particles)
+    loading.check_template(source, understood)
+    defaults, config = params_and_config(source, policy, particles)
     params = defaults if params is None else replace(params, policy=defaults.policy)
-    prepared = loading.load_task(world, understood, sensing_range=sensing_range, seed=seed)
+    prepared = loading.load_task(source, understood, sensing_range=sensing_range, seed=seed)
     motion = prepared.task.motion
     if prepared.is_sampled and not prepared.goal_exists:
         counts = loading.count_types(prepared.task.scenario, understood.type_names)
@@ -138,7 +139,7 @@ def navigator_params() -> NavigatorParams:
 
 
 def params_and_config(
-    world: str, policy: AnyPolicy, particles: int
+    source: WorldSource, policy: AnyPolicy, particles: int
 ) -> tuple[NavigatorParams, NavigatorConfig]:
     """Choose the navigator's default parameters and capacities for a world.
 
@@ -146,14 +147,14 @@ def params_and_config(
     ``Navigator.pretrained``; its capacities too where a world has more objects than the tables'.
 
     Args:
-        world: a template, a shipped world or a file.
+        source: of ``open_world``.
         policy: "informed", "faithful", or a custom policy.
         particles: P.
 
     Raises:
-        ValueError: no such world or policy, or a bad file.
+        ValueError: no such policy.
     """
-    source, (static, arrays) = open_world(world), split_arrays(policy)
+    static, arrays = split_arrays(policy)
     if isinstance(source, Template):
         return replace(navigator_params(), policy=arrays), navigator_config(static, particles)
     pretrained = Navigator.pretrained(policy)

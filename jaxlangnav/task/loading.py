@@ -21,7 +21,7 @@ from jaxlangnav.grounding.worlds import explain_mismatch
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import intended_goals, is_among, placed_world, with_goal
-from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
+from jaxlangnav.world.files import WorldFile, WorldSource, shipped_worlds
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import Template
 
@@ -59,20 +59,19 @@ class PreparedTask:
 
 
 def load_task(
-    world: str, understood: Understanding, *, sensing_range: float | None, seed: int
+    source: WorldSource, understood: Understanding, *, sensing_range: float | None, seed: int
 ) -> PreparedTask:
     """Build the task of one episode in a world file or a world sampled from a template.
 
     Args:
-        world: a template ("2H1C"), a shipped world or a file.
+        source: of ``open_world``.
         understood: the sentence; a template's world is sampled so that it is true there.
         sensing_range: metres; that of the world, 3 m for a template, where None.
         seed: of world and noise.
 
     Raises:
-        ValueError: no such world, a bad file, or a template that has nothing of what is asked.
+        ValueError: a template that has nothing of what is asked.
     """
-    source = open_world(world)
     if isinstance(source, WorldFile):
         given = {} if sensing_range is None else {"range_max": jnp.float32(sensing_range)}
         task = Task(
@@ -90,13 +89,12 @@ def load_task(
     return _sample_task(source, understood, sensing_range or 3.0, seed)
 
 
-def check_template(world: str, understood: Understanding) -> None:
+def check_template(source: WorldSource, understood: Understanding) -> None:
     """Refuse a template that lacks a mentioned object type, before a world is sampled.
 
     Raises:
         ValueError: one line that lists the template's objects.
     """
-    source = open_world(world)
     if isinstance(source, WorldFile):
         return
     counts = [("hydrant", source.num_hydrants), ("cone", source.num_cones)]
@@ -105,9 +103,8 @@ def check_template(world: str, understood: Understanding) -> None:
         raise ValueError(mismatch_message(source.name, counts, missing))
 
 
-def detector_of(world: str, type_names: Sequence[str]) -> Detector:
+def detector_of(source: WorldSource, type_names: Sequence[str]) -> Detector:
     """Build the detector of a world: its object types and attribute groups."""
-    source = open_world(world)
     if isinstance(source, WorldFile):
         return Detector(source.type_names, source.attribute_groups)
     return Detector(type_names)

@@ -50,7 +50,7 @@ import json
 import os
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.documents import read_document, shipped_file
@@ -66,6 +66,8 @@ from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
 
 MAX_FILE_BYTES = 256 * 1024
 """Limit of a world file's bytes; one of sixty-four objects has eight thousand."""
+WorldSource: TypeAlias = Template | WorldFile
+"""What ``open_world`` opens: a template to sample worlds from, or one world."""
 
 
 def load_world(path: str | Path) -> WorldFile:
@@ -91,7 +93,7 @@ def shipped_worlds() -> tuple[str, ...]:
     return tuple(sorted(Path(entry.name).stem for entry in data.iterdir()))
 
 
-def open_world(text: str) -> Template | WorldFile:
+def open_world(text: str) -> WorldSource:
     """Resolve a user's world argument: a template to sample from, a shipped world, or a file.
 
     Args:
