@@ -11,7 +11,8 @@ from jaxlangnav.dialogue import discourse_of, merge_utterance
 from jaxlangnav.dialogue.memory import AVOID_ALL, AVOID_IT
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
-from jaxlangnav.grounding.readings import Capacity, pad_to_capacity
+from jaxlangnav.grounding.instruction import pad_instruction
+from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.language.utterance import Kind, Wording, classify
 from jaxlangnav.messages import BEHIND, BETWEEN, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.pytree import replace
@@ -71,8 +72,7 @@ class Talk:
     def __init__(self, text: str, labels: Sequence[str] | None = None) -> None:
         self.grounder = GraphGrounder(load_shipped(), labels)
         grounded = self.ground(text)
-        told = grounded.instruction
-        wide = replace(told, readings=pad_to_capacity(told.readings, Capacity()))
+        wide = pad_instruction(grounded.instruction, Capacity())
         self.readings, self.words = wide.readings, discourse_of(wide, grounded.spoken)
         self.joined = None
 
@@ -205,7 +205,7 @@ def test_doubts_multiply() -> None:
     grounded = Talk("go to the car")
     told = replace(grounded.ground("go to the car").instruction, readings=readings)
     joined = merge_utterance(
-        pad_to_capacity(readings, Capacity()), discourse_of(told, None),
+        pad_instruction(told, Capacity()).readings, discourse_of(told, None),
         replace(told, readings=by_hand.readings(
             [[CAR], [HYDRANT]], [[(0, NONE, NONE, False)]] * 2, [0.6, 0.4], sizes=(4, 6, 4)
         )),

@@ -16,8 +16,8 @@ from jaxlangnav.dialogue import DiscourseInfo, Merged, discourse_of, merge_utter
 from jaxlangnav.episode import EpisodeResult, EpisodeState, Task
 from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.readings import Capacity, pad_to_capacity
+from jaxlangnav.grounding.instruction import Instruction, pad_instruction
+from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState, speech_acts
 from jaxlangnav.navigator.speech_acts import Effect, tell
@@ -74,14 +74,13 @@ def ground_dialogue(text: str, true_text: str, false_text: str) -> Sentence:
     """Ground a command, alone and merged with a true and with a false statement."""
     model = load_shipped()
     command = understand(text, model)
-    readings = pad_to_capacity(command.instruction.readings, Capacity())
-    padded = replace(command.instruction, readings=readings)
+    padded = pad_instruction(command.instruction, Capacity())
     words = discourse_of(padded, command.spoken)
 
     def merge(statement: str) -> Merged:
         understood = understand(statement, model)
         reading = understood.instruction, understood.spoken
-        return merge_utterance(readings, words, *reading, is_new_task=False, is_asked=False)
+        return merge_utterance(padded.readings, words, *reading, is_new_task=False, is_asked=False)
 
     return Sentence(
         instruction=jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], padded),

@@ -16,7 +16,7 @@ from jaxlangnav.grounding.annotation import AnnotationBelief, describe_annotatio
 from jaxlangnav.grounding.binding import BoundSentence, Detector, noun_text
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import CompiledClause, compile_clause, empty_clause
-from jaxlangnav.grounding.readings import to_readings
+from jaxlangnav.grounding.readings import Capacity, to_readings
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, count_factors
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.parser import parse
@@ -30,7 +30,7 @@ from jaxlangnav.language.reference import (
     type_sense,
 )
 from jaxlangnav.messages import NONE, Readings
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -117,6 +117,18 @@ class Instruction:
     metres: Array  # f32[C] from landmark to goal, as commanded; 0: the relation's typical distance
     frame: Array  # f32[C, 3] reference pose of a command: x, y, heading; metres, radians, frame of
     # the robot as it hears the sentence
+
+
+def pad_instruction(instruction: Instruction, capacity: Capacity) -> Instruction:
+    """Pad the readings of one sentence to the sizes of a whole dialogue (host)."""
+    padded = {}
+    for name in ("mention_type", "figure", "relation", "landmark", "rank"):
+        leaf = np.asarray(getattr(instruction.readings, name))
+        size = capacity.num_mentions if name == "mention_type" else capacity.num_relations
+        widths = ((0, 0), (0, size - leaf.shape[1]))
+        padded[name] = np.pad(leaf, widths, constant_values=0 if name == "rank" else NONE)
+    readings = replace(instruction.readings, **jax.device_put(padded))
+    return replace(instruction, readings=readings)
 
 
 @dataclasses.dataclass(frozen=True)

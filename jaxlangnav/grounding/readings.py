@@ -19,7 +19,6 @@ from jaxlangnav.grounding.symbols import RELATION
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.inputs.sanitize import as_text
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
-from jaxlangnav.pytree import replace
 
 NUM_READINGS, NUM_MENTIONS, NUM_EDGES = 4, 6, 4
 
@@ -227,17 +226,6 @@ def to_readings(
             bound = dataclasses.replace(reading, mentions=tuple(map(type_of.get, reading.mentions)))
             bound_readings.append((bound, score - math.log(len(choices))))
     return pad_readings(bound_readings[:NUM_READINGS])
-
-
-def pad_to_capacity(readings: Readings, capacity: Capacity) -> Readings:
-    """Pad the readings of one sentence to the sizes of a whole dialogue (host)."""
-    padded = {}
-    for name in ("mention_type", "figure", "relation", "landmark", "rank"):
-        leaf = np.asarray(getattr(readings, name))
-        size = capacity.num_mentions if name == "mention_type" else capacity.num_relations
-        widths = ((0, 0), (0, size - leaf.shape[1]))
-        padded[name] = np.pad(leaf, widths, constant_values=0 if name == "rank" else NONE)
-    return replace(readings, **jax.device_put(padded))
 
 
 def pad_readings(ranked: Sequence[tuple[Reading, float]]) -> Readings:

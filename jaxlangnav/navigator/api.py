@@ -24,7 +24,8 @@ from jaxlangnav.dialogue import discourse_of
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import come_here
 from jaxlangnav.grounding.grounder import names_of
-from jaxlangnav.grounding.readings import Capacity, pad_to_capacity
+from jaxlangnav.grounding.instruction import pad_instruction
+from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.inputs.limits import bounded
 from jaxlangnav.inputs.object_types import is_anything, name_of
 from jaxlangnav.inputs.observations import SLOTS, validate_area, validate_pose
@@ -174,8 +175,7 @@ class Navigator:
         bounds = default.tolist() if area is None else validate_area(area).tolist()
         check_start(start, bounds)
         check_metric_goals(grounded.spoken, start, bounds)
-        readings = pad_to_capacity(grounded.instruction.readings, self.capacity)
-        instruction = replace(grounded.instruction, readings=readings)
+        instruction = pad_instruction(grounded.instruction, self.capacity)
         state = navigator.start(
             instruction,
             jnp.asarray(start, jnp.float32),

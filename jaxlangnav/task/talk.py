@@ -20,8 +20,8 @@ from jaxlangnav.experiments.dialogue import speak
 from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.command_summary import summarize_commands
 from jaxlangnav.grounding.grounder import names_of
-from jaxlangnav.grounding.instruction import Understanding
-from jaxlangnav.grounding.readings import Capacity, pad_to_capacity
+from jaxlangnav.grounding.instruction import Understanding, pad_instruction
+from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.inputs.sanitize import shorten
@@ -97,9 +97,8 @@ _MAX_PER_STEP = 8
 
 def padded(understood: Understanding) -> Understanding:
     """Pad the arrays of a sentence to the capacity of the dialogue state."""
-    instruction = understood.instruction
-    readings = jax.device_put(pad_to_capacity(instruction.readings, Capacity()))
-    return dataclasses.replace(understood, instruction=replace(instruction, readings=readings))
+    instruction = pad_instruction(understood.instruction, Capacity())
+    return dataclasses.replace(understood, instruction=instruction)
 
 
 def check_utterance(grounder: Grounder, first: Understanding, text: str) -> None:
