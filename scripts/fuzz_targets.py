@@ -24,13 +24,12 @@ from jaxlangnav.experiments.sweep_config import read_config
 from jaxlangnav.grounding import AnnotationGrounder, Context
 from jaxlangnav.grounding.weights import SHIPPED_WEIGHTS, load
 from jaxlangnav.inputs.documents import read_text, shipped_file
-from jaxlangnav.language.corpus import CorpusError, read_corpus
+from jaxlangnav.language.corpus import read_corpus
 from jaxlangnav.language.grammar import Grammar
 from jaxlangnav.language.lexicon import read_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.world.files import (
-    WorldFileError,
     load_world,
     open_world,
     save_world,
@@ -249,13 +248,13 @@ def _command_line(text: bytes, folder: Path) -> None:
 
 
 TARGETS = (
-    Target(name="world", seeds=_worlds, call=_world, refusals=(WorldFileError,)),
+    Target(name="world", seeds=_worlds, call=_world, refusals=(ValueError,)),
     Target(
         name="world-json", seeds=_json_worlds, call=partial(_world, suffix="json"),
-        refusals=(WorldFileError,),
+        refusals=(ValueError,),
     ),
     Target(name="lexicon", seeds=partial(_texts, "lexicon"), call=_lexicon, refusals=(ValueError,)),
-    Target(name="corpus", seeds=_corpus_lines, call=_corpus, refusals=(CorpusError,)),
+    Target(name="corpus", seeds=_corpus_lines, call=_corpus, refusals=(ValueError,)),
     Target(name="sweep", seeds=partial(_texts, "sweep"), call=_sweep, refusals=(ValueError,)),
     Target(name="manifest", seeds=_manifests, call=_manifest, refusals=(ValueError,)),
     Target(name="shard", seeds=lambda: [_valid_shard()], call=_shard, refusals=(FileError,)),

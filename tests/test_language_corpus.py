@@ -1,6 +1,7 @@
 """Corpora: format, validator, labels against labels made by hand, and what design.md asks."""
 
 import json
+import re
 from collections import Counter
 from importlib import resources
 
@@ -8,13 +9,7 @@ import pytest
 from corpus_labels import annotate, behave
 
 from jaxlangnav.language import corpus
-from jaxlangnav.language.corpus import (
-    CorpusError,
-    PlacedWorld,
-    load_corpus,
-    read_corpus,
-    read_example,
-)
+from jaxlangnav.language.corpus import PlacedWorld, load_corpus, read_corpus, read_example
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import MODES, RELATIONS
@@ -170,23 +165,22 @@ def changed(*path, value):
     ],
 )
 def test_faults_are_named(line, message):
-    with pytest.raises(CorpusError) as error:
+    with pytest.raises(ValueError, match=re.escape(message)) as error:
         read_example(line)
-    assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_files_are_checked_with_line_numbers(tmp_path, capsys):
     path = tmp_path / "own.jsonl"
     path.write_text(json.dumps(SOUND) + "\n\n# a comment\n" + changed("split", value="test"))
-    with pytest.raises(CorpusError, match=r"own.jsonl line 4: template 'robot' is in both splits"):
+    with pytest.raises(ValueError, match=r"own.jsonl line 4: template 'robot' is in both splits"):
         read_corpus(path)
     assert corpus.main([str(path)]) == 2
     path.write_text(json.dumps(SOUND))
     assert corpus.main([str(path)]) == 0
     assert "1 instructions, 5 phrases" in capsys.readouterr().out
     path.write_text("")
-    with pytest.raises(CorpusError, match="no instruction"):
+    with pytest.raises(ValueError, match="no instruction"):
         read_corpus(path)
-    with pytest.raises(CorpusError, match="cannot read"):
+    with pytest.raises(ValueError, match="cannot read"):
         read_corpus(tmp_path / "missing.jsonl")

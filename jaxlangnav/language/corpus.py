@@ -32,13 +32,19 @@ from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta
 
-from jaxlangnav.inputs.documents import DocumentError, parse_json, read_lines, shipped_file
+from jaxlangnav.inputs.documents import (
+    DocumentError,
+    error_prefix,
+    parse_json,
+    read_lines,
+    shipped_file,
+)
 from jaxlangnav.inputs.limits import MAX_METRES
 from jaxlangnav.inputs.sanitize import as_text, sanitize, shorten
 from jaxlangnav.inputs.schema import Name, Schema, convert
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
-from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
+from jaxlangnav.language.phrase import COMMAND, STATEMENT, Parse
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
 
 MAX_CORPUS_BYTES = 64 << 20
@@ -73,10 +79,6 @@ class _Line(Schema, forbid_unknown_fields=False):
     split: Literal["train", "test"]
     clauses: list[_Clause]
     worlds: list[_World]
-
-
-class CorpusError(ValueError):
-    """An invalid corpus; a one-line message with file, line and cause."""
 
 
 class PlacedWorld(NamedTuple):
@@ -115,7 +117,7 @@ class Example(NamedTuple):
 
 def _check(condition: bool, message: str) -> None:
     if not condition:
-        raise CorpusError(shorten(sanitize(message), _MAX_MESSAGE))
+        raise ValueError(shorten(sanitize(message), _MAX_MESSAGE))
 
 
 def _check_symbols(
@@ -176,19 +178,16 @@ def read_example(line: str) -> Example:
     """Parse and validate one line of a corpus, a JSON document as described in this module.
 
     Raises:
-        CorpusError: the cause, in one line.
+        ValueError: the cause, in one line.
     """
     try:
         document = parse_json(line)
-        _check(isinstance(document, dict), f"the line is {as_text(document)}, but must be a table")
-        record = convert(document, _Line)
-        parsed = parse(record.text, is_rewritten=False)
     except DocumentError as error:
-        raise CorpusError(f"the line {error}") from None
-    except LanguageError as error:
-        raise CorpusError(f"the text is refused: {error}") from None
-    except ValueError as error:
-        raise CorpusError(str(error)) from None
+        raise ValueError(f"the line {error}") from None
+    _check(isinstance(document, dict), f"the line is {as_text(document)}, but must be a table")
+    record = convert(document, _Line)
+    with error_prefix("the text is refused"):
+        parsed = parse(record.text, is_rewritten=False)
     count = len(record.clauses)
     _check(count == len(parsed.clauses), f"{count} clauses, parsed {len(parsed.clauses)}")
     return Example(
@@ -205,24 +204,18 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
     """Read and validate a corpus file; blank lines and lines that begin with ``#`` are skipped.
 
     Raises:
-        CorpusError: the first error, as ``file line N: cause``.
+        ValueError: the first error, as ``file line N: cause``.
     """
     path = Path(path)
-    try:
-        lines = read_lines(path, max_bytes=MAX_CORPUS_BYTES)
-    except ValueError as error:
-        raise CorpusError(str(error)) from None
     examples: list[Example] = []
     templates: dict[str, str] = {}
-    for line_number, line in lines:
+    for line_number, line in read_lines(path, max_bytes=MAX_CORPUS_BYTES):
         if line.startswith("#"):
             continue
-        try:
+        with error_prefix(f"{shorten(path.name)} line {line_number}"):
             example = read_example(line)
             split = templates.setdefault(example.template, example.split)
             _check(split == example.split, f"template '{example.template}' is in both splits")
-        except CorpusError as error:
-            raise CorpusError(f"{shorten(path.name)} line {line_number}: {error}") from None
         examples.append(example)
     _check(bool(examples), f"{path.name} holds no instruction")
     return tuple(examples)
@@ -240,7 +233,7 @@ def main(arguments: list[str]) -> int:
     for path in arguments:
         try:
             examples = read_corpus(path)
-        except CorpusError as error:
+        except ValueError as error:
             print(sanitize(str(error)), file=sys.stderr)
             status = 2
             continue

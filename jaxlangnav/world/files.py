@@ -58,7 +58,6 @@ from jaxlangnav.inputs.sanitize import as_text, shorten
 from jaxlangnav.inputs.schema import closest_choice
 from jaxlangnav.world.schema import (
     WorldFile as WorldFile,
-    WorldFileError as WorldFileError,
     world_from_dict as world_from_dict,
     world_to_dict as world_to_dict,
 )
@@ -74,17 +73,13 @@ def load_world(path: str | Path) -> WorldFile:
     """Read and validate a world file, .toml or .json.
 
     Raises:
-        WorldFileError: the file is unreadable or invalid; one line with the remedy.
+        ValueError: the file is unreadable or invalid; one line with the remedy.
     """
     path = _check_suffix(path)
     if not os.path.lexists(path):
         shipped = ", ".join(shipped_worlds())
-        raise WorldFileError(f"{path}: no such file; shipped worlds are {shipped}")
-    try:
-        table = read_document(path, max_bytes=MAX_FILE_BYTES)
-    except ValueError as error:
-        raise WorldFileError(str(error)) from None
-    return world_from_dict(table, file=path.name)
+        raise ValueError(f"{path}: no such file; shipped worlds are {shipped}")
+    return world_from_dict(read_document(path, max_bytes=MAX_FILE_BYTES), file=path.name)
 
 
 def shipped_worlds() -> tuple[str, ...]:
@@ -124,20 +119,20 @@ def save_world(world: WorldFile, path: str | Path) -> None:
     Numbers round-trip exactly as float32; a heading of more than a full turn is wrapped.
 
     Raises:
-        WorldFileError: the name ends in neither, or the file cannot be written.
+        ValueError: the name ends in neither, or the file cannot be written.
     """
     path, table = _check_suffix(path), world_to_dict(world)
     text = to_toml(table) if path.suffix.lower() == ".toml" else json.dumps(table, indent=2)
     try:
         write_text(text + "\n", path)
     except OSError as error:
-        raise WorldFileError(f"{path}: cannot be written: {error.strerror}") from None
+        raise ValueError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _check_suffix(path: str | Path) -> Path:
-    """Raise ``WorldFileError`` for another suffix than .toml or .json."""
+    """Raise ``ValueError`` for another suffix than .toml or .json."""
     if Path(path).suffix.lower() not in (".toml", ".json"):
-        raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
+        raise ValueError(f"{path}: a world file's name must end in .toml or .json")
     return Path(path)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 from msgspec import Meta, field, structs, to_builtins
 
+from jaxlangnav.inputs.documents import error_prefix
 from jaxlangnav.inputs.limits import MAX_METRES, MIN_STEP, MIN_VALUE, RANGES
 from jaxlangnav.inputs.object_types import ATTRIBUTES, attribute_code, attribute_words, group_of
 from jaxlangnav.inputs.observations import SLOTS
@@ -31,10 +32,6 @@ _MIN_EXTENT = 0.1
 """Minimum extent of an area along each axis, metres."""
 _Coordinate = Annotated[float, Meta(ge=-MAX_METRES, le=MAX_METRES)]
 _Drift = Annotated[float, Meta(ge=0.0, le=180.0)]
-
-
-class WorldFileError(ValueError):
-    """Raised for an invalid world file; the message is one line for its author."""
 
 
 class _Area(Schema):
@@ -196,13 +193,11 @@ def world_from_dict(table: Any, *, file: str) -> WorldFile:
         file: the file's name, for messages.
 
     Raises:
-        WorldFileError: anything is missing, unknown or outside its limits.
+        ValueError: anything is missing, unknown or outside its limits.
     """
     file = shorten(sanitize(file), MAX_NAME)
-    try:
+    with error_prefix(file):
         return _to_world(convert(table, _World), Path(file).stem)
-    except ValueError as error:
-        raise WorldFileError(f"{file}: {error}") from None
 
 
 def _to_world(world: _World, stem: str) -> WorldFile:
