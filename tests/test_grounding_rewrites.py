@@ -19,10 +19,9 @@ from jaxlangnav.grounding import (
     Grounded,
     RecordedRewrites,
     RewriteGrounder,
-    default_rewrite_params,
 )
 from jaxlangnav.grounding.readings import unpad_readings
-from jaxlangnav.grounding.rewrites import MAX_REWRITES
+from jaxlangnav.grounding.rewrites import MAX_REWRITES, check_temperature
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.messages import BEHIND, FRONT, NONE
 from jaxlangnav.training.shipped import MIN_TEMP, Judged, fit_source_temperature, log_likelihood
@@ -38,8 +37,7 @@ def graph() -> GraphGrounder:
 
 
 def rewriting(graph, *rewrites, temperature=1.0):
-    params = default_rewrite_params(temperature)
-    return RewriteGrounder(graph, lambda text: rewrites if text else (), params=params)
+    return RewriteGrounder(graph, lambda text: rewrites if text else (), temperature=temperature)
 
 
 def relations(grounded) -> dict[int, float]:
@@ -109,7 +107,7 @@ def test_where_none_is_left_one_line_says_so(graph) -> None:
     with pytest.raises(ValueError, match="log-probability nan"):
         rewriting(graph, (BEHIND_CAR, math.nan)).ground("x", START)
     with pytest.raises(ValueError, match=r"temperature is 0\.0"):
-        default_rewrite_params(0.0)
+        check_temperature(0.0)
 
 
 def test_equal_rewritings_add_up_and_too_many_are_noted(graph) -> None:

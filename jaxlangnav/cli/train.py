@@ -169,7 +169,7 @@ class Evaluate:
 
         sentences = read_sentences(path)
         keep_compiled_programs()
-        from jaxlangnav.grounding.rewrites import RecordedRewrites, default_rewrite_params
+        from jaxlangnav.grounding.rewrites import RecordedRewrites, check_temperature
         from jaxlangnav.grounding.weights import load_shipped
         from jaxlangnav.task import evaluation
 
@@ -182,7 +182,7 @@ class Evaluate:
             document |= evaluation.summarize_scores(scores)
             table, lines = evaluation.render_scores(document)
         else:
-            default_rewrite_params(self.temperature)
+            check_temperature(self.temperature)
             recorded = RecordedRewrites(self.rewrites)
             usable = evaluation.select_recorded(sentences, recorded)
             if num_missing := len(sentences) - len(usable):

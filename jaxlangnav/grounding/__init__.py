@@ -34,7 +34,6 @@ from jaxlangnav.grounding.rewrites import (
     RecordedRewrites as RecordedRewrites,
     RewriteGrounder as RewriteGrounder,
     RewriteSource as RewriteSource,
-    default_rewrite_params as default_rewrite_params,
 )
 from jaxlangnav.grounding.symbols import SymbolDomain as SymbolDomain
 from jaxlangnav.grounding.weights import load_shipped as load_shipped

@@ -14,9 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxlangnav.grounding.command_summary import CommandSummary, summarize_commands
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, WrappedGrounder
@@ -27,7 +25,7 @@ from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines
 from jaxlangnav.inputs.sanitize import quote
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.messages import ROBOT
-from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.pytree import replace
 
 MAX_REWRITES = 16
 """Maximum number of rewritings of one sentence that are read, likeliest first."""
@@ -45,24 +43,11 @@ class RewriteSource(Protocol):
         ...
 
 
-@pytree
-class RewriteParams:
-    """Calibration of the source's log-probabilities."""
-
-    temperature: Array  # f32[] above 0; weights are softmax(log-probability / temperature)
-
-
-def default_rewrite_params(temperature: float = 1.0) -> RewriteParams:
-    """Build parameters; ``fit_source_temperature`` finds a temperature for a source.
-
-    1 takes the source as calibrated, above 1 as overconfident.
-
-    Raises:
-        ValueError: the temperature is none; one line.
-    """
-    if not (math.isfinite(temperature) and temperature > 0.0):
-        raise ValueError(f"temperature is {temperature}, but must be a finite number above 0")
-    return RewriteParams(temperature=jnp.float32(temperature))
+def check_temperature(value: float) -> float:
+    """Return a temperature rounded to float32; ``ValueError`` if it is none."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise ValueError(f"temperature is {value}, but must be a finite number above 0")
+    return float(np.float32(value))
 
 
 class Read(NamedTuple):
@@ -76,13 +61,15 @@ class Read(NamedTuple):
 class RewriteGrounder(WrappedGrounder):
     """Grounder of the rewritings of a sentence, in place of the sentence itself."""
 
-    def __init__(
-        self, graph: Grounder, source: RewriteSource, *, params: RewriteParams | None = None
-    ) -> None:
-        """Combine a source of rewritings with a grounder of the controlled language."""
+    def __init__(self, graph: Grounder, source: RewriteSource, *, temperature: float = 1.0) -> None:
+        """Combine a source of rewritings with a grounder of the controlled language.
+
+        Weights are softmax(log-probability / ``temperature``): 1 takes the source as calibrated,
+        above 1 as overconfident; ``fit_source_temperature`` finds one for a source.
+        """
         super().__init__(graph)
         self.source = source
-        self.params = default_rewrite_params() if params is None else params
+        self.temperature = check_temperature(temperature)
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Ground a sentence by its rewritings; see ``Grounder.ground``."""
@@ -94,16 +81,15 @@ class RewriteGrounder(WrappedGrounder):
                 f"none of the {len(refusals)} rewritings of {quote(text)} can be read; "
                 f"the likeliest is {quote(refused)}: {reason}"
             )
-        temperature = float(self.params.temperature)
         if refusals:
-            log_refused = [score / temperature for item, score in rewrites if item in refusals]
-            log_all = [score / temperature for _, score in rewrites]
+            log_refused = [score / self.temperature for item, score in rewrites if item in refusals]
+            log_all = [score / self.temperature for _, score in rewrites]
             fraction = np.exp(np.logaddexp.reduce(log_refused) - np.logaddexp.reduce(log_all))
             notes += (
                 f"{len(refusals)} of {len(rewrites)} rewritings cannot be read and are left out, "
                 f"{fraction:.0%} of the weight",
             )
-        log_weights = np.array([read.log_probability for read in grounded]) / temperature
+        log_weights = np.array([read.log_probability for read in grounded]) / self.temperature
         log_weights -= np.logaddexp.reduce(log_weights)
         return _mixture(grounded, log_weights, notes)
 

@@ -10,12 +10,7 @@ import numpy as np
 from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.grounding.grounder import Context, FirstGrounder, GraphGrounder, Grounder
 from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.grounding.rewrites import (
-    RecordedRewrites,
-    RewriteGrounder,
-    default_rewrite_params,
-    verify_rewrites,
-)
+from jaxlangnav.grounding.rewrites import RecordedRewrites, RewriteGrounder, verify_rewrites
 from jaxlangnav.language.lexicon import is_reserved
 from jaxlangnav.language.phrase import MIN_PROBABILITY
 from jaxlangnav.task.comparison import difference
@@ -185,10 +180,9 @@ def score_variants(
         A JSON document: ``temperature``; ``arms``, a summary of ``summarize_scores`` for each
         grounder, with the same counts of the sentences ``meant`` to be read and ``to_refuse``.
     """
-    params = default_rewrite_params(temperature)
 
     def rewritten(graph: GraphGrounder) -> RewriteGrounder:
-        return RewriteGrounder(graph, recorded, params=params)
+        return RewriteGrounder(graph, recorded, temperature=temperature)
 
     wrappers: dict[str, GrounderWrapper] = {
         GRAPH: lambda graph: graph,
