@@ -45,7 +45,7 @@ from jaxlangnav.relations.fit import FRAMES, make_pairs
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.training import TrainingConfig, scoring
-from jaxlangnav.training.examples import annotation_examples, labelled_instruction
+from jaxlangnav.training.examples import labelled_instruction, model_examples
 from jaxlangnav.training.fit import build_design, by_kind, on_device, loss, l2_vector, train_weights
 from jaxlangnav.viz import style
 
@@ -307,7 +307,7 @@ GROUPS = ("bias", *FEATURE_GROUPS)
 types = load_lexicon().type_names
 instructions = [labelled_instruction(example, types) for example in load_corpus(CORPUS)]
 vocabulary, design = build_design(
-    annotation_examples(instructions, types), ANNOTATION_KINDS, len(instructions)
+    model_examples("annotation", instructions, types), ANNOTATION_KINDS, len(instructions)
 )
 factored = on_device(design)
 is_test = draw_splits(len(instructions), SPLITS, 4)

@@ -37,7 +37,7 @@ from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.training import train_graph
-from jaxlangnav.training.examples import annotation_examples, examples_of
+from jaxlangnav.training.examples import examples_of, model_examples
 from jaxlangnav.training.fit import TrainingConfig
 from jaxlangnav.viz.graph import beliefs_figure
 
@@ -225,7 +225,7 @@ def test_the_engine_s_symbols_are_two_more_spaces():
     for one in instructions:
         behavior = CorrespondenceGraph(Behaviors(TYPES, one.rank), model.behavior)
         assert all(is_right(behavior, tree) for trees in one.behaviors for tree in trees)
-    made = annotation_examples(instructions, TYPES)
+    made = model_examples("annotation", instructions, TYPES)
     for mine, own in zip(examples_of(graph.space, trees), made, strict=True):
         assert mine.phrase == own.phrase
         for kind in (SYMBOLS, RANKS):

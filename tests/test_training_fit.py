@@ -17,13 +17,7 @@ from jaxlangnav.grounding.model import (
     Vocabulary,
     feature_group,
 )
-from jaxlangnav.training.examples import (
-    Design,
-    Factors,
-    annotation_examples,
-    behavior_examples,
-    tabulate,
-)
+from jaxlangnav.training.examples import Design, Factors, model_examples, tabulate
 from jaxlangnav.training.fit import (
     Problem,
     TrainingConfig,
@@ -44,7 +38,7 @@ SMALL = ("walk to the barrel", "find the car behind the tree", "park near the bo
 @pytest.fixture(scope="module")
 def small():
     instructions = corpus(num_worlds=1, sentences=SMALL)
-    examples = behavior_examples(instructions, TYPES)
+    examples = model_examples("behavior", instructions, TYPES)
     return examples, *build_design(examples, BEHAVIOR_KINDS, len(instructions))
 
 
@@ -61,12 +55,11 @@ def random_weights(design: Design, scale=0.3):
 
 
 @pytest.mark.parametrize(
-    ("build", "kinds"),
-    [(behavior_examples, BEHAVIOR_KINDS), (annotation_examples, ANNOTATION_KINDS)],
+    ("name", "kinds"), [("behavior", BEHAVIOR_KINDS), ("annotation", ANNOTATION_KINDS)]
 )
-def test_objective_is_the_sum_over_all_factors(build, kinds):
+def test_objective_is_the_sum_over_all_factors(name, kinds):
     """Joined and counted, side by side or not: the value is that of the examples one by one."""
-    examples = build(corpus(num_worlds=1, sentences=SMALL), TYPES)
+    examples = model_examples(name, corpus(num_worlds=1, sentences=SMALL), TYPES)
     vocabulary, design = build_design(examples, kinds, len(SMALL))
     weights = random_weights(design)
     model, total = CorrespondenceModel(vocabulary, weights), 0.0

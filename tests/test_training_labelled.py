@@ -25,9 +25,8 @@ from jaxlangnav.inputs.object_types import MAX_LABELS
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.training.examples import (
-    annotation_examples,
-    behavior_examples,
     labelled_instruction,
+    model_examples,
     read_annotation,
     read_behavior,
 )
@@ -59,8 +58,8 @@ def test_labels_stand_at_their_phrases():
 def test_statements_have_no_behavior():
     (labelled,) = corpus(sentences=("the barrel is behind the bench",))
     assert not any(labelled.behaviors)
-    assert behavior_examples([labelled], TYPES) == []
-    assert len(annotation_examples([labelled], TYPES)) == 4
+    assert model_examples("behavior", [labelled], TYPES) == []
+    assert len(model_examples("annotation", [labelled], TYPES)) == 4
 
 
 def test_ranks_pass_up():
@@ -85,10 +84,10 @@ def test_ranks_of_a_landmark_stay_below():
 
 def test_each_factor_is_an_example():
     instructions = corpus(num_worlds=1, sentences=("go to the car",))
-    examples = annotation_examples(instructions, TYPES)
+    examples = model_examples("annotation", instructions, TYPES)
     assert [len(e.blocks["symbol"].labels) for e in examples] == [494] * 3
     slots = len(instructions[0].behaviors[0][0].world.object_type)
-    examples = behavior_examples(instructions, TYPES)
+    examples = model_examples("behavior", instructions, TYPES)
     sizes = [sum(len(block.labels) for block in it.blocks.values()) for it in examples]
     assert sizes == [8 * slots, 8 * slots, 5 + 14 * slots]
 

@@ -34,7 +34,8 @@ _MAX_TEXT = 1 << 19
 _MAX_NAMES = 1 << 14  # limit on the word features of a model; the shipped ones have 347 and 341
 _MAX_WEIGHT = 1e6
 """Limit on the log-odds of one feature; the shipped ones reach 6.4. Larger sums may overflow."""
-_MODELS = {"annotation": ANNOTATION_KINDS, "behavior": BEHAVIOR_KINDS}
+MODEL_KINDS = {"annotation": ANNOTATION_KINDS, "behavior": BEHAVIOR_KINDS}
+"""Kinds of symbols of each model."""
 
 
 class _Provenance(Schema):
@@ -58,10 +59,10 @@ def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
     if len(set(header.names)) < len(header.names):
         raise ValueError(f"{name}: one of {len(header.names)} names of features stands twice")
     for kind, columns in header.properties.items():
-        if kind not in _MODELS[name] or tuple(columns) != property_names()[kind]:
+        if kind not in MODEL_KINDS[name] or tuple(columns) != property_names()[kind]:
             raise ValueError(f"the properties of {kind!r} are others than this version's")
     weights = {}
-    for kind in _MODELS[name]:
+    for kind in MODEL_KINDS[name]:
         shape = len(header.names), len(property_names()[kind])
         weights[kind] = read_floats(archive, f"{name}/{kind}", shape)
         if np.abs(weights[kind]).max() > _MAX_WEIGHT:
@@ -105,14 +106,14 @@ def load(path: Path | None) -> GroundingModel:
     """
     if path is None:
         return load_shipped()
-    weights = [f"{name}/{kind}.npy" for name, kinds in _MODELS.items() for kind in kinds]
-    members = ["about.npy", *(f"{name}.json.npy" for name in _MODELS), *weights]
+    weights = [f"{name}/{kind}.npy" for name, kinds in MODEL_KINDS.items() for kind in kinds]
+    members = ["about.npy", *(f"{name}.json.npy" for name in MODEL_KINDS), *weights]
     try:
         archive = open_arrays(read_file(path, max_bytes=_MAX_BYTES))
         if sorted(archive.namelist()) != sorted(members):
             raise ValueError("its arrays are not those of two models")
         trained = tuple(_document(archive, "about", _Provenance).types)
-        annotation, behavior = (_unpack(name, archive) for name in _MODELS)
+        annotation, behavior = (_unpack(name, archive) for name in MODEL_KINDS)
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         why = why.removeprefix(f"{path}: ")

@@ -5,9 +5,10 @@ paper is one factor, (phrase, symbol); one of ours is a phrase with the factors 
 Training uses the distinct factors with their counts.
 """
 
+import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -159,29 +160,29 @@ def _tree_examples(
         yield PhraseExample(node.phrase, blocks, instruction)
 
 
-def annotation_examples(
-    instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
+def _labelled_trees(
+    name: str, labelled: LabelledInstruction, type_names: tuple[str, ...]
+) -> Sequence[tuple[SymbolSpace[Any], Labelled[Any]]]:
+    """List the trees that an instruction has for a model, with their symbol spaces."""
+    annotations, behaviors = Annotations(type_names), Behaviors(type_names, labelled.rank)
+    return {
+        "annotation": [(annotations, tree) for tree in labelled.annotations],
+        "behavior": [(behaviors, tree) for tree in itertools.chain(*labelled.behaviors)],
+    }[name]
+
+
+def model_examples(
+    name: str, instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> list[PhraseExample]:
-    """Build the examples of the annotation model, one per phrase."""
-    space = Annotations(type_names)
+    """Build the examples of a model, one per phrase.
+
+    ``name``: "annotation", or "behavior" with one per phrase and world, without empty slots.
+    """
     return [
         example
         for index, labelled in enumerate(instructions)
-        for tree in labelled.annotations
+        for space, tree in _labelled_trees(name, labelled, type_names)
         for example in _tree_examples(space, tree, index)
-    ]
-
-
-def behavior_examples(
-    instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
-) -> list[PhraseExample]:
-    """Build the examples of the behavior model, one per phrase and world, without empty slots."""
-    return [
-        example
-        for index, labelled in enumerate(instructions)
-        for trees in labelled.behaviors
-        for tree in trees
-        for example in _tree_examples(Behaviors(type_names, labelled.rank), tree, index)
     ]
 
 

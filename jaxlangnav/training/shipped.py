@@ -19,15 +19,10 @@ from scipy.optimize import minimize
 
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, understand_parse
-from jaxlangnav.grounding.model import (
-    ANNOTATION_KINDS,
-    BEHAVIOR_KINDS,
-    CorrespondenceModel,
-    Vocabulary,
-)
+from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
 from jaxlangnav.grounding.rewrites import meaning_key
 from jaxlangnav.grounding.search import BEAM_WIDTH
-from jaxlangnav.grounding.weights import load_shipped
+from jaxlangnav.grounding.weights import MODEL_KINDS, load_shipped
 from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
 from jaxlangnav.language.lexicon import is_reserved, load_lexicon
 from jaxlangnav.language.parser import Sentence, acceptance_features, parse_rewritings, parse_tokens
@@ -36,9 +31,8 @@ from jaxlangnav.language.reader.model import ReaderModel
 from jaxlangnav.training.examples import (
     Design,
     LabelledInstruction,
-    annotation_examples,
-    behavior_examples,
     labelled_instruction,
+    model_examples,
 )
 from jaxlangnav.training.fit import build_design, fit
 from jaxlangnav.training.reader import (
@@ -116,11 +110,7 @@ def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
     )
 
 
-MODELS = ("annotation", "behavior")
-_BUILDS = {
-    "annotation": (annotation_examples, ANNOTATION_KINDS),
-    "behavior": (behavior_examples, BEHAVIOR_KINDS),
-}
+MODELS = tuple(MODEL_KINDS)
 
 
 class TrainingData(NamedTuple):
@@ -135,12 +125,11 @@ def training_data(
     name: str, instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> TrainingData:
     """Build the training data of one of ``MODELS``."""
-    build, kinds = _BUILDS[name]
-    examples = build(instructions, type_names)
+    examples = model_examples(name, instructions, type_names)
     sizes = np.zeros(len(instructions))
     for example in examples:
         sizes[example.instruction] += sum(len(block.labels) for block in example.blocks.values())
-    return TrainingData(*build_design(examples, kinds, len(instructions)), sizes)
+    return TrainingData(*build_design(examples, MODEL_KINDS[name], len(instructions)), sizes)
 
 
 class Trained(NamedTuple):
