@@ -32,7 +32,8 @@ from matplotlib.figure import Figure
 import jaxlangnav
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import closing
-from jaxlangnav.viz.panels import best_nodes, values_figure
+from jaxlangnav.viz.panels import values_figure
+from jaxlangnav.viz.summary import distinct_nodes
 
 jaxlangnav.keep_compiled_programs()
 mpl.rcParams.update(style.rc())
@@ -189,7 +190,7 @@ for policy, recording in pair.items():
     step = min(pair["faithful"].num_steps, recording.num_steps) - 2
     frame = recording.at(step)
     print(f"{policy}, step {step}:   place (m)     goal  information   cost   value")
-    for node in best_nodes(frame, 4):
+    for node in distinct_nodes(frame)[:4]:
         place = f"({frame.node_x[node]:5.1f}, {frame.node_y[node]:5.1f})"
         goal, information = frame.goal_value[node], frame.information_value[node]
         cost, value = frame.cost[node], frame.value[node]

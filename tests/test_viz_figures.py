@@ -16,6 +16,7 @@ from jaxlangnav.terrain.geodesic import among_walls
 from jaxlangnav.viz import html, mapping, panels, style
 from jaxlangnav.viz.narrative import describe_collision, narrate
 from jaxlangnav.viz.panels import belief_figure, values_figure
+from jaxlangnav.viz.summary import distinct_nodes
 
 
 @pytest.fixture(scope="module")
@@ -74,28 +75,28 @@ def test_nodes_carry_their_values_and_the_best_are_in_order_and_open(one):
     nodes = panels._draw_values(axes_of(one), one, 8)
     values = np.sort(frame.value[np.isfinite(frame.value)])
     assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(values)
-    best = panels.best_nodes(frame, 5)
+    best = distinct_nodes(frame)[:5]
     assert frame.value[best[0]] == pytest.approx(0.9)
     assert (np.diff(frame.value[best]) <= 0).all()
-    assert len(panels.best_nodes(frame, 50)) == np.isfinite(frame.value).sum()
+    assert len(distinct_nodes(frame)) == np.isfinite(frame.value).sum()
 
 
 def test_nodes_that_stand_together_are_one_place():
     frame = make_recording(9, 20).at(7)
     x, y, value = (np.array(leaf) for leaf in (frame.node_x, frame.node_y, frame.value))
-    best = panels.best_nodes(frame, 50)
+    best = distinct_nodes(frame)
     # A copy beside the best place, worth a little less, is no other place; far off it is.
     x[0], y[0], value[0] = x[best[0]] + 0.1, y[best[0]], value[best[0]] - 0.01
     beside = replace(frame, node_x=x, node_y=y, value=value)
-    assert 0 not in panels.best_nodes(beside, 50)
+    assert 0 not in distinct_nodes(beside)
     far = replace(beside, node_x=np.where(np.arange(len(x)) == 0, x + 2.0, x))
-    assert panels.best_nodes(far, 50)[1] == 0
+    assert distinct_nodes(far)[1] == 0
 
 
 def test_bars_add_up_to_the_value_and_where_it_stops_the_reason_stands_instead(one):
     axes, frame = axes_of(one), one.at(7)
     panels._draw_value_terms(axes, frame)
-    best = panels.best_nodes(frame)
+    best = distinct_nodes(frame)[: panels.NUM_BARS]
     widths = np.array([bar.get_width() for bar in axes.patches]).reshape(3, len(best))
     assert widths.sum(axis=0) == pytest.approx(frame.value[best], abs=1e-6)
     axes = axes_of(one)
@@ -110,7 +111,7 @@ def test_bars_add_up_to_the_value_and_where_it_stops_the_reason_stands_instead(o
 def test_the_best_waypoints_are_numbered_where_they_stand(one):
     axes, frame = axes_of(one), one.at(7)
     panels._draw_values(axes, one, 7)
-    best = panels.best_nodes(frame)
+    best = distinct_nodes(frame)[: panels.NUM_BARS]
     places = zip(frame.node_x[best], frame.node_y[best], strict=True)
     assert [(text.get_text(), text.xy) for text in axes.texts] == [
         (str(rank), place) for rank, place in enumerate(places, start=1)

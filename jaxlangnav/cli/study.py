@@ -13,8 +13,8 @@ from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifes
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.table import Report, Section, Table
 from jaxlangnav.experiments.tasks import SENTENCES
-from jaxlangnav.grounding.instruction import understand_parse
-from jaxlangnav.grounding.weights import load
+from jaxlangnav.grounding.instruction import understand
+from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
@@ -102,7 +102,7 @@ def _figure(
         policy = known[0] if len(known) == 1 else "faithful"
         seed, particles = settings.options.seed, settings.num_figure_particles
         with CompileClock() as clock, spinner(f"an episode in {name}"):
-            understood = understand_parse(parse(TEXT), load(None))
+            understood = understand(TEXT, load_shipped())
             options = open_world(name), None, policy, seed, particles
             prepared = prepare_episode(TEXT, understood, *options, params=settings.params)
             episode = record_episode(apply_to_episode(prepared, settings.values))
@@ -128,7 +128,7 @@ def _figure(
         def write(out: Path) -> Iterable[Path]:
             table = Table.of(document["moments"], MOMENT_COLUMNS).markdown()
             summary = {key: value for key, value in document.items() if key != "moments"}
-            manifest_, stem = manifest(summary, models=load(None)), out / name
+            manifest_, stem = manifest(summary, models=load_shipped()), out / name
             return [
                 *save(draw(episode, steps=steps), stem),
                 write_html(episode, stem.with_suffix(".html")),
@@ -177,17 +177,17 @@ FIGURE_4 = _figure(
 
 def _count_factors(_: Settings, output: Output) -> StudyResult:
     """Build the factor graph of the sentence, count its factors, and draw it (Figure 3)."""
-    model, parsed = load(None), parse(TEXT)
+    model = load_shipped()
     document: dict[str, Any] = {
         "experiment": "figure3",
         "instruction": TEXT,
-        "graph": understand_parse(parsed, model).graph(7),
+        "graph": understand(TEXT, model).graph(7),
         "paper": {"annotation": {"factors": 2964, "variables": 5934},
                   "behavior": {"factors": 383, "variables": 772}},
     }  # fmt: skip
     for row in _factors_table(document).rows:
         output.print(f"{row[0]}: {row[1]} factors (paper {row[2]}), {row[3]} variables ({row[4]})")
-    return document, lambda out: save(graph_figure(parsed, model), out / "figure3")
+    return document, lambda out: save(graph_figure(parse(TEXT), model), out / "figure3")
 
 
 def _factors_table(document: Document) -> Table:

@@ -29,8 +29,6 @@ from jaxlangnav.navigator import NavigatorState, speech_acts
 from jaxlangnav.navigator.candidates import believed_pose, candidates, select_candidate, type_at
 from jaxlangnav.navigator.speech_acts import Effect
 
-_ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
-_KIND_OF = {act: kind for kind, act in _ACTS.items()}
 _INFORMING = {Kind.STATEMENT, Kind.CONSTRAINT}
 _NO_COMMAND = {Act.HALT: _INFORMING | {Kind.CORRECTION, Kind.ANSWER}, Act.CANCEL: _INFORMING}
 """Kinds of utterances that do not undo a preceding act: "Stop! That is the wrong one"."""
@@ -65,9 +63,9 @@ class Listener:
         """Process an utterance; see ``Navigator.take``."""
         is_asked = int(state.status) == Status.WHICH_ONE
         utterance = classify(text, is_asked=is_asked)
-        if utterance.kind is not None and utterance.kind in _ACTS:
+        if utterance.kind and utterance.kind in (Kind.HALT, Kind.RESUME, Kind.CANCEL):
             outcome = UtteranceOutcome(text=text, kind=utterance.kind)
-            return speech_acts.apply_act(state, _ACTS[utterance.kind]), outcome
+            return speech_acts.apply_act(state, Act(utterance.kind)), outcome
         if utterance.wording is not None:
             return self._process_wording(state, text, utterance)
         opening = opening_of(text)
@@ -108,7 +106,7 @@ class Listener:
         except ValueError as refusal:
             done = "halted" if act == Act.HALT else "the task is dropped"
             _log.warning("%s; the rest of what was said is left out: %s", done, refusal)
-            return _apply_act(state, UtteranceOutcome(text=text, kind=_KIND_OF[act]), act)
+            return _apply_act(state, UtteranceOutcome(text=text, kind=Kind(act)), act)
         outcome = dataclasses.replace(outcome, text=text)
         no_command = outcome.kind in _NO_COMMAND[act]
         return _apply_act(after, outcome, act) if no_command else (after, outcome)
@@ -273,7 +271,7 @@ class Listener:
 
 def _apply_act(state: NavigatorState, outcome: UtteranceOutcome, act: Act) -> _Updated:
     """Halt or cancel after the rest of an utterance that begins by that and has no command."""
-    return speech_acts.apply_act(state, act), dataclasses.replace(outcome, kind=_KIND_OF[act])
+    return speech_acts.apply_act(state, act), dataclasses.replace(outcome, kind=Kind(act))
 
 
 def check_metric_goals(

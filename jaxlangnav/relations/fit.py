@@ -238,18 +238,17 @@ def _standard_errors(free: _Free, curvature: Array, counts: Array) -> tuple[Rela
     return jax.tree.map(error, params), error(weight)
 
 
-def fit_relations(pairs: RelationPairs, init: RelationParams | None = None) -> RelationFit:
+def fit_relations(pairs: RelationPairs) -> RelationFit:
     """Fit relations and the mixture weights of their frames to labelled pairs.
 
-    Relations without pairs keep their initial parameters. "Near" and "far" have no direction: only
-    their distances are fitted. ``params`` of the fit goes through ``relations.prepare`` into
-    ``MapParams.relations``.
+    The default parameters are the start of the fit and the centre of the prior; relations without
+    pairs keep them. "Near" and "far" have no direction: only their distances are fitted. ``params``
+    of the fit goes through ``relations.prepare`` into ``MapParams.relations``.
 
     Args:
         pairs: N labelled pairs, of ``make_pairs``.
-        init: start of the fit and centre of the prior; the defaults if None.
     """
-    start = _encode(default_params() if init is None else init)
+    start = _encode(default_params())
     free, curvature, is_converged = _maximise(pairs, start)
     num_pairs = jnp.bincount(pairs.relation, length=len(MODELLED))
     params, log_weight = _decode(free)

@@ -171,14 +171,14 @@ class Scorer:
             self.on_sentence()
 
 
-def calibration_error(scores: Scores, num_bins: int = 10) -> float:
+def calibration_error(scores: Scores) -> float:
     """Compute the expected calibration error, in [0, 1]; 0 is perfectly calibrated.
 
-    ECE = Σ_b n_b / n · |accuracy_b − confidence_b|      over ``num_bins`` of equal width
+    ECE = Σ_b n_b / n · |accuracy_b − confidence_b|      over ten bins of equal width
     """
-    bins = np.minimum((scores.confidence * num_bins).astype(int), num_bins - 1)
+    bins = np.minimum((scores.confidence * 10).astype(int), 9)
     gap = scores.is_right.astype(float) - scores.confidence
-    total = np.bincount(bins, weights=gap, minlength=num_bins)
+    total = np.bincount(bins, weights=gap)
     return float(np.abs(total).sum() / max(len(gap), 1))
 
 

@@ -139,11 +139,6 @@ def belief_figure(
     return figure
 
 
-def best_nodes(frame: Snapshot, count: int = NUM_BARS) -> np.ndarray:
-    """Rank the open nodes of a step by value: i64[≤ count], nearby nodes merged."""
-    return distinct_nodes(frame)[:count]
-
-
 def values_figure(
     recording: Recording, *, steps: Sequence[int] | None = None, num_panels: int = 4
 ) -> "Figure":
@@ -202,7 +197,7 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
     mapping.draw_objects(axes, frame)
     mapping.draw_waypoint(axes, frame)
     mapping.draw_robot(axes, frame)
-    for rank, node in enumerate([] if frame.is_done else best_nodes(frame), start=1):
+    for rank, node in enumerate([] if frame.is_done else distinct_nodes(frame)[:NUM_BARS], start=1):
         axes.annotate(
             str(rank), (frame.node_x[node], frame.node_y[node]), xytext=(5, 5),
             textcoords="offset points", fontsize=7.5, fontweight="bold", zorder=9,
@@ -222,7 +217,7 @@ def _draw_value_terms(axes: "Axes", frame: Snapshot, *, with_label: bool = True)
         axes.text(0.02, 0.94, text, va="top", fontsize=8.5, transform=axes.transAxes)
         axes.axis("off")
         return
-    nodes = best_nodes(frame)
+    nodes = distinct_nodes(frame)[:NUM_BARS]
     rows = np.arange(len(nodes))
     goal = np.asarray(frame.goal_value)[nodes]
     information = np.asarray(frame.information_value)[nodes]
