@@ -72,7 +72,7 @@ REFUSED: list[tuple[list[str], str]] = [
     ([*GO, "--max-steps", "0"], "--max-steps is 0"),
     ([*GO, "--seed", "-1"], "--seed is -1"),
     ([*GO, "--policy", "clever"], "clever"),
-    ([*GO, "--world", "yrad"], "Did you mean 'yard'"),
+    ([*GO, "--world", "yrad"], 'did you mean "yard"'),
     ([*GO, "--world", "nowhere.toml"], "no such file"),
     ([*GO, "--out", __file__], "is a file"),
     (["ground", "go to the cone", "--world", "9H9C"], "hydrants"),

@@ -144,7 +144,7 @@ def test_a_socket_of_another_page_is_refused(client: Client, token: str, origin:
         ({"text": "x" * 1001}, "text has 1001 characters, but must have at most 1000"),
         ({"text": "go to the hydrant", "seed": -1}, "seed is -1, but must be a whole number"),
         ({"text": "go to the hydrant", "world": "/etc/passwd"}, "but must be one of: 1H1C"),
-        ({"text": "go to the hydrant", "world": "yard.toml"}, "Did you mean 'yard'?"),
+        ({"text": "go to the hydrant", "world": "yard.toml"}, 'did you mean "yard"?'),
         ({"text": "go to the hydrant", "document": "area = 3"}, "your world: area is 3"),
         ({"text": "go to the hydrant", "document": "{]"}, "your world:"),
         ({"text": "go to the hydrant", "range": 0}, "range is 0, but must be a number, at least"),

@@ -148,7 +148,7 @@ def test_open_world_tells_templates_shipped_worlds_and_files_apart(tmp_path: Pat
         with pytest.raises(ValueError, match=r"unknown world.*1H1C.*yard.*toml") as caught:
             open_world(text)
         assert "\n" not in str(caught.value)
-    with pytest.raises(ValueError, match="Did you mean 'yard'"):
+    with pytest.raises(ValueError, match='did you mean "yard"'):
         open_world("yrad")
     with pytest.raises(ValueError, match="has 9 hydrants: choose 1 to 4"):
         open_world("9H1C")
@@ -193,7 +193,7 @@ COMPLAINTS = [
     ("area.x_max", True, "area.x_max is True, but must be a number"),
     ("start.x", 14.0, r"start.x is 14.0, but the area reaches from 0 to 13: move it or enlarge"),
     ("start.heading", 400, "start.heading is 400, but must be a number, .* at most 360"),
-    ("goal.object", "hydrant", "goal.object is 'hydrant', but must be the name of an object.*'far"),
+    ("goal.object", "hydrant", "goal.object is 'hydrant', but must be .*did you mean .far"),
     ("goal", {"x": 1.0}, "goal.object is missing: name an object, or give x and y"),
     ("goal", {"x": 1.0, "y": 99.0}, "goal.y is 99.0, but the area reaches from -9 to 9"),
     ("goal.x", 1.0, "goal.object is given, and x or y as well: leave one out"),

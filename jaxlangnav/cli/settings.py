@@ -6,7 +6,6 @@ limits of a sweep's configuration; only where somebody uses one, so that plain h
 
 import contextlib
 import dataclasses
-import difflib
 import functools
 import math
 import re
@@ -14,6 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from jaxlangnav.cli.output import UsageError
+from jaxlangnav.inputs.sanitize import closest
 
 if TYPE_CHECKING:
     from jaxlangnav.task.follow import PreparedEpisode
@@ -150,8 +150,8 @@ def suggestion(flag: str, groups: Sequence[str], undotted: Iterable[str]) -> str
         matches = [option for option in undotted if option in dedicated[path[-1]]]
     else:
         known = options(groups)
-        names = difflib.get_close_matches(path[-1], [option.path[-1] for option in known], n=1)
-        matches = [option.flag for option in known if option.path[-1] in names]
+        name = closest(path[-1], [option.path[-1] for option in known])
+        matches = [option.flag for option in known if option.path[-1] == name]
         symbol = _SYMBOLS.get(path[-1])
         if symbol and not matches:
             matches = [option.flag for option in known if re.match(rf"{symbol}\b", option.help)]

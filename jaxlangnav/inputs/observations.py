@@ -5,7 +5,6 @@ observation. Here errors are reported before anything is compiled: degrees for r
 millimetres for metres, percent for fractions.
 """
 
-import difflib
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +22,7 @@ from jaxlangnav.inputs.limits import (
     number,
 )
 from jaxlangnav.inputs.object_types import ATTRIBUTES, attribute_code, group_of
-from jaxlangnav.inputs.sanitize import quote
+from jaxlangnav.inputs.sanitize import closest, quote
 
 SLOTS = (8, 16, 32, 64)
 """Padded numbers of detections; each has its own compiled program."""
@@ -33,8 +32,7 @@ def _type_index(name: Any, types: Sequence[str], what: str) -> int:
     if isinstance(name, str):
         if name in types:
             return types.index(name)
-        closest = difflib.get_close_matches(name, types, 1)
-        hint = f"did you mean {closest[0]!r}? " if closest else ""
+        hint = f"did you mean {near!r}? " if (near := closest(name, types)) else ""
         raise ValueError(
             f"{what} is of type {quote(name)}, which is none of {', '.join(types)}: {hint}"
             "pass types=navigator.type_names where the navigator has types of its own"

@@ -79,11 +79,17 @@ def shorten(text: str, max_length: int = _MAX_SHOWN) -> str:
     return text if len(text) <= max_length else text[: max_length - 1] + "…"
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suggest the closest known name, '; did you mean "follow"?', or return ""."""
+def closest(name: str, known: Iterable[str], *, cutoff: float = 0.6) -> str | None:
+    """Find the known name closest to a mistyped one, of any case and length; None if none is."""
     by_lower_case = {key.lower(): key for key in known}
-    matches = difflib.get_close_matches(name.lower(), by_lower_case, n=1)
-    return f'; did you mean "{by_lower_case[matches[0]]}"?' if matches else ""
+    found = difflib.get_close_matches(shorten(name).lower(), by_lower_case, n=1, cutoff=cutoff)
+    return by_lower_case[found[0]] if found else None
+
+
+def did_you_mean(name: str, known: Iterable[str], *, cutoff: float = 0.6) -> str:
+    """Suggest the closest known name, '; did you mean "follow"?', or return ""."""
+    match = closest(name, known, cutoff=cutoff)
+    return f'; did you mean "{match}"?' if match else ""
 
 
 def name_fault(text: str, *, max_length: int = MAX_NAME) -> str | None:

@@ -6,7 +6,6 @@ least 4".
 """
 
 import ctypes
-import difflib
 import re
 from collections.abc import Iterable
 from typing import Annotated, Any, TypeVar
@@ -14,7 +13,14 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, inspect
 
-from jaxlangnav.inputs.sanitize import MAX_NAME, as_text, name_fault, sanitize, shorten
+from jaxlangnav.inputs.sanitize import (
+    MAX_NAME,
+    as_text,
+    did_you_mean,
+    name_fault,
+    sanitize,
+    shorten,
+)
 
 _Document = TypeVar("_Document")
 Name = Annotated[str, Meta(pattern=r"\S", max_length=MAX_NAME)]
@@ -131,18 +137,12 @@ def _describe(value: Any, node: inspect.Type) -> str:
 def unknown_key(name: str, known: Iterable[str]) -> str:
     """Build the message for an unknown key, with the known ones and the closest."""
     names = sorted(known)
-    known = f"known keys are {', '.join(names)}{closest_choice(name, names)}"
+    known = f"known keys are {', '.join(names)}{did_you_mean(name, names)}"
     return f"{shorten(name)} is unknown: {known}"
 
 
 def bad_choice(name: str, value: Any, choices: Iterable[str], what: str = "one of") -> str:
     """Build the message for a value outside some choices, with the closest one."""
     words = list(choices)
-    listed = ", ".join(words) or "none so far"
-    return f"{name} is {as_text(value)}, but must be {what}: {listed}{closest_choice(value, words)}"
-
-
-def closest_choice(value: Any, choices: Iterable[str]) -> str:
-    """Suggest the closest choice, as in ". Did you mean 'hydrant'?", or nothing."""
-    closest = difflib.get_close_matches(shorten(str(value)), list(choices), n=1)
-    return f". Did you mean {closest[0]!r}?" if closest else ""
+    listed = f"{', '.join(words) or 'none so far'}{did_you_mean(str(value), words)}"
+    return f"{name} is {as_text(value)}, but must be {what}: {listed}"

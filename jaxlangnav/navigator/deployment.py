@@ -4,7 +4,6 @@
 """
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Mapping
 
@@ -12,6 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.inputs.limits import FOV_SPAN, LENGTH, MAX_FALSE, MAX_WRONG, SHARE, Quantity, number
+from jaxlangnav.inputs.sanitize import closest
 from jaxlangnav.messages import MotionParams, SensorParams, is_drifting
 from jaxlangnav.navigator.records import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
@@ -101,8 +101,8 @@ def set_params(numbers: Mapping[str, float | str], *, params: NavigatorParams) -
     }
     for name, value in numbers.items():
         if name not in record_of:
-            near, names = difflib.get_close_matches(name, record_of, 1), sorted(record_of)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
+            near = closest(name, record_of)
+            hint = f"did you mean {near}?" if near else f"there are {', '.join(sorted(record_of))}"
             raise ValueError(f"{name[:40]} is no number of the navigator: {hint}")
         key = record_of[name]
         checked = value if isinstance(value, str) else number(value, name)

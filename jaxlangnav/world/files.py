@@ -54,8 +54,7 @@ from typing import Any, TypeAlias
 
 from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.documents import read_document, shipped_file
-from jaxlangnav.inputs.sanitize import as_text, shorten
-from jaxlangnav.inputs.schema import closest_choice
+from jaxlangnav.inputs.sanitize import as_text, did_you_mean
 from jaxlangnav.world.schema import (
     WorldFile as WorldFile,
     world_from_dict as world_from_dict,
@@ -106,7 +105,7 @@ def open_world(text: str) -> WorldSource:
     if text.strip()[:1].isdigit():
         return parse_template(text)
     shipped = ", ".join(shipped_worlds())
-    hint = closest_choice(shorten(text), (*shipped_worlds(), *TEMPLATE_NAMES))
+    hint = did_you_mean(text, (*shipped_worlds(), *TEMPLATE_NAMES))
     raise ValueError(
         f"unknown world {as_text(text)}: give a template ({', '.join(TEMPLATE_NAMES)}), a shipped "
         f"world ({shipped}), or a .toml or .json file{hint}"

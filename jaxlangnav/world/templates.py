@@ -5,13 +5,11 @@ the distances of its known-map robot (column *Known*) determine the distance of 
 """
 
 import dataclasses
-import difflib
 import math
 import re
 from typing import NamedTuple
 
-from jaxlangnav.inputs.sanitize import as_text, shorten
-from jaxlangnav.inputs.schema import closest_choice
+from jaxlangnav.inputs.sanitize import as_text, did_you_mean, shorten
 
 RELATION_NAMES = ("null", "behind", "nearest")
 """Relations of Table 2's commands, "null": none; ``ScenarioParams.relation`` is an index."""
@@ -67,11 +65,10 @@ def parse_template(name: str) -> Template:
     if match is None:
         # "1C2H" means 2H1C
         reordered = re.sub(r"(\d+C)(\d+H)", r"\2\1", shorten(compact))
-        closest = difflib.get_close_matches(reordered, TEMPLATE_NAMES, n=1, cutoff=0.4)
-        hint = f" Did you mean {closest[0]}?" if closest else ""
+        hint = did_you_mean(reordered, TEMPLATE_NAMES, cutoff=0.4)
         raise ValueError(
             f"unknown world template {as_text(name)}: expected <hydrants>H<cones>C, one of "
-            f"{', '.join(TEMPLATE_NAMES)} or the like.{hint}"
+            f"{', '.join(TEMPLATE_NAMES)} or the like{hint}"
         )
     hydrants, cones = int(match[1]), int(match[2])
     for noun, count, minimum, maximum in (
@@ -87,7 +84,7 @@ def parse_template(name: str) -> Template:
 def check_relation(relation: str) -> int:
     """Return the index of one of ``RELATION_NAMES``, or raise a one-line ValueError."""
     if relation not in RELATION_NAMES:
-        choices = f"{', '.join(RELATION_NAMES)}{closest_choice(relation, RELATION_NAMES)}"
+        choices = f"{', '.join(RELATION_NAMES)}{did_you_mean(relation, RELATION_NAMES)}"
         raise ValueError(f"unknown relation {as_text(relation)}: choose one of {choices}")
     return RELATION_NAMES.index(relation)
 
