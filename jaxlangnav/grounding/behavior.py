@@ -29,7 +29,7 @@ from jaxlangnav.grounding.behavior_odds import (
     object_odds,
     objects_in,
     region_odds,
-    smallest,
+    smallest_with_index,
     take_of_beam,
     to_mask,
 )
@@ -91,7 +91,7 @@ def _combine(left: Combinations, right: Combinations) -> Combinations:
     """Find the four best combinations of two sorted lists of hypotheses, exactly."""
     left_cost, right_cost = jnp.unstack(left.cost), jnp.unstack(right.cost)
     cost = jnp.stack([left_cost[i] + right_cost[j] for i, j in _PAIRS])
-    values, indices = smallest(cost, _BEAM)
+    values, indices = smallest_with_index(cost, _BEAM)
     pair = jnp.stack(indices)
     i = jnp.where(pair < 4, 0, jnp.where(pair < 6, 1, pair - 4))
     j = jnp.where(pair < 4, pair, jnp.where(pair == 5, 1, 0))
@@ -108,12 +108,12 @@ def _four_best_sets(log_odds: Array, cost: Array, size: int) -> tuple[Array, Arr
     margin = jnp.abs(log_odds)
     # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
     base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-3))
-    (m1, m2, m3), (f1, f2, f3) = smallest(margin, 3)
+    (m1, m2, m3), (f1, f2, f3) = smallest_with_index(margin, 3)
     is_pair = (m1 + m2 < m3).astype(jnp.int32)
     costs = jnp.concatenate([base, base + m1, base + m2, base + jnp.minimum(m3, m1 + m2)])
-    values, indices = smallest(costs, _BEAM)
+    values, indices = smallest_with_index(costs, _BEAM)
     index = jnp.stack(indices)
-    rank, combination = index >> 2, index & 3
+    rank, combination = index >> 2, index & 3  # as ``costs`` lists them
     pair = (rank == 3) & (take_of_beam(is_pair, combination) == 1)
     flips = (
         jnp.where((rank == 1) | pair, take_of_beam(f1, combination), NONE),

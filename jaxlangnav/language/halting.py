@@ -41,9 +41,9 @@ def act_of(text: str) -> Act | None:
         different acts ("stop! never mind, go on"), halting has priority over cancelling, and both
         over resuming.
     """
-    parsed = [_urgencies(part) for part in _parts(text)]
-    urgencies = [urgency for part in parsed for urgency in part or ()]
-    return None if None in parsed or not urgencies else _URGENCY[min(urgencies)]
+    parsed = [_acts_in(part) for part in _parts(text)]
+    acts = [act for part in parsed for act in part or ()]
+    return None if None in parsed or not acts else min(acts, key=_URGENCY.index)
 
 
 def opening_of(text: str) -> tuple[Act, str] | None:
@@ -62,9 +62,9 @@ def opening_of(text: str) -> tuple[Act, str] | None:
         start = spans[size][1]
         between = text[spans[size - 1][2] : start].replace("-", "")
         is_split = words[size - 1] in _CONNECTIVES or words[size] in _table()["onward"]
-        urgencies = _urgencies(words[:size]) if is_split or _BREAK.search(between) else None
-        if urgencies and _URGENCY[urgencies[0]] != Act.RESUME:
-            return _URGENCY[urgencies[0]], text[start:]
+        acts = _acts_in(words[:size]) if is_split or _BREAK.search(between) else None
+        if acts and (act := min(acts, key=_URGENCY.index)) != Act.RESUME:
+            return act, text[start:]
     return None
 
 
@@ -86,7 +86,8 @@ def alarm_in(text: str, is_object: Callable[[str], bool]) -> str | None:
     parts = [[_correct(word) for word in part] for part in _parts(text, _MAX_ALARM_CHARACTERS)]
     tagged = " . ".join(" ".join(_tag(part, is_object)) for part in parts)
     unbound = _BOUND.sub("", tagged)
-    if -1 < _FORBIDDEN.sub("", tagged).find("go:") < tagged.rfind(" object:"):  # a command
+    has_command = -1 < _FORBIDDEN.sub("", tagged).find("go:") < tagged.rfind(" object:")
+    if has_command:  # "go carefully to the cone"
         unbound = re.sub(r"manner:\S+", "", unbound)
     if match := re.search(r"(?:verb|warning|manner):(\S+)", unbound):
         return f"'{match[1].replace('_', ' ')}' may ask to halt"
@@ -130,7 +131,7 @@ def halts_alone(words: str) -> bool:
     return act_of(words) is Act.HALT and words != "park"
 
 
-_URGENCY = (Act.HALT, Act.CANCEL, Act.RESUME)
+_URGENCY = (Act.HALT, Act.CANCEL, Act.RESUME)  # the most urgent first
 _CONNECTIVES = frozenset({"and", "then"})
 
 
@@ -142,19 +143,17 @@ def _parts(text: str, limit: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
     return [part.split() for part in _BREAK.split(plain) if part.strip()]
 
 
-def _urgencies(words: list[str]) -> tuple[int, ...] | None:
-    """Segment a part into wordings of the table: indices into ``_URGENCY``, most urgent reading."""
+def _acts_in(words: list[str]) -> frozenset[Act] | None:
+    """Segment a part into wordings of the table: all acts of all readings; None if it has none."""
     wordings, max_words = _wordings()
     words = [_correct(word) for word in words]
-    best: dict[int, tuple[int, ...]] = {0: ()}
+    acts: dict[int, frozenset[Act]] = {0: frozenset()}  # by the number of words read
     for end in range(1, len(words) + 1):
         for start in range(max(0, end - max_words), end):
             act = wordings.get(tuple(words[start:end]))
-            if act is not None and start in best:
-                acts = tuple(sorted({*best[start], *act}))
-                # Readings of polite words alone come last.
-                best[end] = min(best.get(end, acts), acts, key=lambda r: r or (len(_URGENCY),))
-    return best.get(len(words))
+            if act is not None and start in acts:
+                acts[end] = acts.get(end, frozenset()) | acts[start] | act
+    return acts.get(len(words))
 
 
 def _correct(word: str) -> str:
@@ -170,8 +169,7 @@ def _misspellings() -> tuple[frozenset[str], dict[str, str]]:
     wordings, _ = _wordings()
     known = frozenset(word for words in wordings for word in words)
     typos: dict[str, str] = {}
-    halt = (_URGENCY.index(Act.HALT),)
-    halts = [words[0] for words, act in wordings.items() if act == halt and len(words) == 1]
+    halts = [words[0] for words, act in wordings.items() if act == {Act.HALT} and len(words) == 1]
     for word in (word for word in halts if len(word) >= _MIN_LETTERS):
         typos[_REPEATS.sub(r"\1", word)] = word
         for i in range(1, len(word)):
@@ -200,10 +198,10 @@ def _table() -> dict[str, Any]:
 
 
 @cache
-def _wordings() -> tuple[dict[tuple[str, ...], tuple[int, ...]], int]:
-    """Load the wordings with their urgency, empty for polite words, and the maximum length."""
+def _wordings() -> tuple[dict[tuple[str, ...], frozenset[Act]], int]:
+    """Load the wordings with their act, none for polite words, and the maximum length."""
     table = _table()
-    acts: dict[tuple[str, ...], tuple[int, ...]] = {tuple(w.split()): () for w in table["around"]}
+    acts = {tuple(wording.split()): frozenset[Act]() for wording in table["around"]}
     for act in Act:
-        acts |= {tuple(wording.split()): (_URGENCY.index(act),) for wording in table[act]}
+        acts |= {tuple(wording.split()): frozenset({act}) for wording in table[act]}
     return acts, max(map(len, acts))
