@@ -210,6 +210,13 @@ def test_commands_and_what_to_keep_away_from(ask) -> None:
     assert (goals, len(found[0].landmarks)) == (["hydrant"], 2)
 
 
+@pytest.mark.parametrize("rank", ["second", "third", "fourth"])
+def test_a_thing_of_a_rank_is_the_goal(ask, rank: str) -> None:
+    (command,), goals = ask(f"go to the {rank} cone from the right")
+    assert goals == ["cone"]
+    assert command.probability > 0.9
+
+
 def test_a_region_and_a_manner(ask) -> None:
     found, goals = ask("carefully move behind the cone")
     assert goals == ["cone"]

@@ -27,7 +27,7 @@ from jaxlangnav.messages import (
     BehaviorWorld,
     Readings,
 )
-from jaxlangnav.relations.table import NUM_RANKS, SYMBOL_OF
+from jaxlangnav.relations.table import SYMBOL_OF
 
 _MIN_GOAL_PROB = 0.05
 """Probability below which a command has no goal, and the next one no previous goal."""
@@ -152,7 +152,8 @@ def _described_world(readings: Readings, reading: int) -> tuple[list[int], World
         for figure, relation, landmark, rank in readings.edges(reading).tolist()
         if relation != NONE
     ]
-    ranked = [(min(rank, NUM_RANKS) - 1, *edge) for rank, *edge in edges if rank > 0]
+    # The behavior model has one table beyond the first rank, of the one that is meant.
+    ranked = [(min(rank, 2) - 1, *edge) for rank, *edge in edges if rank > 0]
     world = World.of_edges([*types[mentions], ROBOT], [edge for _, *edge in edges], ranked)
     return [*mentions, robots[0] if robots else ROBOT], world
 

@@ -22,6 +22,7 @@ MOTION = "verb:"
 """Prefix of the classes of verbs of ``verbs.toml``."""
 _MAX_NAME_WORDS = 4
 _LINKS = frozenset({"and", "then", "so", "but", "because", "since", "cause"})
+_BAN_ENDS = _LINKS - {"and"} | {"while", "when"}
 _MERGED = {"mid": _RELATION, "sup_robot": "sup_adj"}
 """Classes merged with another one, as they differ only in the grammar."""
 _ENDINGS = ("ly", "ing", "ed", "s")
@@ -260,3 +261,18 @@ def find_relations(words: Sequence[str]) -> set[int]:
         for sense in chain(*(word.senses for word in entry))
         if sense.startswith("relation:")
     }
+
+
+def find_banned(sentence: ReaderSentence, ignored: Collection[int] = ()) -> set[str]:
+    """Find the names that are to be avoided: those between "avoid", if not ignored, and a verb."""
+    words, is_banned, banned = sentence.words, False, [""]
+    entries = load_lexicon().entries["avoid"].keys() | load_lexicon().entries["avoid_ing"].keys()
+    for index, word in enumerate(words):
+        begun = (words[index:stop] for stop in range(index + 1, len(words) + 1))
+        if index not in ignored and not entries.isdisjoint(begun):
+            is_banned = True
+        elif sentence.is_verb(index) or word in _BAN_ENDS:
+            is_banned = False
+        is_part = sentence.is_name[index] and is_banned
+        banned += [f"{banned.pop()} {singular(word)}"] if is_part else [""]
+    return {*banned} - {""}
