@@ -287,7 +287,7 @@ def test_crowded_worlds_get_the_sizes_for_places_as_they_are(number, slots, tmp_
     [
         ("go to the car", {}, "no car"),
         ("the hydrant is behind the cone", {}, "asks for nothing to be done"),
-        ("go to the hydrant", {"sensing_range": 0.0}, "must be positive"),
+        ("go to the hydrant", {"sensing_range": 0.0}, "range_max is .*give metres"),
         ("go to the hydrant", {"world": "nowhere.toml"}, "nowhere.toml"),
         ("go to the hydrant", {"policy": "infromed"}, "must be one of"),
         ("go to the zorbel", {}, "zorbel"),

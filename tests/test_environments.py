@@ -208,7 +208,7 @@ def test_discrete_actions_are_stop_and_whole_steps() -> None:
     [
         (functional.default_params, {"world": "9H1C"}, "hydrants"),
         (functional.default_params, {"relation": "beside"}, "beside"),
-        (functional.default_params, {"sensing_range": 0.0}, "sensing_range is 0"),
+        (functional.default_params, {"sensing_range": 0.0}, "range_max is 0"),
         (functional.default_params, {"world": "yard", "sensing_range": 1e9}, "range_max is 1e"),
         (functional.default_params, {"max_steps": 0}, "max_steps is 0"),
         (functional.default_params, {"instruction": "go"}, "in 1H1C worlds relation names"),

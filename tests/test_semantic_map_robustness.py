@@ -1,8 +1,5 @@
 """No silent death: contradictions, overflow, NaN; what cannot be is left out, said, forgotten."""
 
-import functools
-
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +9,7 @@ from hostile import MUTATIONS
 
 from jaxlangnav.messages import BEHIND, FRONT, NONE, ROBOT, Fault
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import filter as semantic_filter, gating
+from jaxlangnav.semantic_map import gating
 from jaxlangnav.semantic_map.motion import predict
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
@@ -308,16 +305,3 @@ def test_a_place_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(what,
 def test_a_place_that_may_be_is_taken() -> None:
     gating.check_start((0.0, 0.0, 0.0), by_hand.AREA)
     gating.check_start((-3.0, 0.0, 100.0), by_hand.AREA)
-
-
-@pytest.mark.slow
-def test_the_papers_step_has_no_components() -> None:
-    """It takes the same sound look as ours, and every look for sound."""
-    plain = jax.jit(functools.partial(semantic_filter.step, components=()))
-    sentence, numbers = by_hand.NULL, by_hand.params()
-    key, start = jax.random.key(0), by_hand.begin()
-    ours = by_hand.step_one(key, start, sentence, GOOD, params=numbers)
-    theirs = plain(key, start, sentence, GOOD, params=numbers)
-    chex.assert_trees_all_equal(ours[0].particles, theirs[0].particles)
-    nowhere = replace(GOOD, pose=jnp.full(3, jnp.nan))
-    assert not jnp.isfinite(plain(key, start, sentence, nowhere, params=numbers)[0].last_pose).any()

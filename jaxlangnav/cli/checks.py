@@ -1,7 +1,6 @@
 """Validation of options shared by several commands; errors state value, limit and remedy."""
 
 import importlib.util
-import math
 import os
 from pathlib import Path
 from typing import Annotated
@@ -28,12 +27,8 @@ def check_seed(value: int) -> None:
 
 def check_range(value: float | None) -> None:
     """Raise UsageError for a sensing range that is not a positive length or out of limits."""
-    if value is None:
-        return
-    if not (math.isfinite(value) and value > 0):
-        raise UsageError(f"--range is {value:g}, but must be a length above 0 m")
     low, high = RANGES
-    if not low <= value <= high:
+    if value is not None and not low <= value <= high:
         raise UsageError(f"--range is {value:g}, but must be between {low:g} m and {high:g} m")
 
 
@@ -41,9 +36,7 @@ def check_folder(option: str, path: Path | None) -> None:
     """Raise UsageError for an output folder that cannot be created or written."""
     if path is None:
         return
-    ancestor = path
-    while not ancestor.exists() and ancestor != ancestor.parent:
-        ancestor = ancestor.parent
+    ancestor = next(one for one in (path, *path.parents) if one.exists())
     if not ancestor.is_dir():
         raise UsageError(f"{option} is {path}, but {ancestor} is a file: name a folder")
     if not os.access(ancestor, os.W_OK):

@@ -141,11 +141,10 @@ def default_params(
         ValueError: an unknown world or relation, a sentence that is not understood or that nothing
             there fits, or a number outside its limits; one line.
     """
-    if sensing_range is not None and not sensing_range > 0.0:
-        raise ValueError(f"sensing_range is {sensing_range:g}, but must be above 0 m")
     check_minimum(1, max_steps=max_steps)
     model, source, is_find_task = load_shipped(), open_world(world), False
-    sensor, motion = default_sensor(sensing_range or 3.0), default_motion()
+    range_max = 3.0 if sensing_range is None else sensing_range
+    sensor, motion = default_sensor(range_max), default_motion()
     if isinstance(source, WorldFile):
         text = command_text(world=world, instruction=instruction)
         if not text:

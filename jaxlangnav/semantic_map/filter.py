@@ -5,7 +5,6 @@ re-ground the utterance in particles whose hypothesis was refuted (``proposal``)
 """
 
 import functools
-from collections.abc import Sequence
 from typing import Any
 
 import chex
@@ -21,10 +20,11 @@ from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.categorical import effective_sample_size, systematic
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import particle
+from jaxlangnav.semantic_map.additions import add_unreferenced, reset_weights, split_objects
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.components import COMPONENTS, Component
 from jaxlangnav.semantic_map.coverage import empty_coverage
-from jaxlangnav.semantic_map.gating import GatedStep, valid_start
+from jaxlangnav.semantic_map.gating import GatedStep, gate, valid_start
+from jaxlangnav.semantic_map.heading_bias import switch_bias_hypothesis
 from jaxlangnav.semantic_map.motion import drift_noise, predict
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, observe
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
@@ -161,7 +161,6 @@ def step(
     max_travel: Array | None = None,
     mentioned: Array | None = None,
     pools_counts: bool = False,
-    components: Sequence[Component] = COMPONENTS,
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run one filter step: predict (eq. 6), associate, update (7b, 8), re-ground (7a), resample.
 
@@ -175,28 +174,23 @@ def step(
         max_travel: f32[], metres that the robot can have gone since the last step; None: no bound.
         mentioned: bool[T], types that the task mentions; the others are bystanders; None: all.
         pools_counts: whether the mentioned types share one rate (``counts``).
-        components: additions to the paper's step, which has none.
     """
     _assert_arrays(belief, readings, observation)
     keys, is_uttered = jax.random.split(key, 4), belief.must_ground
     assoc, survive, resample = _draw(keys, observation.detection_type.size, belief.log_weight.size)
-    gated = GatedStep(observation, max_travel, mentioned)
-    for component in components:
-        belief, gated = component.before_motion(belief, gated)
+    belief, gated = gate(belief, GatedStep(observation, max_travel, mentioned))
+    belief, gated = split_objects(*reset_weights(belief, gated))
     # Sample the motion (eq. 6) and the data association (7b), and weigh (8).
     observed, noise = gated.observation, drift_noise(keys[0], belief)
     belief = predict(belief, observed.pose, gated.is_jump, noise, params=params)
     pooled = _num_pooled(belief, mentioned) if pools_counts else None
     belief, update = observe(assoc, belief, observed, params=params, num_pooled=pooled)
-    for component in components:
-        belief, gated = component.after_update(belief, gated)
+    belief, gated = add_unreferenced(belief, gated)
     # Sample new groundings of the utterance (7a) where they were refuted.
     ground = functools.partial(ground_words, params=params, context=context, num_pooled=pooled)
     grounded = reground(keys[1], survive, belief, readings, update, ground)
     belief, ess, is_resampled = _resample(resample, belief, grounded, params)
-    for component in components:
-        belief = component.after_resampling(belief)
-    return belief, FilterInfo(
+    return switch_bias_hypothesis(belief), FilterInfo(
         effective_sample_size=ess,
         is_resampled=is_resampled,
         num_regrounded=jnp.sum(grounded.is_fresh),

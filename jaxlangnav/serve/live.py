@@ -127,9 +127,10 @@ class LiveEpisode:
 
     def start(self) -> None:
         """Run the episode in a new thread."""
-        threading.Thread(target=self._run, daemon=True).start()
+        threading.Thread(target=self.run, daemon=True).start()
 
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Run the episode to its end, step by step; for its thread."""
         steps = self._opened.play(self._max_steps, self._source)
         try:
             with _compile_lock:
@@ -256,13 +257,3 @@ class LiveEpisode:
                 instruction=sanitize(" ".join(self._opened.text.split())),
             )
         return files.to_toml(files.world_to_dict(world)) + "\n"
-
-
-def warm_up(model: GroundingModel, folder: Path) -> None:
-    """Compile the programs for template worlds by one step of an episode; or ``RuntimeError``."""
-    request = Request(text="go to the hydrant behind the cone", max_steps=1)
-    episode = LiveEpisode(request, model=model, folder=folder, pace=0.0)
-    episode.close()
-    episode._run()
-    if episode.fault:
-        raise RuntimeError(episode.fault)

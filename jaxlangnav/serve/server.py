@@ -28,7 +28,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from jaxlangnav.grounding import GroundingModel
 from jaxlangnav.inputs.sanitize import sanitize
 from jaxlangnav.inputs.schema import convert
-from jaxlangnav.serve.live import LiveEpisode, Message, Request, read_world, warm_up, world_names
+from jaxlangnav.serve.live import LiveEpisode, Message, Request, read_world, world_names
 from jaxlangnav.viz.html import fill_page, page_json, render_html
 from jaxlangnav.world.files import MAX_FILE_BYTES
 
@@ -116,8 +116,13 @@ class Server:
         ]
 
     def warm_up(self) -> None:
-        """Compile ahead of the first sentence."""
-        warm_up(self._model, self._folder)
+        """Compile the programs for template worlds by one step of an episode."""
+        request = Request(text="go to the hydrant behind the cone", max_steps=1)
+        episode = LiveEpisode(request, model=self._model, folder=self._folder, pace=0.0)
+        episode.close()
+        episode.run()
+        if episode.fault:
+            raise RuntimeError(episode.fault)
 
     def close(self) -> None:
         """End every episode."""

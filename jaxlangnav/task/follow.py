@@ -112,9 +112,6 @@ def prepare_episode(
 ) -> PreparedEpisode:
     """Prepare a world of ``open_world`` for a grounded sentence; the rest is as of ``follow``."""
     understood.check_task()
-    if sensing_range is not None and not sensing_range > 0.0:
-        raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
-    loading.check_template(source, understood)
     defaults, config = params_and_config(source, policy, particles)
     params = defaults if params is None else replace(params, policy=defaults.policy)
     prepared = loading.load_task(source, understood, sensing_range=sensing_range, seed=seed)

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import MAX_STEPS, Task
@@ -73,12 +72,14 @@ def load_task(
         ValueError: a template that has nothing of what is asked.
     """
     if isinstance(source, WorldFile):
-        given = {} if sensing_range is None else {"range_max": jnp.float32(sensing_range)}
+        sensor = source.sensor
+        if sensing_range is not None:
+            sensor = replace(sensor, range_max=default_sensor(sensing_range).range_max)
         task = Task(
             key=jax.random.key(seed),
             scenario=source.scenario,
             instruction_index=jax.device_put(np.int32(0)),
-            sensor=replace(source.sensor, **given),
+            sensor=sensor,
             motion=source.motion,
         )
         texts = (source.instruction or "", understood.parse.instruction)
@@ -86,21 +87,7 @@ def load_task(
         # The world's goal is that of its own instruction.
         kwargs = {"is_default": source.has_goal and expected == given, "has_goal": source.has_goal}
         return _set_goal(source.name, task, understood, **kwargs)
-    return _sample_task(source, understood, sensing_range or 3.0, seed)
-
-
-def check_template(source: WorldSource, understood: Understanding) -> None:
-    """Refuse a template that lacks a mentioned object type, before a world is sampled.
-
-    Raises:
-        ValueError: one line that lists the template's objects.
-    """
-    if isinstance(source, WorldFile):
-        return
-    counts = [("hydrant", source.num_hydrants), ("cone", source.num_cones)]
-    counts = [(name, count) for name, count in counts if count]
-    if missing := absent_types(counts, understood.annotations, understood.type_names):
-        raise ValueError(mismatch_message(source.name, counts, missing))
+    return _sample_task(source, understood, 3.0 if sensing_range is None else sensing_range, seed)
 
 
 def detector_of(source: WorldSource, type_names: Sequence[str]) -> Detector:
@@ -181,6 +168,10 @@ def _sample_task(
 
     The first proposal is the world of the first episode of the tables with this seed.
     """
+    counts = [("hydrant", template.num_hydrants), ("cone", template.num_cones)]
+    counts = [(name, count) for name, count in counts if count]
+    if missing := absent_types(counts, understood.annotations, understood.type_names):
+        raise ValueError(mismatch_message(template.name, counts, missing))
     # Templates of Table 2's commands make these true.
     relations = {"behind": "behind", "near": "nearest"}
     matches = (
@@ -191,9 +182,7 @@ def _sample_task(
     )
     tasks = _sample_tasks(template, next(matches, "null"), sensing_range, seed, 1)
     prepared = _set_goal(template.name, tasks[0], understood, is_sampled=True)
-    counts = count_types(tasks[0].scenario, understood.type_names)
-    absent = absent_types(counts, understood.annotations, understood.type_names)
-    if prepared.goal_exists or absent:
+    if prepared.goal_exists:
         return prepared
     # "nearest" places each cone anywhere around its hydrant, so other relations may hold too.
     for task in _sample_tasks(template, "nearest", sensing_range, seed, _MAX_TRIES):

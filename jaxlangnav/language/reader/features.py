@@ -8,7 +8,7 @@ of any detector.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from itertools import accumulate, chain, pairwise
+from itertools import accumulate, chain, islice, pairwise
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, WORDS, load_lexicon
@@ -22,7 +22,6 @@ MOTION = "verb:"
 """Prefix of the classes of verbs of ``verbs.toml``."""
 _MAX_NAME_WORDS = 4
 _LINKS = frozenset({"and", "then", "so", "but", "because", "since", "cause"})
-_BAN_ENDS = _LINKS - {"and"} | {"while", "when"}
 _MERGED = {"mid": _RELATION, "sup_robot": "sup_adj"}
 """Classes merged with another one, as they differ only in the grammar."""
 _ENDINGS = ("ly", "ing", "ed", "s")
@@ -158,11 +157,9 @@ def _describe_clauses(sentence: ReaderSentence) -> list[str]:
 
 def _command_verb(sentence: ReaderSentence, clause: Sequence[int]) -> int | None:
     """Find the verb at the start of a clause, after conjunctions and openers, or None."""
-    for index in clause:
-        if sentence.words[index] in _LINKS or sentence.classes[index][0] in ("opener", "conn"):
-            continue
-        return index if sentence.is_verb(index) else None
-    return None
+    words, first = sentence.words, [names[0] for names in sentence.classes]
+    rest = (i for i in clause if words[i] not in _LINKS and first[i] not in ("opener", "conn"))
+    return next((index for index in islice(rest, 1) if sentence.is_verb(index)), None)
 
 
 def featurize(words: Sequence[str], labels: Collection[str]) -> list[list[str]]:
@@ -263,15 +260,16 @@ def find_relations(words: Sequence[str]) -> set[int]:
     }
 
 
-def find_banned(sentence: ReaderSentence, ignored: Collection[int] = ()) -> set[str]:
-    """Find the names that are to be avoided: those between "avoid", if not ignored, and a verb."""
+def find_banned(sentence: ReaderSentence) -> set[str]:
+    """Find the names that are to be avoided: those between "avoid" and a verb."""
     words, is_banned, banned = sentence.words, False, [""]
     entries = load_lexicon().entries["avoid"].keys() | load_lexicon().entries["avoid_ing"].keys()
+    entries = entries - {("mind",)}  # "would you mind"
     for index, word in enumerate(words):
         begun = (words[index:stop] for stop in range(index + 1, len(words) + 1))
-        if index not in ignored and not entries.isdisjoint(begun):
+        if not entries.isdisjoint(begun):
             is_banned = True
-        elif sentence.is_verb(index) or word in _BAN_ENDS:
+        elif sentence.is_verb(index) or word in _LINKS - {"and"} | {"while", "when"}:
             is_banned = False
         is_part = sentence.is_name[index] and is_banned
         banned += [f"{banned.pop()} {singular(word)}"] if is_part else [""]

@@ -86,27 +86,15 @@ class Labelling:
         words = (word for i in range(len(self.labels)) for word in self.read_as(i))
         return replace(self.sentence, words=tuple(words))
 
-    @cached_property
-    def _met_indices(self) -> set[int]:
-        """The words of edited spans that were met in training."""
-        return {i for run in self.runs if self.span_key(run) in self.met for i in run}
-
     def is_faithful(self) -> bool:
         """Check that quantities, bans and corrections stay, and no relation is made up."""
         checks = self._splits_quantity, self._edits_number, self._drops_choice
         is_edited = any(check(run) for run in self.runs for check in checks)
-        return not (is_edited or self._frees_banned()) and all(
-            self._is_converse(i) for run in self.runs for i in run if self.labels[i][1:]
+        return (
+            not is_edited
+            and find_banned(self.sentence) <= find_banned(self.output)
+            and all(self._is_converse(i) for run in self.runs for i in run if self.labels[i][1:])
         )
-
-    def _frees_banned(self) -> bool:
-        """Check whether a name is no longer avoided: "avoid the car, the tree" has two."""
-        read = [self.read_as(i) for i in range(len(self.labels))]
-        is_ban = [any("avoid" in name for w in words for name in classes_of(w)) for words in read]
-        # Training had "would you mind" without a ban.
-        ignored = {i for run in self.runs for i in run if not any(is_ban[j] for j in run)}
-        banned = find_banned(self.sentence, ignored & self._met_indices)
-        return not banned <= find_banned(self.output)
 
     def _drops_choice(self, run: range) -> bool:
         """Check whether a span deletes what a correction says, or what a rank counts by.
@@ -117,21 +105,19 @@ class Labelling:
         deleted = [i for i in run if self.labels[i] == DELETE]
         begin = next((i for i in run[:3] if words[i] in WORDS["amending"]), run.stop)
         said = [i for i in deleted if i > begin and run.start > 0]
-        is_choice = (self.sentence.is_name[i] or "ordinal" in classes[i] for i in said)
-        lost = {words[i] for i in itertools.compress(said, is_choice)} - {*output}
+        choice = {words[i] for i in said if self.sentence.is_name[i] or "ordinal" in classes[i]}
         is_ranked = any("ordinal" in classes_of(word) for word in output)
         relations = find_relations([words[i] for i in (deleted if is_ranked else said)])
-        return bool(lost) or not relations <= find_relations(output)
+        return not (choice <= {*output} and relations <= find_relations(output))
 
     def _edits_number(self, run: range) -> bool:
         """Check whether a span edits digits in a new way, in a clause of which words are kept."""
         words, clause = self.sentence.words, self.sentence.clause
         rest = {clause[i] for i in range(len(words)) if i not in run and words[i] not in MARKS}
         is_number = any(words[i][0].isdigit() and clause[i] in rest for i in run)
-        is_signed = self.labels[run[-1]] != DELETE and any(
-            map(is_quantity, words[run.stop : run.stop + 1])
-        )
-        return (is_number or is_signed) and self.span_key(run) not in self.met
+        if self.labels[run[-1]] != DELETE:  # as "minus 2 metres" would be
+            is_number |= any(map(is_quantity, words[run.stop : run.stop + 1]))
+        return is_number and self.span_key(run) not in self.met
 
     def _splits_quantity(self, run: range) -> bool:
         """Check whether a span deletes one part of a quantity: "3 metres and a quarter"."""
@@ -145,15 +131,15 @@ class Labelling:
     def _is_converse(self, index: int) -> bool:
         """Check that a new relation is the converse of a deleted one, or was met in training."""
         # "The house with the truck in front" is the house behind the truck.
-        words, label = self.sentence.words, self.labels[index]
-        new = find_relations(label[2 if label[0] == KEEP else 1 :].split())
+        words, new = self.sentence.words, find_relations(self.read_as(index))
         clause = self.sentence.clauses[self.sentence.clause[index]]
         deleted = find_relations([words[i] for i in clause if self.labels[i] == DELETE])
         own = find_relations(words[index : index + 1])
         binding = {PREPOSITION, *(WORDS["telling"] if deleted else ())}
-        is_bound = own or not binding.isdisjoint(self.sentence.classes[index])
-        is_bound = is_bound or (deleted and label[0] == KEEP)  # "the car the cone is behind"
-        is_free = index in self._met_indices and not is_bound
+        is_met = any(index in run and self.span_key(run) in self.met for run in self.runs)
+        # "The car the cone is behind" keeps its second article, with a relation before it.
+        is_bound = own or (deleted and self.labels[index][0] == KEEP)
+        is_free = is_met and not is_bound and binding.isdisjoint(self.sentence.classes[index])
         return is_free or new <= own.union(REGISTRY[relation].converse for relation in deleted)
 
     def edit_features(self) -> Counter[str]:

@@ -1,35 +1,19 @@
-"""Components: additions to the paper's filter step, as hooks (section 3.2; ours).
+"""Additions to the paper's filter step, before the motion and after the update (section 3.2; ours).
 
-A component may change belief and observation at three hooks of a step: before the motion update,
-after the measurement update, and after resampling. Without components the step is the paper's.
 Existence and counts are factors of eq. 7b and 8 (``association``, ``counts``).
 """
-
-from collections.abc import Callable
-from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from jaxlangnav.messages import Fault
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief, is_active, mean_drift, robot_position
-from jaxlangnav.semantic_map.gating import GatedStep, gate
-from jaxlangnav.semantic_map.heading_bias import switch_bias_hypothesis
+from jaxlangnav.semantic_map.gating import GatedStep
 from jaxlangnav.semantic_map.motion import correct_heading
 from jaxlangnav.semantic_map.unreferenced_objects import add_bystanders, exchange, split_by_type
 
-Change = Callable[[ParticleBelief, GatedStep], tuple[ParticleBelief, GatedStep]]
 
-
-class Component(NamedTuple):
-    """One addition to the paper's filter step: three hooks, each the identity by default."""
-
-    before_motion: Change = lambda belief, gated: (belief, gated)
-    after_update: Change = lambda belief, gated: (belief, gated)
-    after_resampling: Callable[[ParticleBelief], ParticleBelief] = lambda belief: belief
-
-
-def _reset_weights(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
+def reset_weights(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
     """Reset weights to uniform where all are zero or one is not finite, and flag the fault."""
     log_weight = belief.log_weight
     is_valid = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
@@ -38,7 +22,7 @@ def _reset_weights(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBe
     return replace(belief, log_weight=log_weight), gated._replace(fault=fault)
 
 
-def _split(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
+def split_objects(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
     """Split unreferenced objects (bystanders) from the particles' own, in map and detections."""
     listed, types, log_weight = belief.bystanders, gated.mentioned, belief.log_weight
     if types is None or listed.x.shape[0] == 0 or not belief.sensor_model.is_located:
@@ -49,7 +33,7 @@ def _split(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, Ga
     return belief, gated._replace(observation=observation, others=others)
 
 
-def _add_bystanders(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
+def add_unreferenced(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
     """Add the detected unreferenced objects to their list; count those that do not fit."""
     if gated.others is None:
         return belief, gated
@@ -64,12 +48,3 @@ def _add_bystanders(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleB
     corrected = correct_heading(belief, gated.others)
     updated, num_dropped = add_bystanders(belief.bystanders, corrected, robot)
     return replace(belief, bystanders=updated), gated._replace(num_dropped=num_dropped)
-
-
-COMPONENTS = (
-    Component(before_motion=gate),
-    Component(before_motion=_reset_weights),
-    Component(before_motion=_split, after_update=_add_bystanders),
-    Component(after_resampling=switch_bias_hypothesis),
-)
-"""Gating, weight reset, unreferenced objects, and the sign of a constant heading bias."""
