@@ -115,8 +115,8 @@ class Labelling:
         words, clause = self.sentence.words, self.sentence.clause
         rest = {clause[i] for i in range(len(words)) if i not in run and words[i] not in MARKS}
         is_number = any(words[i][0].isdigit() and clause[i] in rest for i in run)
-        if self.labels[run[-1]] != DELETE:  # as "minus 2 metres" would be
-            is_number |= any(map(is_quantity, words[run.stop : run.stop + 1]))
+        if any(self.labels[i] != DELETE for i in run):  # as in "minus 2 metres"
+            is_number |= any(w != "one" and is_quantity(w) for w in words[run.start : run.stop + 1])
         return is_number and self.span_key(run) not in self.met
 
     def _splits_quantity(self, run: range) -> bool:
