@@ -90,11 +90,6 @@ def _episode_study(name: str, settings: Settings) -> Study:
     return Study(
         **{field.name: getattr(experiment, field.name) for field in dataclasses.fields(Report)},
         run=run,
-        facts=lambda document: {
-            "episodes": f"{document['episodes']} a row and arm, seed {document['seed']}, "
-            f"{document['num_particles']} particles",
-            "models": f"SHA-256 {document['models_sha256']}",
-        },
     )
 
 
@@ -210,7 +205,6 @@ STUDIES = {
             "The corpora differ: the paper's 39 instructions were never published, ours ship "
             "in the package. The commands of Table 2 are in neither."
         ],
-        facts=lambda document: {"seed": str(document["seed"])},
     ),
     "fig1": FIGURE_1,
     "fig3": FACTOR_GRAPH,

@@ -30,6 +30,12 @@ from jaxlangnav.world.files import open_world
 StudyResult = tuple[dict[str, Any], Callable[[Path], Iterable[Path]]]
 """A document, and a function that writes its files into a folder."""
 
+_FACTS = {
+    "world": "world", "policy": "policy", "episodes": "episodes a row and arm", "seed": "seed",
+    "num_particles": "particles", "range": "sensing range, m", "models_sha256": "models, SHA-256",
+}  # fmt: skip
+"""Keys of documents that the report lists, with what it calls them."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
@@ -58,7 +64,6 @@ class Study(Report):
     """An experiment of ``reproduce``: its function and its section of the report."""
 
     run: Callable[[Settings, Output], StudyResult]  # runs it and prints its results
-    facts: Callable[[Document], Mapping[str, str]] = lambda _: {}  # further facts about the run
 
     def section(self, document: Document, command: str) -> Section:
         """Build the section of the report, with its SVG figures and tables."""
@@ -74,7 +79,7 @@ class Study(Report):
             notes=self.notes(document),
             facts={
                 "command": command,
-                **self.facts(document),
+                **{_FACTS[key]: str(document[key]) for key in _FACTS if key in document},
                 "wall time": duration,
                 "files": ", ".join(path.name for path in files),
             },
@@ -144,10 +149,6 @@ def _figure(
         run=run,
         tables=lambda document: [Table.of(document["moments"], MOMENT_COLUMNS)],
         notes=lambda _: _FIGURE_NOTES,
-        facts=lambda doc: {
-            "episode": f"world {doc['world']}, policy {doc['policy']}, seed {doc['seed']}, "
-            f"{doc['num_particles']} particles, sensing range {doc['range']:g} m"
-        },
     )
 
 

@@ -107,6 +107,20 @@ class ReaderSentence:
             for k in range(count)
         )
 
+    @cached_property
+    def banned(self) -> frozenset[str]:
+        """The names that are to be avoided: those between "avoid" and a verb."""
+        words, is_banned, banned = self.words, False, [""]
+        for index, word in enumerate(words):
+            begun = (words[index:stop] for stop in range(index + 1, len(words) + 1))
+            if not _bans().isdisjoint(begun):
+                is_banned = True
+            elif self.is_verb(index) or word in _LINKS - {"and"} | {"while", "when"}:
+                is_banned = False
+            is_part = self.is_name[index] and is_banned
+            banned += [f"{banned.pop()} {singular(word)}"] if is_part else [""]
+        return frozenset(banned) - {""}
+
     def is_room(self, index: int) -> bool:
         """Check whether the name that begins at a word, or its last word, is a room."""
         stop = next((i for i in range(index, len(self.words)) if not self.is_name[i]), None)
@@ -247,30 +261,27 @@ def _in_clause(
     return [*features, f"clauses={min(k, 2)}{min(count - 1 - k, 2)}"]
 
 
-def find_relations(words: Sequence[str]) -> set[int]:
-    """Find the relations named by expressions among words, as indices into ``RELATIONS``."""
-    text = f" {' '.join(words)} "
+@cache
+def _relations() -> dict[str, int]:
+    """Collect the expressions of relations, with indices into ``RELATIONS``."""
     return {
-        RELATIONS.index(sense.removeprefix("relation:"))
+        f" {' '.join(words)} ": RELATIONS.index(sense.removeprefix("relation:"))
         for name in ("rel", "beside", "side", "rel_robot")
-        for key, entry in load_lexicon().entries[name].items()
-        if f" {' '.join(key)} " in text
+        for words, entry in load_lexicon().entries[name].items()
         for sense in chain(*(word.senses for word in entry))
         if sense.startswith("relation:")
     }
 
 
-def find_banned(sentence: ReaderSentence) -> set[str]:
-    """Find the names that are to be avoided: those between "avoid" and a verb."""
-    words, is_banned, banned = sentence.words, False, [""]
-    entries = load_lexicon().entries["avoid"].keys() | load_lexicon().entries["avoid_ing"].keys()
-    entries = entries - {("mind",)}  # "would you mind"
-    for index, word in enumerate(words):
-        begun = (words[index:stop] for stop in range(index + 1, len(words) + 1))
-        if not entries.isdisjoint(begun):
-            is_banned = True
-        elif sentence.is_verb(index) or word in _LINKS - {"and"} | {"while", "when"}:
-            is_banned = False
-        is_part = sentence.is_name[index] and is_banned
-        banned += [f"{banned.pop()} {singular(word)}"] if is_part else [""]
-    return {*banned} - {""}
+def find_relations(words: Sequence[str]) -> set[int]:
+    """Find the relations named by expressions among words, as indices into ``RELATIONS``."""
+    text = f" {' '.join(words)} "
+    return {relation for expression, relation in _relations().items() if expression in text}
+
+
+@cache
+def _bans() -> frozenset[tuple[str, ...]]:
+    """Collect the expressions for "avoid", less those that also begin any command ("mind")."""
+    entries = load_lexicon().entries
+    bans = entries["avoid"].keys() | entries["avoid_ing"].keys()
+    return frozenset(bans - entries["opener_ing"].keys())

@@ -23,7 +23,6 @@ from jaxlangnav.language.reader.features import (
     PREPOSITION,
     ReaderSentence,
     classes_of,
-    find_banned,
     find_relations,
 )
 from jaxlangnav.language.reader.model import (
@@ -92,7 +91,7 @@ class Labelling:
         is_edited = any(check(run) for run in self.runs for check in checks)
         return (
             not is_edited
-            and find_banned(self.sentence) <= find_banned(self.output)
+            and self.sentence.banned <= self.output.banned
             and all(self._is_converse(i) for run in self.runs for i in run if self.labels[i][1:])
         )
 
