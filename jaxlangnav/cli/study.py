@@ -89,13 +89,6 @@ class Study(Report):
 TEXT = SENTENCES["behind"]  # the sentence of all three figures
 
 
-_FIGURE_NOTES = [
-    "Probabilities that the goal is an object seen, or unseen left or right of where the robot "
-    "faced at first; the spread of the unseen goal; the share of the area seen.",
-    "The paper prints no coordinates; the arrangement is ours, a world of the package.",
-]
-
-
 def _figure(
     title: str, name: str, num_panels: int, draw: Callable[..., Any], paper: str, ours: str
 ) -> Study:
@@ -148,7 +141,11 @@ def _figure(
         intro=f"{paper} {ours}",
         run=run,
         tables=lambda document: [Table.of(document["moments"], MOMENT_COLUMNS)],
-        notes=lambda _: _FIGURE_NOTES,
+        notes=lambda _: [
+            "Probabilities that the goal is an object seen, or unseen left or right of where the "
+            "robot faced at first; the spread of the unseen goal; the share of the area seen.",
+            "The paper prints no coordinates; the arrangement is ours, a world of the package.",
+        ],
     )
 
 

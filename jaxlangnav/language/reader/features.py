@@ -113,10 +113,8 @@ class ReaderSentence:
         words, is_banned, banned = self.words, False, [""]
         for index, word in enumerate(words):
             begun = (words[index:stop] for stop in range(index + 1, len(words) + 1))
-            if not _bans().isdisjoint(begun):
-                is_banned = True
-            elif self.is_verb(index) or word in _LINKS - {"and"} | {"while", "when"}:
-                is_banned = False
+            is_end = self.is_verb(index) or word in _LINKS - {"and"} | {"while", "when"}
+            is_banned = not _bans().isdisjoint(begun) or (is_banned and not is_end)
             is_part = self.is_name[index] and is_banned
             banned += [f"{banned.pop()} {singular(word)}"] if is_part else [""]
         return frozenset(banned) - {""}
