@@ -12,7 +12,7 @@ from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.runtime import spinner
 from jaxlangnav.cli.settings import apply_to_episode, read_options
-from jaxlangnav.inputs.limits import check_minimum
+from jaxlangnav.inputs.limits import check_minimum, check_seed
 
 if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
@@ -83,8 +83,7 @@ class Follow:
     weights: checks.File = None
     """Trained models, written by jaxlangnav train; the shipped ones if not given."""
     json: bool = False
-    """Print one JSON document; known_distance is the way to the goal,
-    straight_distance to where it may stop."""
+    """Print one JSON document; known_distance is the way to the goal itself."""
     settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:
@@ -124,7 +123,7 @@ class Follow:
     def _check(self) -> dict[int, list[str]]:
         """Validate the options; returns the scripted utterances by step."""
         checks.check_range(self.range)
-        checks.check_seed(self.seed)
+        check_seed(self.seed, "--seed")
         check_minimum(2, **{"--particles": self.particles})
         check_minimum(1, **{"--max-steps": 1 if self.max_steps is None else self.max_steps})
         checks.check_folder("--out", self.out)
@@ -232,7 +231,6 @@ class Follow:
             **speech.describe_talk(recording),
             "distance": result.distance,
             "known_distance": scene.known_distance,
-            "straight_distance": scene.shortest_distance,
             "goal_distance": result.goal_distance,
             "steps": result.steps,
             "goal": scene.scenario.goal,

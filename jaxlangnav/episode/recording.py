@@ -115,11 +115,6 @@ class StaticScene:
     unscored: str = "nothing there fits the sentence"  # why it is not
 
     @property
-    def shortest_distance(self) -> float:
-        """Minimum travel distance from the start to within the stop radius, metres."""
-        return max(0.0, self.known_distance - self.stop_radius)
-
-    @property
     def area(self) -> tuple[float, float, float, float]:
         """The operating area, x_min, x_max, y_min, y_max, metres."""
         x_min, x_max, y_min, y_max = (float(edge) for edge in self.scenario.area)

@@ -180,10 +180,7 @@ def closing(scene: StaticScene, frame: Snapshot, result: EpisodeResult) -> list[
     missing = sentences.describe_missing(scene, frame)
     path = f"It walked {float(result.distance):.1f} m."
     if scene.is_scored:
-        path += (
-            f" With the map known, straight on until it may stop ({scene.stop_radius:g} m from "
-            f"the goal) would have been {scene.shortest_distance:.1f} m."
-        )
+        path += f" With the map known, the way to the goal itself is {scene.known_distance:.1f} m."
     counts = (
         (int(result.overflow), "{} detections found no free slot."),
         (int(result.degenerate), "In {} steps all hypotheses had died."),

@@ -78,8 +78,7 @@ def verdict(recording: Recording) -> str:
     error, distance = float(result.goal_distance), float(result.distance)
     return (
         f"{recording.scene.policy} policy: {ending}, {error:.1f} m from the meant goal after "
-        f"{distance:.1f} m (known map, to where it may stop: "
-        f"{recording.scene.shortest_distance:.1f} m)"
+        f"{distance:.1f} m (known map, to the goal itself: {recording.scene.known_distance:.1f} m)"
     )
 
 
