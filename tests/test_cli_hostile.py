@@ -18,8 +18,6 @@ from jaxlangnav.cli.main import parse_arguments
 from jaxlangnav.cli.output import Output, platform_fault, write_document
 from jaxlangnav.cli.reproduce import Reproduce
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.language.parser import parse
-from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.task.follow import navigator_params
@@ -222,13 +220,6 @@ def test_one_missing_platform_of_several_is_named(monkeypatch: pytest.MonkeyPatc
     failure = RuntimeError("Unable to initialize backend 'nope': unknown")
     assert str(platform_fault(failure)).startswith('JAX_PLATFORMS is "cpu,nope", but')
     assert platform_fault(RuntimeError("something else")) is None
-
-
-@pytest.mark.parametrize("text", ["go to the zorb\x07", "Stop! \x1b[31m", "go\x00 to"])
-def test_a_refusal_of_a_sentence_cannot_act_on_a_terminal(text: str) -> None:
-    with pytest.raises(LanguageError) as caught:
-        parse(text)
-    assert str(caught.value).isprintable()
 
 
 # ----------------------------------------------------------- options made from the engine's records

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from jaxlangnav.inputs.object_types import group_of
 from jaxlangnav.language.lexicon import REASONS, WORDS, load_lexicon
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 from jaxlangnav.language.reference import is_untyped
@@ -13,6 +14,7 @@ NOUN = "?noun"
 """Terminal of a token that can only be a noun."""
 UNKNOWN_HERE = "unknown word, and no reading fits it; say it in other words"
 _NO_READING = "cannot be read here; say it in plainer words, or in commands joined by 'then'"
+_LOOKS = "how a thing looks is said before its name, as in 'the red ball'"
 _STRONG_REASONS = (REASONS["negation"], REASONS["condition"])
 _FUNCTION, _ARTICLES = WORDS["small"], WORDS["pointing_articles"]
 
@@ -58,12 +60,15 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
         is_distance = refused.get(following) == REASONS["a distance"]  # "two metres"
         reason = refused[following] if is_distance else reasons[position] or UNKNOWN_HERE
         return _refusal(culprits[:1], reason)
+    if stuck is None and (read[-1].text,) in load_lexicon().entries["side"]:
+        return _refusal(read[-1:], REASONS["an open end"])
     if stuck is None:
         where = f"'{read[-1].text[:30]}' (word {read[-1].position})"
         line = f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'"
         return LanguageError(line, position=read[-1].position)
     upcoming = [t for t in tokens[index + 1 : index + 3] if _is_unknown(t)]
-    return _refusal(upcoming[:1] or [stuck], UNKNOWN_HERE if upcoming else _NO_READING)
+    reason = _NO_READING if group_of(stuck.text) is None else _LOOKS
+    return _refusal(upcoming[:1] or [stuck], UNKNOWN_HERE if upcoming else reason)
 
 
 def _refusal(words: Sequence[Token | Word], reason: str) -> LanguageError:
