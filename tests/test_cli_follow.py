@@ -290,6 +290,7 @@ def test_crowded_worlds_get_the_sizes_for_places_as_they_are(number, slots, tmp_
         ("go to the hydrant", {"sensing_range": 0.0}, "range_max is .*give metres"),
         ("go to the hydrant", {"world": "nowhere.toml"}, "nowhere.toml"),
         ("go to the hydrant", {"policy": "infromed"}, "must be one of"),
+        ("go to the hydrant", {"seed": 1.5}, r"seed is 1\.5, but must be a whole number"),
         ("go to the zorbel", {}, "zorbel"),
     ],
 )

@@ -59,7 +59,7 @@ def test_units() -> None:
         ({"motion": {"odometry_noise": 2}}, 'at most 1; write "2 %"'),
         ({"sensor": {"noise": -0.1}}, "sensor.noise is -0.1, but must be at least 0 m"),
         ({"episodes": 0}, "episodes is 0, but must be a whole number, at least 1"),
-        ({"seeds": [2**32]}, r"seeds\[0\] is 4294967296, but .* below 4294967296"),
+        ({"seeds": [2**32]}, r"seeds\[0\] is 4294967296, but .* at most 4294967295"),
         ({"policies": ["infromed"]}, r'unknown policy "infromed".*did you mean "informed"'),
         ({"worlds": ["1X"]}, "unknown world template '1X'"),
         ({"worlds": ["yrad"]}, "unknown world 'yrad'"),

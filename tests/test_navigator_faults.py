@@ -210,6 +210,8 @@ def test_a_state_of_the_engine_is_anybodys(owner) -> None:
 
 def test_states_are_stacked_and_traced(owner) -> None:
     states = jax.tree.map(lambda *leaves: np.stack(leaves), owner.start(SAID), owner.wait())
+    with pytest.raises(ValueError, match=r"state is a batch of the shape \(2,\), but .* jax.vmap"):
+        owner.hear(states, "stop")
     halted = jax.jit(jax.vmap(lambda state: replace(state, is_halted=jnp.asarray(True))))(states)
     first = jax.tree.map(lambda leaf: leaf[0], halted)
     assert owner.spoken(first) == ["hydrant"]

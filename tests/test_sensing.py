@@ -20,10 +20,11 @@ from jaxlangnav.experiments.sweep_config import config_from_dict
 from jaxlangnav.grounding import AnnotationGrounder
 from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.inputs import observations
+from jaxlangnav.inputs.limits import check_seed
 from jaxlangnav.inputs.object_types import attribute_code
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, SensorParams, default_sensor
-from jaxlangnav.navigator.canonicalize import canonicalize
+from jaxlangnav.navigator.canonicalize import canonicalize, check_key
 from jaxlangnav.navigator.deployment import FIELDS
 from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
@@ -240,6 +241,9 @@ def entrances(door: Navigator) -> Iterator[tuple[str, Callable[[Any], object]]]:
     yield "labels", lambda one: Navigator.pretrained(labels=one)
     yield "attributes", lambda one: Navigator.pretrained(attributes=one)
     yield "mentions", lambda one: Capacity(num_mentions=one)
+    yield "seed", check_seed
+    yield "grounder", lambda one: dataclasses.replace(door, grounder=one)
+    yield "key", check_key
     for field in dataclasses.fields(SensorParams):
         yield field.name, lambda one, name=field.name: default_sensor(**{name: one})
         yield field.name, lambda one, name=field.name: Observation.of(HERE, (), broken(name, one))

@@ -19,12 +19,6 @@ OptionalInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_h
 Ranges = Annotated[str | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")]
 
 
-def check_seed(value: int) -> None:
-    """Raise UsageError for a seed that is not an unsigned 32-bit integer."""
-    if not 0 <= value < 2**32:
-        raise UsageError(f"--seed is {value}, but must lie between 0 and 4294967295")
-
-
 def check_range(value: float | None) -> None:
     """Raise UsageError for a sensing range that is not a positive length or out of limits."""
     low, high = RANGES

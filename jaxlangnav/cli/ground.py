@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import File, Folder, WorldName, check_extra, check_folder, check_seed
+from jaxlangnav.cli.checks import File, Folder, WorldName, check_extra, check_folder
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.experiments.table import Table, TableColumns
+from jaxlangnav.inputs.limits import check_seed
 
 if TYPE_CHECKING:
     from rich.tree import Tree
@@ -152,7 +153,7 @@ class Ground:
 
     def run(self, output: Output) -> Document:
         """Ground the sentence and show the distributions."""
-        check_seed(self.seed)
+        check_seed(self.seed, "--seed")
         check_folder("--out", self.out)
         if self.out is not None:
             check_extra("--out draws a picture and needs", "matplotlib", "viz")

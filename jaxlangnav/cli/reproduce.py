@@ -10,7 +10,7 @@ from jaxlangnav.cli import checks
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import apply, read_options
-from jaxlangnav.inputs.limits import check_minimum
+from jaxlangnav.inputs.limits import check_minimum, check_seed
 
 _DEFAULT_EPISODES = {"robustness": 500}
 _SETTING_GROUPS = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
@@ -135,7 +135,7 @@ class Reproduce:
             if getattr(self, option) and self.what not in experiments:
                 names = " and ".join(experiments)
                 raise UsageError(f"--{option} is for {names}, but {self.what} is run")
-        checks.check_seed(self.seed or 0)
+        check_seed(self.seed or 0, "--seed")
         checks.check_folder("--out", self.out)
         if self.what in ("fig1", "fig3", "fig4", "all"):
             checks.check_extra(f"{self.what} draws pictures and needs", "matplotlib", "viz")

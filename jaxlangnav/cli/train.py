@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import File, check_file, check_seed
+from jaxlangnav.cli.checks import File, check_file
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
-from jaxlangnav.inputs.limits import check_minimum
+from jaxlangnav.inputs.limits import check_minimum, check_seed
 from jaxlangnav.language.phrase import MIN_PROBABILITY
 
 
@@ -141,7 +141,7 @@ class Evaluate:
     def run(self, output: Output) -> Document:
         """Run the protocol and print the table beside the paper's."""
         check_minimum(2, **{"--splits": self.splits})
-        check_seed(self.seed)
+        check_seed(self.seed, "--seed")
         if not self.beams:
             raise UsageError("--beams needs at least one width")
         for beam in self.beams:

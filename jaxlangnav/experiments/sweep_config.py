@@ -40,10 +40,10 @@ import msgspec
 from msgspec import Meta, field
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
-from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.inputs.atomic_files import read_file
 from jaxlangnav.inputs.documents import error_prefix, read_document
-from jaxlangnav.inputs.limits import LENGTH
+from jaxlangnav.inputs.limits import LENGTH, MAX_SEED
 from jaxlangnav.inputs.sanitize import shorten
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, unknown_key
 from jaxlangnav.messages import default_sensor
@@ -55,7 +55,7 @@ from jaxlangnav.world.templates import Template, check_relation
 
 _MAX_BYTES = 1 << 20  # bytes of a configuration
 _NONEMPTY = Meta(min_length=1)
-_UInt32 = Annotated[int, Meta(ge=0, lt=SEED_LIMIT)]
+_UInt32 = Annotated[int, Meta(ge=0, le=MAX_SEED)]
 _Particles = Annotated[int, Meta(ge=2)]
 Choices = dict[str, tuple[float, ...]]
 

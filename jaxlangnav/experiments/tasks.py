@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxlangnav.episode import Task
 from jaxlangnav.grounding.instruction import Instruction, understand
 from jaxlangnav.grounding.weights import load_shipped
-from jaxlangnav.inputs.limits import check_minimum
+from jaxlangnav.inputs.limits import check_minimum, check_seed
 from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.places import WorldParams, draw_world
@@ -33,7 +33,6 @@ SENTENCES = {
     "nearest": "go to the hydrant nearest to the cone",
 }
 """The three commands of Table 2, by relation; none of them is in a training corpus."""
-SEED_LIMIT = 2**32  # exclusive: seeds are the root of the keys, 32 bits
 BLOCK = 256  # worlds drawn in one call
 Overrides = Mapping[str, float]  # parameter values by field name
 
@@ -86,8 +85,7 @@ class Cell:
 
     def __post_init__(self) -> None:
         """Raise ``ValueError`` for a seed outside 32 bits."""
-        if not 0 <= self.seed < SEED_LIMIT:
-            raise ValueError(f"seed is {self.seed}, but must lie between 0 and {SEED_LIMIT - 1}")
+        check_seed(self.seed)
 
 
 @cached_jit()

@@ -6,7 +6,7 @@ or a combination of others: a fallback, or one whose alternatives a person choos
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -55,6 +55,7 @@ class Alternative:
     grounded: Grounded
 
 
+@runtime_checkable
 class Grounder(Protocol):
     """Protocol of a grounder, which turns text into an instruction."""
 

@@ -16,8 +16,8 @@ import numpy as np
 from jaxlangnav.grounding.annotation import AnnotationBelief, RankedAnnotations
 from jaxlangnav.grounding.search import sum_by_key
 from jaxlangnav.grounding.symbols import RELATION
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.inputs.object_types import is_anything
-from jaxlangnav.inputs.sanitize import as_text
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 
 NUM_READINGS, NUM_MENTIONS, NUM_EDGES = 4, 6, 4
@@ -32,13 +32,8 @@ class Capacity:
 
     def __post_init__(self) -> None:
         """Refuse sizes that cannot hold one sentence."""
-        for name, limit in (("num_mentions", NUM_MENTIONS), ("num_relations", NUM_EDGES)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < limit:
-                raise ValueError(
-                    f"{name} is {as_text(value)}, but must be a whole number and at least {limit}: "
-                    "what one sentence may say"
-                )
+        check_minimum(NUM_MENTIONS, num_mentions=self.num_mentions)
+        check_minimum(NUM_EDGES, num_relations=self.num_relations)
 
 
 class Relation(NamedTuple):

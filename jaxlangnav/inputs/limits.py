@@ -6,6 +6,7 @@ A number without unit is in metres, radians, or a fraction of one. With a unit, 
 
 import dataclasses
 import math
+import operator
 import re
 from typing import Any
 
@@ -23,15 +24,31 @@ MIN_VALUE = 1e-15
 """Lower limit of a dimensionless number other than zero."""
 FOV_SPAN = (1e-3, math.tau + 1e-3)
 """Limits of the field of view, radians."""
+MAX_SEED = 2**32 - 1
+"""Limit of a seed, the root of all random keys."""
 MAX_FALSE, MAX_WRONG = 100.0, 0.99
 """Limits of expected false detections per type and scan, and of the mislabelling probability."""
 
 
+def whole_number(value: Any, what: str) -> int:
+    """Convert a whole number, or an array of one; otherwise ``ValueError``."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise ValueError(f"{what} is {quote(value)}, but must be a whole number") from None
+
+
 def check_minimum(minimum: int, **counts: Any) -> None:
-    """Raise a one-line ``ValueError`` for a count, given by name, below a minimum."""
+    """Raise a one-line ``ValueError`` for a count, given by name, below a minimum or no count."""
     for name, value in counts.items():
-        if value < minimum:
-            raise ValueError(f"{name} is {value}, but must be at least {minimum}")
+        if whole_number(value, name) < minimum:
+            raise ValueError(f"{name} is {quote(value)}, but must be at least {minimum}")
+
+
+def check_seed(value: Any, what: str = "seed") -> None:
+    """Raise a one-line ``ValueError`` for a seed that is no unsigned 32-bit integer."""
+    if not 0 <= whole_number(value, what) <= MAX_SEED:
+        raise ValueError(f"{what} is {quote(value)}, but must lie between 0 and {MAX_SEED}")
 
 
 def is_complex(value: Any) -> bool:

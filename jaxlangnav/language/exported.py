@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from typing import Literal, get_args
 
 from jaxlangnav.language.grammar import Grammar, load_grammar
+from jaxlangnav.language.lexicon import is_reserved
 from jaxlangnav.language.nouns import load_nouns
 from jaxlangnav.language.tokens import MARKS, is_word, normalize
 from jaxlangnav.language.tree import UNKNOWN
@@ -75,7 +76,7 @@ def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
 
 def _words(noun: str) -> list[str]:
     words = normalize(noun).split()
-    if not words or not all(map(is_word, words)):
+    if not words or not all(map(is_word, words)) or is_reserved(" ".join(words)):
         raise ValueError(f"'{noun[:30]}' is no noun: give words of letters, as in 'fire hydrant'")
     return words
 

@@ -34,7 +34,7 @@ from jaxlangnav.language.halting import act_of
 from jaxlangnav.messages import Action, Observation, SensorParams, Status, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.navigator.candidates import Candidate, candidates, mentioned_types, unseen_types
-from jaxlangnav.navigator.canonicalize import MAX_BITS, canonicalize, check_state
+from jaxlangnav.navigator.canonicalize import MAX_BITS, canonicalize, check_key, check_state
 from jaxlangnav.navigator.deployment import deployment_config, deployment_params, set_params
 from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_metric_goals
 from jaxlangnav.planner.config import AnyPolicy, split_arrays
@@ -101,7 +101,10 @@ class Navigator:
         return cls(grounder=grounder, params=params, config=config)
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for parameters that prevent any stop, and for inconsistent sizes."""
+        """Raise a ValueError for no grounder, inconsistent sizes, or if nothing could ever stop."""
+        if not isinstance(self.grounder, Grounder):
+            remedy = "type_names and ground(text, context), as a Grounder has"
+            raise ValueError(f"grounder is {quote(self.grounder)}, but must have {remedy}")
         navigator.check(self.params, policy=self.config.planner.chosen)
         num_objects, num_mentions = self.config.map.num_objects, self.capacity.num_mentions
         for name, size in {"num_objects": num_objects, "num_mentions": num_mentions}.items():
@@ -210,8 +213,9 @@ class Navigator:
             The new state, the action, and diagnostics.
 
         Raises:
-            ValueError: no state or observation, or one of invalid shapes.
+            ValueError: no key, state or observation, or one of invalid shapes.
         """
+        check_key(key)
         state, observation = self._checked(state), canonicalize(observation)
         return _step(key, state, observation, params=self.params, config=self.config)
 

@@ -32,9 +32,12 @@ def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -
 
     An unsigned state, of ``navigator.start``, is signed with both; a traced one is not checked.
     """
-    if not isinstance(state, NavigatorState):
+    is_state = isinstance(state, NavigatorState)
+    if not is_state or np.ndim(state.status):
+        given = f"a batch of the shape {np.shape(state.status)}" if is_state else quote(state)
         raise ValueError(
-            f"state is {quote(state)}, but must be what navigator.start, wait, step or hear gave"
+            f"state is {given}, but must be what navigator.start, wait, step or hear gave"
+            + ": batches are for jax.vmap of jaxlangnav.navigator.step" * is_state
         )
     names = [repr(part).encode() for part in (tuple(type_names), policy)]
     expected = np.array([zlib.crc32(name) for name in names], np.uint32)
@@ -51,6 +54,15 @@ def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -
             "start anew"
         )
     return state
+
+
+def check_key(key: Any) -> None:
+    """Raise a ValueError unless it is one random key, typed or of the old kind."""
+    is_array = isinstance(key, jax.Array | np.ndarray)
+    is_typed = is_array and jax.numpy.issubdtype(key.dtype, jax.dtypes.prng_key)
+    is_old = is_array and key.dtype == np.uint32
+    if not (is_typed or is_old) or key.ndim != int(is_old):
+        raise ValueError(f"key is {quote(key)}, but must be one random key: jax.random.key(0)")
 
 
 def canonicalize(observation: Observation) -> Observation:

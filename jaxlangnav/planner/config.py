@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 import jax
 
+from jaxlangnav.inputs.limits import check_minimum
 from jaxlangnav.planner.faithful import Faithful, WaypointKeeping
 from jaxlangnav.planner.informed import Informed
 from jaxlangnav.planner.policy import Policy, Situation, Valuation
@@ -78,8 +79,7 @@ class PlannerConfig:
     def __post_init__(self) -> None:
         """Raise a ValueError for an invalid policy or size."""
         as_policy(self.policy)
-        if self.num_visited < 1 or self.num_blocks < 1:
-            raise ValueError("num_visited and num_blocks must be at least 1")
+        check_minimum(1, num_visited=self.num_visited, num_blocks=self.num_blocks)
 
     @property
     def chosen(self) -> Policy:

@@ -16,7 +16,7 @@ from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.grounding import GraphGrounder, GroundingModel, understand
 from jaxlangnav.inputs.atomic_files import write_text
 from jaxlangnav.inputs.documents import error_prefix, parse_json, parse_toml
-from jaxlangnav.inputs.limits import RANGES
+from jaxlangnav.inputs.limits import MAX_SEED, RANGES
 from jaxlangnav.inputs.sanitize import sanitize, shorten
 from jaxlangnav.inputs.schema import PlainText, bad_choice
 from jaxlangnav.navigator.candidates import Candidate
@@ -44,7 +44,7 @@ class Request(Struct, forbid_unknown_fields=True, kw_only=True):
     """A world file, TOML or JSON, that replaces ``world`` unless empty."""
     range: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] | None = None
     policy: Literal["informed", "faithful"] = "informed"
-    seed: Annotated[int, Meta(ge=0, lt=2**32)] = 0
+    seed: Annotated[int, Meta(ge=0, le=MAX_SEED)] = 0
     particles: Annotated[int, Meta(ge=2, le=4096)] = MapConfig().num_particles
     max_steps: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     may_ask: bool = True

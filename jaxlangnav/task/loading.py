@@ -17,6 +17,7 @@ from jaxlangnav.experiments.tasks import Cell, make_tasks
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.grounding.worlds import explain_mismatch
+from jaxlangnav.inputs.limits import check_seed
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import intended_goals, is_among, placed_world, with_goal
@@ -69,8 +70,9 @@ def load_task(
         seed: of world and noise.
 
     Raises:
-        ValueError: a template that has nothing of what is asked.
+        ValueError: a template that has nothing of what is asked, or no seed.
     """
+    check_seed(seed)
     if isinstance(source, WorldFile):
         sensor = source.sensor
         if sensing_range is not None:

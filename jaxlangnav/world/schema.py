@@ -17,7 +17,7 @@ from jaxlangnav.inputs.object_types import ATTRIBUTES, attribute_code, attribute
 from jaxlangnav.inputs.observations import SLOTS
 from jaxlangnav.inputs.sanitize import MAX_NAME, as_text, sanitize, shorten
 from jaxlangnav.inputs.schema import Name, PlainText, Schema, bad_choice, convert
-from jaxlangnav.language.lexicon import find_type, load_lexicon
+from jaxlangnav.language.lexicon import find_type, is_reserved, load_lexicon
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, normalize
 from jaxlangnav.messages import DRIFTS, NONE, MotionParams, SensorParams
@@ -254,6 +254,9 @@ def _type_index(text: str, type_names: list[str], where: str) -> int:
     if name not in type_names:
         if (correction := repair(name, is_noun=True)) is not None:
             hint = f"which looks mistyped. Did you mean {correction!r}?"
+            raise ValueError(f"{where}.type is {name!r}, {hint}")
+        if is_reserved(name):
+            hint = "which has a meaning of its own in every sentence: choose another name"
             raise ValueError(f"{where}.type is {name!r}, {hint}")
         if not all(map(is_word, name.split())):
             raise ValueError(
