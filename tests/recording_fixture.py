@@ -39,7 +39,6 @@ def make_scene(*, policy: str = "faithful", text: str = TEXT) -> StaticScene:
         sensor=default_sensor(3.0),
         readings=make_readings(),
         planner=PlannerParams(),
-        num_clauses=1,
         known_distance=9.06,
     )
 

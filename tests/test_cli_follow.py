@@ -105,7 +105,7 @@ def test_live_draws_and_ends_with_the_verdict(capsys: pytest.CaptureFixture[str]
 
 def test_settings_reach_the_world_and_the_filter_which_estimates_drift_if_there_is_any() -> None:
     understood = understand(COMMAND, load_shipped())
-    still = prepare_episode(COMMAND, understood, open_world("1H1C"), None, "informed", 0, 8)
+    still = prepare_episode(understood, open_world("1H1C"), None, "informed", 0, 8)
     opened = apply_to_episode(still, {("motion", "heading_bias"): 0.01, ("sensor", "noise"): 0.2})
     assert opened.config.map.has_drift > still.config.map.has_drift
     assert opened.params.map.motion is opened.prepared.task.motion

@@ -65,7 +65,7 @@ REFUSED: list[tuple[list[str], str]] = [
     (["ground", "go to the cone", "--world", "x" * 5000 + ".toml"], "no such file; shipped"),
     # Options of their own.
     *(([*GO, "--range", far], "--range is") for far in ("1e39", "1e400", "nan", "-1", "1e-46")),
-    ([*GO, "--range", "0.005"], "--range is 0.005, but must be between 0.01 m"),
+    ([*GO, "--range", "0.005"], "--range is 0.005, but must lie between 0.01 and"),
     ([*GO, "--particles", "1"], "--particles is 1"),
     ([*GO, "--max-steps", "0"], "--max-steps is 0"),
     ([*GO, "--seed", "-1"], "--seed is -1"),

@@ -13,7 +13,7 @@ import pytest
 
 from jaxlangnav.inputs import atomic_files
 from jaxlangnav.inputs.arrays import as_value_error, parse_floats
-from jaxlangnav.inputs.atomic_files import read_file, read_user_file, user_folder, write_user_file
+from jaxlangnav.inputs.atomic_files import read_file, read_user_file, user_folder, write_bytes
 from jaxlangnav.inputs.documents import MAX_NEST, DocumentError, parse_json, parse_toml, read_text
 from jaxlangnav.planner import prior
 
@@ -146,7 +146,7 @@ def mode(path: Path) -> int:
 def test_folders_and_files_are_made_for_the_user_alone(tmp_path: Path, umask: int) -> None:
     with masked(umask):
         folder = user_folder(tmp_path / "a" / "b")
-        write_user_file(folder / "file", b"content")
+        write_bytes(b"content", folder / "file", is_private=True)
     assert [mode(one) for one in (tmp_path / "a", folder)] == [0o700, 0o700]
     assert mode(folder / "file") == 0o600
     assert read_user_file(folder / "file", max_bytes=7) == b"content"
@@ -182,7 +182,7 @@ def test_links_are_followed_once_and_where_they_lead_is_judged(tmp_path: Path) -
 
 def test_what_is_another_users_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = user_folder(tmp_path / "a")
-    write_user_file(folder / "file", b"content")
+    write_bytes(b"content", folder / "file", is_private=True)
     # Whom its owner lets write is no matter there: nobody else can enter.
     (folder / "file").chmod(0o664)
     atomic_files.check_ownership(folder)
@@ -197,14 +197,14 @@ def test_what_is_another_users_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("bits", [0o620, 0o602, 0o666])
 def test_a_file_that_others_can_write_is_refused(tmp_path: Path, bits: int) -> None:
-    write_user_file(tmp_path / "file", b"content")
+    write_bytes(b"content", tmp_path / "file", is_private=True)
     (tmp_path / "file").chmod(bits)
     with pytest.raises(PermissionError, match="file: others can write it"):
         read_user_file(tmp_path / "file", max_bytes=9)
 
 
 def test_what_is_no_file_of_its_own_is_refused(tmp_path: Path) -> None:
-    write_user_file(tmp_path / "file", b"content")
+    write_bytes(b"content", tmp_path / "file", is_private=True)
     (tmp_path / "link").symlink_to(tmp_path / "file")
     os.mkfifo(tmp_path / "pipe", 0o600)
     with pytest.raises(OSError, match="link"):
@@ -219,14 +219,14 @@ def test_what_is_no_file_of_its_own_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
-    write_user_file(tmp_path / "file", b"content")
+    write_bytes(b"content", tmp_path / "file", is_private=True)
 
     def full(*_: object) -> None:
         raise OSError("full")
 
     monkeypatch.setattr(atomic_files.os, "replace", full)
     with pytest.raises(OSError, match="full"):
-        write_user_file(tmp_path / "file", b"new")
+        write_bytes(b"new", tmp_path / "file", is_private=True)
     assert [one.name for one in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_bytes() == b"content"
 

@@ -286,7 +286,7 @@ def test_where_nothing_can_be_written_it_computes(folder, said, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module, "write_user_file", full)
+    monkeypatch.setattr(module, "write_bytes", full)
     for _ in range(2):
         _, drawn = another_process()(jax.random.key(3), default_motion())
         same(drawn, jax.random.normal(jax.random.key(3), (3,)))

@@ -8,7 +8,6 @@ from typing import Annotated
 import tyro
 
 from jaxlangnav.cli.output import UsageError
-from jaxlangnav.inputs.limits import RANGES
 
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -17,13 +16,6 @@ StepText = Annotated[str, tyro.conf.arg(metavar="STEP:TEXT")]
 WorldName = Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")]
 OptionalInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 Ranges = Annotated[str | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")]
-
-
-def check_range(value: float | None) -> None:
-    """Raise UsageError for a sensing range that is not a positive length or out of limits."""
-    low, high = RANGES
-    if value is not None and not low <= value <= high:
-        raise UsageError(f"--range is {value:g}, but must be between {low:g} m and {high:g} m")
 
 
 def check_folder(option: str, path: Path | None) -> None:

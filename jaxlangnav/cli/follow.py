@@ -12,7 +12,7 @@ from jaxlangnav.cli.ground import understand_text
 from jaxlangnav.cli.output import Document, Output, UsageError, document_text
 from jaxlangnav.cli.runtime import spinner
 from jaxlangnav.cli.settings import apply_to_episode, read_options
-from jaxlangnav.inputs.limits import check_minimum, check_seed
+from jaxlangnav.inputs.limits import RANGES, bounded, check_minimum, check_seed
 
 if TYPE_CHECKING:
     from jaxlangnav.episode.recording import Recording
@@ -122,7 +122,8 @@ class Follow:
 
     def _check(self) -> dict[int, list[str]]:
         """Validate the options; returns the scripted utterances by step."""
-        checks.check_range(self.range)
+        if self.range is not None:
+            bounded(self.range, *RANGES, "--range", "give metres")
         check_seed(self.seed, "--seed")
         check_minimum(2, **{"--particles": self.particles})
         check_minimum(1, **{"--max-steps": 1 if self.max_steps is None else self.max_steps})
@@ -153,7 +154,7 @@ class Follow:
         from jaxlangnav.task.talk import allow_questions
 
         options = self.range, self.policy, self.seed, self.particles
-        opened = prepare_episode(self.text, understood, world, *options)
+        opened = prepare_episode(understood, world, *options)
         opened = apply_to_episode(opened, values)
         if self.ask:
             opened = dataclasses.replace(opened, params=allow_questions(opened.params))

@@ -76,9 +76,10 @@ def check_script(
 def listener(output: Output, *, person: str | None, ask: bool, talk: bool, **kw: Any) -> "Dialogue":
     """Build the utterance source of ``recorder.play``; ``kw``: its other fields."""
     from jaxlangnav.task.talk import YOU, Dialogue, SimulatedPerson
+    from jaxlangnav.world.person import PERSONS, params_of
 
     if person is not None:
-        watcher = SimulatedPerson.from_name(person)
+        watcher = SimulatedPerson(params_of(**PERSONS[person]))
         return Dialogue(**kw, speakers={person: watcher.speak}, is_present=watcher.is_present)
     if not (ask or talk):
         return Dialogue(**kw)

@@ -102,7 +102,7 @@ def _figure(
         with CompileClock() as clock, spinner(f"an episode in {name}"):
             understood = understand(TEXT, load_shipped())
             options = open_world(name), None, policy, seed, particles
-            prepared = prepare_episode(TEXT, understood, *options, params=settings.params)
+            prepared = prepare_episode(understood, *options, params=settings.params)
             episode = record_episode(apply_to_episode(prepared, settings.values))
         output.print_wrapped(narrate(episode))
         steps, scene, result = select_steps(episode, num_panels), episode.scene, episode.result

@@ -21,6 +21,7 @@ from jaxlangnav.environments.command import command_text
 from jaxlangnav.environments.functional import DISCRETE_ACTIONS, EnvironmentState
 from jaxlangnav.environments.pool import NUM_WORLDS, draw_pool
 from jaxlangnav.inputs.limits import check_minimum
+from jaxlangnav.inputs.schema import bad_choice
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz.mapping import render_world
 from jaxlangnav.viz.style import require
@@ -28,14 +29,6 @@ from jaxlangnav.viz.style import require
 Actions = Literal["continuous", "discrete"]
 RenderMode = Literal["rgb_array"]
 METADATA: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 4}
-
-
-def _check_choice(name: str, value: str, literal: Any, suffix: str = "") -> str:
-    """Raise ValueError unless a value is one of a Literal's choices."""
-    if value not in get_args(literal):
-        choices = ", ".join(get_args(literal))
-        raise ValueError(f'{name} is "{value}", but must be one of {choices}{suffix}')
-    return value
 
 
 def observation_space() -> spaces.Box:
@@ -46,7 +39,9 @@ def observation_space() -> spaces.Box:
 
 def action_space(actions: str) -> spaces.Box | spaces.Discrete[np.int64]:
     """Build the action space: continuous step along x and y and stop, or discrete."""
-    if _check_choice("actions", actions, Actions) == "discrete":
+    if actions not in get_args(Actions):
+        raise ValueError(bad_choice("actions", actions, get_args(Actions)))
+    if actions == "discrete":
         return spaces.Discrete(len(DISCRETE_ACTIONS))
     return spaces.Box(-1.0, 1.0, (functional.ACTION_SIZE,), np.float32)
 
@@ -69,7 +64,8 @@ class _SharedState:
     def __init__(self, render_mode: str | None, options: dict[str, Any]) -> None:
         """Create the parameters, and check the render mode."""
         if render_mode is not None:
-            _check_choice("render_mode", render_mode, RenderMode, ", or None")
+            if render_mode not in get_args(RenderMode):
+                raise ValueError(bad_choice("render_mode", render_mode, get_args(RenderMode)))
             require("matplotlib")
         self.has_rendering = render_mode is not None
         self.params = functional.default_params(**options)
@@ -191,8 +187,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         a new world in every step of every environment, at hundreds of times the cost.
         """
         check_minimum(1, num_envs=num_envs)
-        if num_worlds < 0:
-            raise ValueError(f"num_worlds is {num_worlds}, but must be 0 (always fresh) or more")
+        check_minimum(0, num_worlds=num_worlds)
         self.metadata = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
         self.num_envs, self._num_worlds = num_envs, num_worlds
         self.single_observation_space = observation_space()

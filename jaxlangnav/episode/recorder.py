@@ -59,7 +59,6 @@ def make_scene(
         sensor=sensor,
         readings=instruction.readings,
         planner=planner,
-        num_clauses=int(instruction.num_clauses),
         known_distance=float(known_distance(scenario)),
         commands=tuple(summarize_commands(instruction)),
     )

@@ -107,7 +107,6 @@ class StaticScene:
     sensor: SensorParams
     readings: Readings  # interpretations of the instruction
     planner: PlannerParams
-    num_clauses: int  # C, number of commands
     known_distance: float  # metres from the start to the goal, via the ends of earlier commands
     commands: tuple[CommandSummary, ...] = ()  # what each command asks for
     stop_radius: float = SUCCESS_RADIUS  # success radius around the goal, metres

@@ -95,9 +95,9 @@ def replacing(path: Path, *, is_private: bool = False) -> Iterator[Path]:
     _fsync(path.parent)
 
 
-def write_bytes(content: bytes, path: Path) -> Path:
-    """Write a file atomically and return its path; creates its folder."""
-    with replacing(path) as temporary:
+def write_bytes(content: bytes, path: Path, *, is_private: bool = False) -> Path:
+    """Write a file atomically, as ``replacing``, and return its path."""
+    with replacing(path, is_private=is_private) as temporary:
         temporary.write_bytes(content)
     return path
 
@@ -231,13 +231,3 @@ def read_user_file(path: Path, *, max_bytes: int) -> bytes:
         return _read_descriptor(descriptor, path, max_bytes=max_bytes)
     finally:
         os.close(descriptor)
-
-
-def write_user_file(path: Path, content: bytes) -> None:
-    """Write or replace a file atomically, with permissions 0600 whatever the umask.
-
-    Raises:
-        OSError: it cannot be written; nothing is left behind.
-    """
-    with replacing(path, is_private=True) as temporary:
-        temporary.write_bytes(content)

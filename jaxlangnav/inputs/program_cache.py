@@ -26,7 +26,7 @@ import jax
 import jax.core
 import jaxlib.version
 
-from jaxlangnav.inputs.atomic_files import read_user_file, user_folder, write_user_file
+from jaxlangnav.inputs.atomic_files import read_user_file, user_folder, write_bytes
 from jaxlangnav.inputs.program_serialization import Call, compile_program, load_program
 
 P = ParamSpec("P")
@@ -191,7 +191,7 @@ def _compile(path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Call:
     call, content = compile_program(flat, leaves, name=path.name)
     if content is not None:
         try:
-            write_user_file(path, content)
+            write_bytes(content, path, is_private=True)
             # Least recently used files are deleted, maybe by another process at the same time.
             with contextlib.suppress(FileNotFoundError):
                 cached = path.parent.glob(f"*{_SUFFIX}")

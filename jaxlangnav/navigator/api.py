@@ -26,7 +26,7 @@ from jaxlangnav.grounding.annotated import come_here
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import pad_instruction
 from jaxlangnav.grounding.readings import Capacity
-from jaxlangnav.inputs.limits import bounded
+from jaxlangnav.inputs.limits import bounded, whole_number
 from jaxlangnav.inputs.object_types import is_anything, name_of
 from jaxlangnav.inputs.observations import SLOTS, validate_area, validate_pose
 from jaxlangnav.inputs.sanitize import quote, shorten
@@ -247,15 +247,14 @@ class Navigator:
         Returns:
             Duration in seconds: most of a minute the first time, next to nothing once compiled.
         """
-        count = bounded(detections, 0, SLOTS[-1], "detections", "give as many as a look may hold")
-        if count != int(count):
-            raise ValueError(f"detections is {count:g}, but must be a whole number")
+        count = whole_number(detections, "detections")
+        bounded(count, 0, SLOTS[-1], "detections", "give as many as a look may hold")
         began, state = time.perf_counter(), self.wait()
         Listener(self.grounder).warm_up(state)
         bool(state.is_resting)
         if isinstance(self.grounder, GraphGrounder):  # a custom grounder may be slow or costly
             self.grounder.ground("go forward one metre", Context(is_under_way=False))
-        rows = [(0, 1.0 + slot, 0.0) for slot in range(int(count))]
+        rows = [(0, 1.0 + slot, 0.0) for slot in range(count)]
         observation = self.observation((0.0, 0.0, 0.0), rows, default_sensor(2.0 + count))
         jax.block_until_ready(self.step(jax.random.key(0), state, observation))
         return time.perf_counter() - began

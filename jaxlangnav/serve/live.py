@@ -90,7 +90,7 @@ class LiveEpisode:
         with _compile_lock:
             detector = detector_of(self._world, model.type_names)
             understood = understand(request.text, model, detector)
-            opened = prepare_episode(request.text, understood, self._world, *options)
+            opened = prepare_episode(understood, self._world, *options)
         task = opened.prepared.task
         self._max_steps = request.max_steps or step_limit(task.scenario, task.sensor)
         check_recording(opened.config, self._max_steps)
@@ -254,6 +254,6 @@ class LiveEpisode:
                 scenario=task.scenario,
                 sensor=task.sensor,
                 motion=task.motion,
-                instruction=sanitize(" ".join(self._opened.text.split())),
+                instruction=sanitize(" ".join(self.request.text.split())),
             )
         return files.to_toml(files.world_to_dict(world)) + "\n"

@@ -39,7 +39,6 @@ from jaxlangnav.world.templates import Template
 class PreparedEpisode:
     """An episode ready to run: grounded sentence, task, parameters and configuration."""
 
-    text: str
     understood: Understanding
     prepared: loading.PreparedTask
     params: NavigatorParams
@@ -48,7 +47,7 @@ class PreparedEpisode:
     def scene(self) -> StaticScene:
         """Build the static part of its recording."""
         task, understood = self.prepared.task, self.understood
-        names = {"text": self.text, "type_names": understood.type_names}
+        names = {"text": understood.parse.instruction, "type_names": understood.type_names}
         inputs = task.scenario, task.sensor, understood.instruction
         return recorder.make_scene(*inputs, **names, params=self.params, config=self.config)
 
@@ -93,14 +92,11 @@ def follow(
     model = load_shipped() if model is None else model
     source = open_world(str(world))
     understood = understand(text, model, loading.detector_of(source, model.type_names))
-    opened = prepare_episode(
-        text, understood, source, sensing_range, policy, seed, particles, params=params
-    )
-    return record_episode(opened, max_steps)
+    options = sensing_range, policy, seed, particles
+    return record_episode(prepare_episode(understood, source, *options, params=params), max_steps)
 
 
 def prepare_episode(
-    text: str,
     understood: Understanding,
     source: WorldSource,
     sensing_range: float | None,
@@ -116,11 +112,10 @@ def prepare_episode(
     params = defaults if params is None else replace(params, policy=defaults.policy)
     prepared = loading.load_task(source, understood, sensing_range=sensing_range, seed=seed)
     motion = prepared.task.motion
-    if prepared.is_sampled and not prepared.goal_exists:
+    if isinstance(source, Template) and not prepared.goal_exists:
         counts = loading.count_types(prepared.task.scenario, understood.type_names)
         raise ValueError(loading.mismatch_message(prepared.world, counts, ()))
     return PreparedEpisode(
-        text=text,
         understood=understood,
         prepared=prepared,
         params=replace(params, map=replace(params.map, motion=motion)),

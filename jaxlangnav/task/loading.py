@@ -39,7 +39,6 @@ class PreparedTask:
     task: Task
     is_find_task: bool  # success is to have the goal in view
     goal_exists: bool  # some place there fits the sentence
-    is_sampled: bool  # the world is sampled from a template
     via: tuple[tuple[float, float], ...] = ()
     """End positions of the commands before the last, metres."""
     num_tied: int = 1
@@ -136,7 +135,6 @@ def _set_goal(
     task: Task,
     understood: Understanding,
     *,
-    is_sampled: bool = False,
     is_default: bool = False,
     has_goal: bool = True,
 ) -> PreparedTask:
@@ -156,7 +154,6 @@ def _set_goal(
         task=task,
         is_find_task=is_find_task,
         goal_exists=goal_exists,
-        is_sampled=is_sampled,
         via=tuple(ends[0].position for ends in earlier if ends),
         num_tied=1 if is_given else max(len(goals), 1),
         missing=tuple(missing),
@@ -183,12 +180,12 @@ def _sample_task(
         and (item["relation"] == "behind" or (item["relation"] == "near" and item["superlative"]))
     )
     tasks = _sample_tasks(template, next(matches, "null"), sensing_range, seed, 1)
-    prepared = _set_goal(template.name, tasks[0], understood, is_sampled=True)
+    prepared = _set_goal(template.name, tasks[0], understood)
     if prepared.goal_exists:
         return prepared
     # "nearest" places each cone anywhere around its hydrant, so other relations may hold too.
     for task in _sample_tasks(template, "nearest", sensing_range, seed, _MAX_TRIES):
-        other = _set_goal(template.name, task, understood, is_sampled=True)
+        other = _set_goal(template.name, task, understood)
         if other.goal_exists:
             return other
     return prepared

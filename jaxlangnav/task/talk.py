@@ -32,7 +32,7 @@ from jaxlangnav.navigator import NavigatorParams, NavigatorState
 from jaxlangnav.navigator.candidates import Candidate, candidates, object_at
 from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
-from jaxlangnav.world.person import PERSONS, Person, PersonParams, Says, new_person, params_of
+from jaxlangnav.world.person import Person, PersonParams, Says, new_person
 
 QUESTION_COST = 0.1
 """Default cost of a question, in probability of success, where questions are allowed."""
@@ -48,11 +48,6 @@ class SimulatedPerson:
     params: PersonParams
     person: Person = dataclasses.field(default_factory=new_person)
     _step: int = -1
-
-    @classmethod
-    def from_name(cls, name: str) -> "SimulatedPerson":
-        """Build the simulated person of this name in ``PERSONS``."""
-        return cls(jax.device_put(params_of(**PERSONS[name])))
 
     def is_present(self, state: EpisodeState) -> bool:
         """Test whether the person would speak in this state."""
@@ -196,7 +191,6 @@ class Dialogue:
         return dataclasses.replace(
             self.scene,
             readings=merged.readings,
-            num_clauses=int(merged.num_clauses),
             commands=tuple(summarize_commands(merged)),
             type_names=tuple(names_of(self.grounder)),
         )

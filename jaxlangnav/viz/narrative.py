@@ -109,7 +109,7 @@ def narrate_step(moment: StepView) -> list[str]:
         return [*utterances, f"Stands still: {sentences.join_words(reasons)}."]
     is_silent = not moment.utterances  # what was understood before is nothing to compare with
     is_new_clause = moment.before is not None and int(frame.clause) != int(moment.before.clause)
-    switch = f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
+    switch = f"Turns to command {int(frame.clause) + 1} of {len(scene.commands)}."
     parts = [
         *utterances,
         switch if is_silent and is_new_clause else "",
