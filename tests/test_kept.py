@@ -283,7 +283,7 @@ def test_threads_wait_for_one_program(folder: Path) -> None:
 
 
 def test_where_nothing_can_be_written_it_computes(folder, said, monkeypatch):
-    def full(*_: object) -> None:
+    def full(*_: object, is_private: bool) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(module, "write_bytes", full)
