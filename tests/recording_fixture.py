@@ -99,7 +99,6 @@ def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Gen
         hypothesis_y=rng.uniform(-9, 9, shape).astype(np.float32),
         miss=np.where(looked < 3, 0.05, 1.0).astype(np.float32),
         effective_sample_size=np.float32(0.9 * num_particles),
-        is_resampled=np.array(False),
         num_regrounded=np.int32(num_particles // 4 if step else num_particles),
         is_news=np.array(step == 0 or is_new(step, num_steps)),
         fault=np.int32(0),

@@ -106,7 +106,7 @@ def test_missing_keys_and_files(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r'broken.toml: range is unknown: .*did you mean "ranges"'):
         read_config(broken)
     (tmp_path / "list.json").write_text("[1]")
-    with pytest.raises(ValueError, match=r"list.json: the file is \[1\], but must be a table"):
+    with pytest.raises(ValueError, match=r"list.json: the document is \[1\], but must be a table"):
         read_config(tmp_path / "list.json", overrides={"planner": {"discount": 0.9}})
 
 

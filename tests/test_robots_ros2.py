@@ -518,7 +518,7 @@ def refusals(kept: Path):
         kept.write_text(text, "utf-8")
         yield lambda: Session(None, None, print, key=None, path=kept), "remove it to begin anew"
     yield lambda: Session(None, None, print, key=None, path=kept.parent), "is a folder"
-    yield lambda: LossyChannel(0.5, 0), r"give 0 to 0\.3"
+    yield lambda: LossyChannel(0.5, 0), r"between 0 and 0\.3"
 
 
 def test_what_cannot_be_is_refused_in_one_line(tmp_path) -> None:

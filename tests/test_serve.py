@@ -307,7 +307,7 @@ def test_utterances_wait_in_a_short_queue(tmp_path: Path) -> None:
     ("options", "why"),
     [
         (["--port", "70000"], "--port is 70000, but must lie between 0 and 65535"),
-        (["--pace", "-1"], "--pace is -1, but must lie between 0 and 60 seconds"),
+        (["--pace", "-1"], "--pace is -1, but must lie between 0 and 60: give seconds"),
     ],
 )
 def test_the_command_refuses_what_cannot_be(

@@ -31,7 +31,7 @@ def write(path: Path, *lines: object) -> Path:
     ("line", "expected"),
     [
         ("{", "is no valid JSON"),
-        ("[]", "must be an object with text and label"),
+        ("[]", "the document is [], but must be a table"),
         ({"text": "go"}, "label is missing"),
         ({"label": "refuse"}, "text is missing"),
         ({"text": 3, "label": "refuse"}, "text is 3"),

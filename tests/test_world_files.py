@@ -265,7 +265,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         "world.yaml": ("a: 1", "must end in .toml or .json"),
         "broken.toml": ("[area\n", "is no valid TOML: .*line 1"),
         "broken.json": ("{", "is no valid JSON: .*line 1"),
-        "list.json": ("[1]", r"the file is \[1\], but must be a table"),
+        "list.json": ("[1]", r"the document is \[1\], but must be a table"),
         "empty.toml": ("", "area is missing"),
     }
     for name, (text, message) in cases.items():

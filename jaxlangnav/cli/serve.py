@@ -8,6 +8,7 @@ from typing import Any
 
 from jaxlangnav.cli import checks
 from jaxlangnav.cli.output import Document, Output, UsageError, one_line
+from jaxlangnav.inputs.limits import bounded
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -35,10 +36,8 @@ class Serve:
 
     def run(self, output: Output) -> Document:
         """Serve until interrupted."""
-        if not 0 <= self.port < 65536:
-            raise UsageError(f"--port is {self.port}, but must lie between 0 and 65535")
-        if not 0.0 <= self.pace <= 60.0:
-            raise UsageError(f"--pace is {self.pace:g}, but must lie between 0 and 60 seconds")
+        bounded(self.port, 0, 65535, "--port", "8765 is usual, 0 takes any that is free")
+        bounded(self.pace, 0.0, 60.0, "--pace", "give seconds")
         for module in ("starlette", "uvicorn", "websockets"):
             checks.check_extra("serve needs a small web server", module, "serve")
         listener = self._listen()

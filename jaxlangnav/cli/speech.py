@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.cli.output import Output, UsageError
-from jaxlangnav.inputs.sanitize import did_you_mean, sanitize, shorten
+from jaxlangnav.inputs.sanitize import sanitize, shorten
+from jaxlangnav.inputs.schema import bad_choice
 
 if TYPE_CHECKING:
     from jaxlangnav.episode import EpisodeState
@@ -47,8 +48,7 @@ def check_speakers(*, ask: bool, talk: bool, person: str | None) -> None:
     from jaxlangnav.world.person import PERSONS
 
     if person is not None and person not in PERSONS:
-        known = f"{', '.join(PERSONS)}{did_you_mean(person, PERSONS)}"
-        raise UsageError(f'--person is "{shorten(person)}", but must be one of {known}')
+        raise UsageError(bad_choice("--person", person, PERSONS))
     if person is not None and talk:
         raise UsageError("--person speaks for you: leave out --talk")
     for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):

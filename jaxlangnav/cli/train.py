@@ -10,7 +10,7 @@ import tyro
 from jaxlangnav.cli.checks import File, check_file
 from jaxlangnav.cli.output import Document, Output, UsageError
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
-from jaxlangnav.inputs.limits import check_minimum, check_seed
+from jaxlangnav.inputs.limits import bounded, check_minimum, check_seed
 from jaxlangnav.language.phrase import MIN_PROBABILITY
 
 
@@ -146,8 +146,7 @@ class Evaluate:
             raise UsageError("--beams needs at least one width")
         for beam in self.beams:
             check_minimum(1, **{"--beams": beam})
-        if not 0.0 <= self.least_probability <= 1.0:
-            raise UsageError(f"--least-probability must be in [0, 1], not {self.least_probability}")
+        bounded(self.least_probability, 0.0, 1.0, "--least-probability", "give a share")
         if self.rewrites is not None and self.sentences is None:
             raise UsageError("--rewrites needs --sentences, the labelled sentences themselves")
         if self.rewrites is None and (self.fit_temperature or self.temperature != 1.0):

@@ -60,7 +60,6 @@ class Snapshot:
     hypothesis_y: Leaf  # f32[M, P]
     miss: Leaf  # f32[G, G] probability that an object in the cell was missed; [y, x]
     effective_sample_size: Leaf  # f32[] of the P particles
-    is_resampled: Leaf  # bool[] in this step
     num_regrounded: Leaf  # i32[] particles whose groundings were resampled
     is_news: Leaf  # bool[] a new object or a new utterance
     fault: Leaf  # i32[] bits of messages.Fault: why the robot stands still

@@ -26,7 +26,7 @@ from jaxlangnav.world.person import params_of
 _TRUE_TEXT, _FALSE_TEXT = "the hydrant is behind the cone", "the hydrant is in front of the cone"
 _SILENT: dict[str, Any] = {"num_corrections": 0, "answers": False}
 _ANSWERS: dict[str, Any] = {"num_corrections": 0}
-_COST = 0.1  # default cost of a question, in units of success
+_COST = dialogue.QUESTION_COST
 _VARIED_COSTS = (0.02, 0.05, 0.2, 0.4)
 _NOTE = (
     "Corrected way: metres from the first correction to the end over those straight from there to "

@@ -26,6 +26,8 @@ from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, new_p
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 
 _KEY_INDEX = 31  # folded twice into an episode's key for the person; steps fold it only once
+QUESTION_COST = 0.1
+"""Default cost of a question, in probability of success, where questions are allowed."""
 MIN_CANDIDATE_MASS = 0.01  # goal probability from which on an object is a candidate
 
 

@@ -244,11 +244,7 @@ class RecordedRewrites:
         self.answers: dict[str, tuple[Rewrite, ...]] = {}
         for line_number, line in read_lines(path, max_bytes=_MAX_FILE_BYTES):
             with error_prefix(f"{path}:{line_number}"):
-                document = parse_json(line)
-                if not isinstance(document, dict):
-                    reason = "must be an object with text and rewrites"
-                    raise ValueError(f"is {quote(document)}, but {reason}")
-                record = convert(document, _Recorded)
+                record = convert(parse_json(line), _Recorded)
                 if record.text in self.answers:
                     raise ValueError(f"text {quote(record.text)} stands in an earlier line already")
             self.answers[record.text] = tuple(record.rewrites)

@@ -14,6 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from jaxlangnav.inputs.sanitize import sanitize
+
 _MAX_HEADER_BYTES = 4096  # limit of a header's bytes; NumPy's own have 128
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
@@ -27,8 +29,7 @@ def as_value_error() -> Iterator[None]:
             yield
     except Exception as error:  # zipfile, zlib, numpy and json have a dozen kinds
         message = " ".join(str(error).split()) or type(error).__name__
-        message = "".join(char if char.isprintable() else "?" for char in message)
-        raise ValueError(message[:200]) from error
+        raise ValueError(sanitize(message)[:200]) from error
 
 
 def open_arrays(content: bytes) -> zipfile.ZipFile:

@@ -63,7 +63,7 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True):
 def convert(document: Any, schema: type[_Document], *, where: str = "") -> _Document:
     """Convert a document of JSON or TOML types by a schema.
 
-    ``where``: the path of keys to it, such as "sensor"; empty for a whole file.
+    ``where``: the path of keys to it, such as "sensor"; empty for a whole document.
 
     Raises:
         ValueError: the first part that does not fit; one line.
@@ -104,7 +104,7 @@ def _explain(message: str, value: Any, node: inspect.Type, where: str) -> str:
         return prefix + problem  # of a ``__post_init__``
     if isinstance(node, inspect.LiteralType):
         return bad_choice(key, value, map(str, node.values))
-    return f"{key or 'the file'} {_describe(value, node)}"
+    return f"{key or 'the document'} {_describe(value, node)}"
 
 
 def _intended_type(node: inspect.Type, value: Any) -> inspect.Type:

@@ -32,13 +32,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta
 
-from jaxlangnav.inputs.documents import (
-    DocumentError,
-    error_prefix,
-    parse_json,
-    read_lines,
-    shipped_file,
-)
+from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines, shipped_file
 from jaxlangnav.inputs.limits import MAX_METRES
 from jaxlangnav.inputs.sanitize import as_text, sanitize, shorten
 from jaxlangnav.inputs.schema import Name, Schema, convert
@@ -180,12 +174,7 @@ def read_example(line: str) -> Example:
     Raises:
         ValueError: the cause, in one line.
     """
-    try:
-        document = parse_json(line)
-    except DocumentError as error:
-        raise ValueError(f"the line {error}") from None
-    _check(isinstance(document, dict), f"the line is {as_text(document)}, but must be a table")
-    record = convert(document, _Line)
+    record = convert(parse_json(line), _Line)
     with error_prefix("the text is refused"):
         parsed = parse(record.text, is_rewritten=False)
     count = len(record.clauses)

@@ -169,7 +169,7 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
     sentences = []
     for line_number, line in lines:
         with error_prefix(f"{path}:{line_number}"):
-            sentences.append(_read_line(line_number, parse_json(line)))
+            sentences.append(_to_sentence(line_number, convert(parse_json(line), _Line)))
     return sentences
 
 
@@ -183,10 +183,8 @@ class _Line(Schema):
         """Accept any characters, unlike the base class."""
 
 
-def _read_line(line_number: int, document: Any) -> LabelledSentence:
-    if not isinstance(document, dict):
-        raise ValueError(f"is {quote(document)}, but must be an object with text and label")
-    line, meaning = convert(document, _Line), None
+def _to_sentence(line_number: int, line: _Line) -> LabelledSentence:
+    meaning = None
     if line.label != REFUSE:
         if isinstance(line.label, str):
             raise ValueError(f"label is {quote(line.label)}, but must be 'refuse' or an object")

@@ -16,7 +16,7 @@ import numpy as np
 from jaxlangnav.dialogue import discourse_of
 from jaxlangnav.episode import EpisodeState
 from jaxlangnav.episode.recording import Recording, Remark, StaticScene
-from jaxlangnav.experiments.dialogue import speak
+from jaxlangnav.experiments.dialogue import QUESTION_COST, speak
 from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.command_summary import summarize_commands
 from jaxlangnav.grounding.grounder import names_of
@@ -34,8 +34,6 @@ from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import Person, PersonParams, Says, new_person
 
-QUESTION_COST = 0.1
-"""Default cost of a question, in probability of success, where questions are allowed."""
 _RANKS = ("the first", "the second", "the third", "the fourth", "the fifth", "the sixth")
 _WORDS = {int(Says.OTHER): "no, the other one", int(Says.NONE_OF_THEM): "no"}
 _speak = cached_jit()(speak)

@@ -124,10 +124,7 @@ def read_reader_corpus(path: Path | None = None) -> list[CorpusLine]:
     rows = []
     for line_no, line in read_lines(path, max_bytes=_MAX_BYTES):
         with error_prefix(f"{path.name} line {line_no}"):
-            document = parse_json(line)
-            if not isinstance(document, dict):
-                raise ValueError("must have text, read, and maybe names")
-            rows.append(convert(document, CorpusLine))
+            rows.append(convert(parse_json(line), CorpusLine))
     return rows
 
 

@@ -217,10 +217,8 @@ def _train_model(
     def score(
         model: CorrespondenceModel, temperature: float, tested: Sequence[LabelledInstruction]
     ) -> Scores:
-        scaled, scorer = (
-            [dataclasses.replace(model, temperature=temperature)],
-            Scorer(tested, type_names),
-        )
+        scaled = [dataclasses.replace(model, temperature=temperature)]
+        scorer = Scorer(tested, type_names)
         if name == "annotation":
             return scorer.annotations(scaled).by_width[BEAM_WIDTH][0]
         return scorer.behaviors([models["annotation"]], scaled).by_width[BEAM_WIDTH][0]
@@ -295,7 +293,7 @@ def _judge(
     def meaning(tree: Parse) -> tuple[Any, ...]:
         understood = understand_parse(tree, grounding, detector)
         if int(understood.instruction.num_clauses):
-            understood.check_task(is_first=True)
+            understood.check_task()
         measures = (understood.instruction.metres, understood.instruction.frame)
         return (*meaning_key(understood.instruction), *(np.round(m, 2).tolist() for m in measures))
 

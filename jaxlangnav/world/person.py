@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.inputs.limits import check_minimum
+from jaxlangnav.inputs.limits import bounded, check_minimum
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import field, pytree, strong_types
 from jaxlangnav.world.state import Scenario
@@ -80,8 +80,7 @@ def params_of(**fields: Any) -> PersonParams:
         ValueError: a rate outside [0, 1], or a negative delay or count.
     """
     params = PersonParams(**fields)
-    if not 0.0 <= params.error_rate <= 1.0:
-        raise ValueError(f"error_rate is {params.error_rate:g}, but must be between 0 and 1")
+    bounded(params.error_rate, 0.0, 1.0, "error_rate", "give a share")
     check_minimum(0, delay=params.delay, num_corrections=params.num_corrections)
     return strong_types(params)
 

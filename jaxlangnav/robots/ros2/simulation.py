@@ -17,6 +17,7 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
+from jaxlangnav.inputs.limits import bounded
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.kinematic import KinematicRobot, SimulatedRobot
@@ -37,9 +38,7 @@ class LossyChannel:
 
     def __init__(self, rate: float, seed: int) -> None:
         """Set the rate, 0 to 0.3 or ``ValueError``, of lost, doubled and delayed messages, each."""
-        if not 0.0 <= rate <= 0.3:
-            raise ValueError(f"a share of {rate:g} of messages cannot be lost: give 0 to 0.3")
-        self._rate = rate
+        self._rate = bounded(rate, 0.0, 0.3, "faults", "give the share of messages that are lost")
         self._random = np.random.default_rng(seed)
         self._in_transit: list[tuple[float, Any]] = []
 
