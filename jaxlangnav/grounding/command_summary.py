@@ -114,17 +114,21 @@ def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[s
         names: object types by index.
 
     Returns:
-        One dict per command: ``action``, ``mode``, ``goal`` (``region``, ``object``; None if it is
-        no mention: "the other cone"), ``probability``, and ``avoid``, a list of ``region``,
-        ``object``, ``probability``.
+        One dict per command: ``action``, ``mode``, ``goal`` (``region``, ``object``: "stop sign or
+        exit sign" where a noun may be either; None if it is no mention: "the other cone"),
+        ``probability``, and ``avoid``, a list of ``region``, ``object``, ``probability``.
     """
     readings = jax.tree.map(np.asarray, instruction.readings)
-    types = readings.mention_type[int(np.argmax(readings.log_probability))]
+    best = int(np.argmax(readings.log_probability))
+    edges = np.stack([readings.edges(k) for k in range(len(readings.log_probability))])
+    # Readings that differ in the types alone: a noun with several labels has one for each.
+    is_alike = np.isclose(readings.log_probability, readings.log_probability[best])
+    types = readings.mention_type[is_alike & (edges == edges[best]).all(axis=(1, 2))]
 
     def target(region: int, mention: int) -> dict[str, str]:
-        code = ROBOT if mention == ROBOT else int(types[mention])
-        name = "robot" if code == ROBOT else name_of(code, names)
-        return {"region": REGIONS[region], "object": name}
+        codes = [ROBOT] if mention == ROBOT else dict.fromkeys(types[:, mention].tolist())
+        nouns = ("robot" if code == ROBOT else name_of(code, names) for code in codes)
+        return {"region": REGIONS[region], "object": " or ".join(nouns)}
 
     return [
         {

@@ -93,12 +93,7 @@ def set_params(numbers: Mapping[str, float | str], *, params: NavigatorParams) -
         ValueError: no such parameter, or an invalid value.
     """
     records = {"motion": params.map.motion, "map": params.map, "planner": params.planner}
-    record_of = {
-        field.name: key
-        for key, record in records.items()
-        for field in dataclasses.fields(record)
-        if isinstance(value := getattr(record, field.name), Array) and value.ndim == 0
-    }
+    record_of = {name: key for key in records for name in FIELDS[key]}
     for name, value in numbers.items():
         if name not in record_of:
             near = closest(name, record_of)
