@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.language.parser import parse, split_text
+from jaxlangnav.language.parser import Sentence, parse
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.reader import model as crf
 from jaxlangnav.language.reader.proposals import propose_readings
@@ -38,6 +38,7 @@ def goals(text: str) -> list[str]:
         ("would it be at all possible for somebody to go to the barn", "go to the barn"),
         ("my cousin from lyon has been so angry, go to the gate", "go to the gate"),
         ("could you zip to the barn, oops, my mistake, to the silo", "go to the silo"),
+        ("go to the barn, sorry, go to the silo", "go to the silo"),
         ("can you go look for it, the statue", "look for the statue"),
     ],
 )  # fmt: skip
@@ -63,7 +64,7 @@ def test_what_tells_how_or_which_stays(said, kept):
     [
         # leaving it out would choose another thing
         "the red statue is broken. go to the statue",
-        "my dog is under the bench. mosey to the bench",
+        "go to the tree, i mean, go to the barn",
         "i lost my dog, mosey to the tree and look for it",
         "mosey back to the place where we were this morning",
         "go to gate 3",
@@ -75,8 +76,7 @@ def test_what_tells_how_or_which_stays(said, kept):
         # or what is to be avoided
         "avoid going to the barn, go to the tree",
         "go to the tree but avoid the barn, the bench and the statue",
-        "avoid the barn, the bench, go to the tree",
-        "turn 30gon right and mosey to the barn",
+        "go forward 3 metres, sorry, 4 metres",
         # or turn the meaning round
         "i told him never to go to the tree",
         "go to the tree the barn is behind",
@@ -207,7 +207,7 @@ def test_a_reader_learns_what_is_left_out_and_is_written_and_read(tmp_path: Path
     crf.load_reader.cache_clear()
     try:
         assert crf.load_reader().labels == model.labels
-        first = propose_readings(split_text("walk to the tree, thanks dear friend"))[0]
+        first = propose_readings(Sentence("walk to the tree, thanks dear friend", ()).tokens)[0]
         assert [token.text for token in first.tokens] == ["walk", "to", "the", "tree"]
         assert first.left_out == ("thanks dear friend",)
         path.write_bytes(b"none")

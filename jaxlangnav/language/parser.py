@@ -24,6 +24,7 @@ from jaxlangnav.language.phrase import (
     Parse,
     Phrase,
 )
+from jaxlangnav.language.reader.features import ReaderSentence
 from jaxlangnav.language.reader.model import ReaderModel, load_reader
 from jaxlangnav.language.reader.proposals import (
     MIN_OVERRULING,
@@ -153,15 +154,6 @@ def _check_symbols(tokens: list[Token]) -> None:
             is_distance = load_lexicon().refused.get(following) == REASONS["a distance"]
             reason = REASONS["a distance"] if is_distance or text[-1] == "m" else reason
         raise LanguageError.at(text[:30], position, reason)
-
-
-def split_text(text: str, labels: Collection[str] = ()) -> list[RawToken]:
-    """Tokenize a text into words and marks, with spelling corrected; ``labels`` as in ``parse``.
-
-    Raises:
-        LanguageError: it has too many words or characters.
-    """
-    return Sentence(text, labels).tokens
 
 
 def parse(
@@ -294,6 +286,10 @@ def parse_tokens(
     clauses = join_topics(resolve([*map(name_nouns, phrases)], sentence.earlier))
     refuse_guesses(clauses, {position for _, position in guesses})
     clauses = join_constraints(clauses)
+    said = ReaderSentence(tuple(token.text for token in words), sentence.labels)
+    if said.correction < len(words):  # the grammar would read both as commands
+        word = words[said.correction]
+        raise LanguageError.at(word.text, word.position, REASONS["amends"])
     return Parse(
         instruction=sentence.text,
         clauses=tuple(clauses),

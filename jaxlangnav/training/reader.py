@@ -28,7 +28,7 @@ from scipy.special import expit
 from jaxlangnav.inputs.documents import error_prefix, parse_json, read_lines, shipped_file
 from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.language.parser import split_text
+from jaxlangnav.language.parser import Sentence
 from jaxlangnav.language.reader.features import ReaderSentence, featurize, load_verbs
 from jaxlangnav.language.reader.model import DELETE, KEEP, REJECT, ReaderModel
 from jaxlangnav.language.reader.proposals import Labelling, met_spans
@@ -141,7 +141,7 @@ def label_lines(rows: Sequence[CorpusLine]) -> list[ReaderExample]:
 
     for row in rows:
         names = with_names(frozenset(map(str.lower, row.names)) - pooled)
-        words = tuple(token.text for token in split_text(row.text, names))
+        words = tuple(token.text for token in Sentence(row.text, names).tokens)
         read = None if row.read is None else row.read.lower().split()
         labels = (REJECT,) * len(words) if read is None else align(words, read)
         if words and labels is not None:

@@ -119,6 +119,14 @@ class ReaderSentence:
             banned += [f"{banned.pop()} {singular(word)}"] if is_part else [""]
         return frozenset(banned) - {""}
 
+    @cached_property
+    def correction(self) -> int:
+        """Index of the first word that corrects what was said before, or the number of words."""
+        said = (i for i in range(len(self.words)) if self.is_name[i] or self.is_verb(i))
+        later = range(next(said, len(self.words)) + 1, len(self.words))
+        signs = (i for i in later if self.words[i] in WORDS["amending"] and not self.is_name[i])
+        return next(signs, len(self.words))
+
     def is_room(self, index: int) -> bool:
         """Check whether the name that begins at a word, or its last word, is a room."""
         stop = next((i for i in range(index, len(self.words)) if not self.is_name[i]), None)

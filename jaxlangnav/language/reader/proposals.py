@@ -85,12 +85,20 @@ class Labelling:
         words = (word for i in range(len(self.labels)) for word in self.read_as(i))
         return replace(self.sentence, words=tuple(words))
 
+    @property
+    def keeps_corrected(self) -> bool:
+        """Whether a command stays after "sorry" or "I mean", and what it corrects stays too."""
+        middle, is_verb = self.sentence.correction, self.sentence.is_verb
+        kept = [i for i, label in enumerate(self.labels) if label not in (DELETE, REJECT)]
+        begin = next((i for i in kept if is_verb(i) or self.sentence.is_name[i]), middle)
+        return begin < middle and any(is_verb(i) for i in kept if i > middle)
+
     def is_faithful(self) -> bool:
         """Check that quantities, bans and corrections stay, and no relation is made up."""
         checks = self._splits_quantity, self._edits_number, self._drops_choice
         is_edited = any(check(run) for run in self.runs for check in checks)
         return (
-            not is_edited
+            not (is_edited or self.keeps_corrected)
             and self.sentence.banned <= self.output.banned
             and all(self._is_converse(i) for run in self.runs for i in run if self.labels[i][1:])
         )
@@ -105,6 +113,7 @@ class Labelling:
         begin = next((i for i in run[:3] if words[i] in WORDS["amending"]), run.stop)
         said = [i for i in deleted if i > begin and run.start > 0]
         choice = {words[i] for i in said if self.sentence.is_name[i] or "ordinal" in classes[i]}
+        choice |= {words[i] for i in said if is_quantity(words[i]) and words[i] != "one"}
         is_ranked = any("ordinal" in classes_of(word) for word in output)
         relations = find_relations([words[i] for i in (deleted if is_ranked else said)])
         return not (choice <= {*output} and relations <= find_relations(output))
@@ -239,14 +248,18 @@ def propose_readings(
         proposals[sentence.words] = verbatim
         if p_verbatim > 1.0 - MIN_OVERRULING:
             return [verbatim]
-    for score, path in find_best(scores, model.transition, _NUM_LABELLINGS):
-        labelled = Labelling(sentence, tuple(model.labels[i] for i in path), model.met)
+    labellings = [
+        (Labelling(sentence, tuple(model.labels[i] for i in path), model.met), score - log_total)
+        for score, path in find_best(scores, model.transition, _NUM_LABELLINGS)
+    ]
+    p_refused += sum(math.exp(log_p) for labelled, log_p in labellings if labelled.keeps_corrected)
+    for labelled, log_p in labellings:
         is_refused = labelled.labels[0] == REJECT or not labelled.is_faithful()
         if is_refused or (
             is_readable and not model.met.issuperset(map(labelled.span_key, labelled.runs))
         ):
             continue
-        proposal = labelled.proposal(tokens, math.exp(score - log_total), p_refused)
+        proposal = labelled.proposal(tokens, math.exp(log_p), p_refused)
         words = tuple(token.text for token in proposal.tokens)
         if not words or words == sentence.words:
             continue
