@@ -411,11 +411,11 @@ def test_the_memory_is_that_of_the_container_where_it_is_less(tmp_path, monkeypa
     for text, expected in ((f"{1 << 28}\n", 1 << 28), ("max\n", None), ("", None)):
         limit.write_text(text)
         monkeypatch.setattr(sizes, "_CGROUP_LIMITS", (limit, tmp_path / "none"))
-        sizes._host_memory.cache_clear()
-        found = sizes._host_memory()
+        sizes._memory.cache_clear()
+        found = sizes._memory()
         assert found == expected if expected else found > 1 << 28
     monkeypatch.undo()
-    sizes._host_memory.cache_clear()
+    sizes._memory.cache_clear()
 
 
 # ------------ many devices and processes give the bytes of one

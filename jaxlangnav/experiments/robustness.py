@@ -125,16 +125,12 @@ def _notes(document: Document) -> list[str]:
     ]
 
 
-def _format_target(row: Row) -> str:
-    success = "" if row["target"] is None else f"≥ {row['target']:g}"
-    return f"{success}, ≤ {row['longest']:g} m" if row.get("longest") else success
-
-
 _RESULT_COLUMNS: TableColumns = (
     ("Scenario", "{scenario}"),
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS_FORMAT),
-    ("target", _format_target),
+    ("target", lambda row: ("" if row["target"] is None else f"≥ {row['target']:g}")
+     + (f", ≤ {row['longest']:g} m" if row.get("longest") else "")),
     ("Distance m (σ)", "{distance_mean:.1f} ({distance_sd:.1f})"),
     ("Known m", "{known_distance_mean:.1f}"),  # shortest path from start to goal
     ("Stopped elsewhere", "{elsewhere}"),  # arrivals that are not at the goal

@@ -34,11 +34,16 @@ _CGROUP_LIMITS = (_CGROUP / "memory.max", _CGROUP / "memory" / "memory.limit_in_
 """Files with a container's memory limit on Linux."""
 
 
+@functools.cache
 def _memory() -> int:
-    """Return the memory for arrays, bytes: the device's, or that available to this process."""
-    if jax.default_backend() == "cpu":
-        return _host_memory()
-    return int((jax.local_devices()[0].memory_stats() or {}).get("bytes_limit", _host_memory()))
+    """Return the memory for arrays, bytes: the device's, or that of the machine or container."""
+    limit = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for path in _CGROUP_LIMITS:
+        with contextlib.suppress(OSError, ValueError):
+            limit = min(limit, int(path.read_text()))
+    is_host = jax.default_backend() == "cpu"
+    stats = None if is_host else jax.local_devices()[0].memory_stats()
+    return int((stats or {}).get("bytes_limit", limit))
 
 
 def _bytes_of(tree: Any) -> int:
@@ -137,13 +142,3 @@ def any_task() -> Task:
         sensor=default_sensor(),
         motion=default_motion(),
     )
-
-
-@functools.cache
-def _host_memory() -> int:
-    """Return the bytes of memory of the machine, or the container's limit if lower."""
-    limit = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    for path in _CGROUP_LIMITS:
-        with contextlib.suppress(OSError, ValueError):
-            limit = min(limit, int(path.read_text()))
-    return limit

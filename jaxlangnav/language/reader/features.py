@@ -110,11 +110,13 @@ class ReaderSentence:
     @cached_property
     def banned(self) -> frozenset[str]:
         """The names that are to be avoided: those between "avoid" and a verb."""
-        words, is_banned, banned = self.words, False, [""]
+        words, entries, is_banned, banned = self.words, load_lexicon().entries, False, [""]
+        bans = entries["avoid"].keys() | entries["avoid_ing"].keys()
+        bans = bans - entries["opener_ing"].keys()  # "mind", which may begin any command
         for index, word in enumerate(words):
             begun = (words[index:stop] for stop in range(index + 1, len(words) + 1))
             is_end = self.is_verb(index) or word in _LINKS - {"and"} | {"while", "when"}
-            is_banned = not _bans().isdisjoint(begun) or (is_banned and not is_end)
+            is_banned = not bans.isdisjoint(begun) or (is_banned and not is_end)
             is_part = self.is_name[index] and is_banned
             banned += [f"{banned.pop()} {singular(word)}"] if is_part else [""]
         return frozenset(banned) - {""}
@@ -283,11 +285,3 @@ def find_relations(words: Sequence[str]) -> set[int]:
     """Find the relations named by expressions among words, as indices into ``RELATIONS``."""
     text = f" {' '.join(words)} "
     return {relation for expression, relation in _relations().items() if expression in text}
-
-
-@cache
-def _bans() -> frozenset[tuple[str, ...]]:
-    """Collect the expressions for "avoid", less those that also begin any command ("mind")."""
-    entries = load_lexicon().entries
-    bans = entries["avoid"].keys() | entries["avoid_ing"].keys()
-    return frozenset(bans - entries["opener_ing"].keys())

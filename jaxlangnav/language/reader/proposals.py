@@ -88,10 +88,11 @@ class Labelling:
     @property
     def keeps_corrected(self) -> bool:
         """Whether a command stays after "sorry" or "I mean", and what it corrects stays too."""
-        middle, is_verb = self.sentence.correction, self.sentence.is_verb
+        middle, is_name = self.sentence.correction, self.sentence.is_name
         kept = [i for i, label in enumerate(self.labels) if label not in (DELETE, REJECT)]
-        begin = next((i for i in kept if is_verb(i) or self.sentence.is_name[i]), middle)
-        return begin < middle and any(is_verb(i) for i in kept if i > middle)
+        verbs = [i for i in kept if self.sentence.is_verb(i) and not is_name[i]]
+        begin = next((i for i in kept if i in verbs or is_name[i]), middle)
+        return begin < middle < max(verbs, default=0)
 
     def is_faithful(self) -> bool:
         """Check that quantities, bans and corrections stay, and no relation is made up."""
