@@ -224,7 +224,7 @@ def test_a_reader_learns_what_is_left_out_and_is_written_and_read(tmp_path: Path
         ('{"text": "go"}', "line 1: read is missing"),
         ('{"text": 3, "read": null}', "line 1: text is 3"),
         ('{"text": "go", "read": null, "names": 5}', "line 1: names is 5"),
-        ("[]", "line 1: must have text"),
+        ("[]", "line 1: the document is"),
         ("{", "line 1: "),
     ],
 )
