@@ -85,7 +85,7 @@ class Labelling:
         words = (word for i in range(len(self.labels)) for word in self.read_as(i))
         return replace(self.sentence, words=tuple(words))
 
-    @property
+    @cached_property
     def keeps_corrected(self) -> bool:
         """Whether a command stays after "sorry" or "I mean", and what it corrects stays too."""
         middle, is_name = self.sentence.correction, self.sentence.is_name
