@@ -233,7 +233,7 @@ def typed(*words: str) -> dict[settings.OptionPath, Any]:
 
 
 def test_every_number_of_the_planner_is_an_option_with_its_help() -> None:
-    found = {one.path: one for one in settings.options(["params"])}
+    found = {one.path: one for one in settings.options(Follow.SETTINGS)}
     names = [path[-1] for path in found if path[:2] == ("params", "planner")]
     assert names == list(PlannerParams.__dataclass_fields__)
     discount = found["params", "planner", "discount"]
@@ -241,7 +241,7 @@ def test_every_number_of_the_planner_is_an_option_with_its_help() -> None:
     assert discount.default == pytest.approx(float(navigator_params().planner.discount))
     assert discount.help.startswith("γ per metre")
     # Every number says what it is, to its end; sizes say it by their names.
-    assert all(one.help or one.is_integer for one in settings.options(Follow.SETTINGS))
+    assert all(one.help or isinstance(one.default, int) for one in found.values())
     assert found["params", "planner", "give_up"].help.endswith("of ``informed``, 0: never")
     assert found["params", "mode_speed"].default == (1.0, 1.5, 0.6)
     assert "normal, quickly, carefully" in found["params", "mode_speed"].help

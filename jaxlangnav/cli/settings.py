@@ -40,7 +40,6 @@ class Option:
     path: OptionPath
     default: Any  # a number, or a tuple of them
     help: str
-    is_integer: bool
 
     @property
     def flag(self) -> str:
@@ -58,7 +57,7 @@ class Option:
         return tuple(self._parse(part) for part in parts)
 
     def _parse(self, text: str) -> float | int:
-        if self.is_integer:
+        if isinstance(self.default, int):
             try:
                 return int(text)
             except ValueError:
@@ -70,7 +69,7 @@ class Option:
 
     def metavar(self) -> str:
         """Return the placeholder in the help, such as LENGTH or 3xLENGTH."""
-        name = "INT" if self.is_integer else _quantity(self.path).kind.upper()
+        name = "INT" if isinstance(self.default, int) else _quantity(self.path).kind.upper()
         return f"{len(self.default)}x{name}" if isinstance(self.default, tuple) else name
 
 
@@ -104,9 +103,10 @@ def with_options(command: type[Any]) -> type[Any]:
 
     tree = _options_class("Settings", options(command.SETTINGS), depth=0)
     field = ("settings", Annotated[tree, tyro.conf.arg(name="")], dataclasses.field(default=tree()))
-    kwargs: dict[str, Any] = {"bases": (command,), "frozen": True, "kw_only": True}
-    kwargs["namespace"] = {"__doc__": command.__doc__}
-    return dataclasses.make_dataclass(command.__name__, [field], **kwargs)
+    return dataclasses.make_dataclass(
+        command.__name__, [field], bases=(command,), namespace={"__doc__": command.__doc__},
+        frozen=True, kw_only=True,
+    )  # fmt: skip
 
 
 def read_options(settings: Any, groups: Sequence[str]) -> dict[OptionPath, Any]:
@@ -169,8 +169,7 @@ def _list_options(record: Any, path: OptionPath) -> list[Option]:
             result += _list_options(value, field_path)
         elif (default := _as_numbers(value)) is not None:
             doc = field.metadata.get("help", "")
-            is_integer = isinstance(value, int)
-            result.append(Option(path=field_path, default=default, help=doc, is_integer=is_integer))
+            result.append(Option(path=field_path, default=default, help=doc))
     return result
 
 
@@ -182,13 +181,11 @@ def _raw_params(record: Any) -> Any:
 
 
 def _as_numbers(value: Any) -> float | int | tuple[float, ...] | None:
-    """Convert a leaf to numbers; None if it is not a float or a vector of floats."""
+    """Convert a leaf to numbers; None if it is no whole number, float or vector of floats."""
     import numpy as np
 
     if isinstance(value, int) and not isinstance(value, bool):
         return value
-    if isinstance(value, str | bool):
-        return None
     array = np.asarray(value)
     if array.ndim > 1 or not np.issubdtype(array.dtype, np.floating):
         return None
