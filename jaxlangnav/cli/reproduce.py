@@ -160,13 +160,9 @@ class Reproduce:
     def command(self, what: str) -> str:
         """Build the command line that repeats an experiment."""
         parts = ["jaxlangnav reproduce", what]
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            is_plain = field.name in ("episodes", "policy", "ranges", "seed", "particles")
-            if field.name == "extra" and value:
-                parts.append("--extra")
-            elif is_plain and value != field.default:
-                parts.append(f"--{field.name} {shlex.quote(str(value))}")
+        for name in ("episodes", "policy", "extra", "ranges", "seed", "particles"):
+            if (value := getattr(self, name)) != getattr(type(self), name):
+                parts += [f"--{name}"] if value is True else [f"--{name}", shlex.quote(str(value))]
         for path, value in read_options(self.settings, self.SETTINGS).items():
             flag = ".".join(path).replace("_", "-")
             numbers = value if isinstance(value, tuple) else (value,)
