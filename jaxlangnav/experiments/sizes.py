@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import Task, begin, finish
@@ -48,13 +47,9 @@ def _memory() -> int:
 
 def _bytes_of(tree: Any) -> int:
     """Count the bytes of arrays, concrete or abstract."""
-    total = 0
-    for leaf in jax.tree.leaves(tree):
-        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-            leaf = jax.eval_shape(jax.random.key_data, leaf)
-        # Python integers, since NumPy's would overflow.
-        total += np.dtype(leaf.dtype).itemsize * math.prod(map(int, leaf.shape))
-    return total
+    # Python integers, since NumPy's would overflow.
+    leaves = jax.tree.leaves(tree)
+    return sum(leaf.dtype.itemsize * math.prod(map(int, leaf.shape)) for leaf in leaves)
 
 
 def _episode_bytes(config: NavigatorConfig) -> tuple[int, int]:
