@@ -231,19 +231,17 @@ def _options_class(name: str, group: Sequence[Option], *, depth: int) -> type[An
 
 
 def _set_values(record: Any, values: Mapping[OptionPath, Any]) -> Any:
+    """Set values below a record or, where the path ends, the number itself."""
     import jax.numpy as jnp
 
-    from jaxlangnav.relations import RelationModel, prepare
+    from jaxlangnav.relations import prepare
 
-    is_model = isinstance(record, RelationModel)
-    record = _raw_params(record)
-    changes: dict[str, Any] = {}
-    for name in dict.fromkeys(path[0] for path in values):
-        field_values = {path[1:]: value for path, value in values.items() if path[0] == name}
-        if () in field_values:
-            value = field_values[()]
-            changes[name] = value if isinstance(value, int) else jnp.asarray(value, jnp.float32)
-        else:
-            changes[name] = _set_values(getattr(record, name), field_values)
-    changed = dataclasses.replace(record, **changes)
-    return prepare(changed) if is_model else changed
+    if () in values:
+        value = values[()]
+        return value if isinstance(value, int) else jnp.asarray(value, jnp.float32)
+    raw = _raw_params(record)
+    names = {path[0] for path in values}
+    changed = dataclasses.replace(
+        raw, **{name: apply(getattr(raw, name), values, name) for name in names}
+    )
+    return changed if raw is record else prepare(changed)
