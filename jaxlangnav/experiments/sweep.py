@@ -78,16 +78,24 @@ def identity(document: dict[str, Any]) -> str:
 
     Files of a version with other metrics cannot be combined with these in one table.
     """
-    shared = {key: _drop_device_count(document.get(key)) for key in _IDENTITY}
-    shared["measured"] = [field.name for field in dataclasses.fields(EpisodeResult)]
+    measured = [field.name for field in dataclasses.fields(EpisodeResult)]
+    shared = _identifying(document) | {"measured": measured}
     return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()
+
+
+def _identifying(document: dict[str, Any]) -> dict[str, Any]:
+    """Select what identifies a sweep: not the number of devices, on which no result depends."""
+    shared = {key: document.get(key) for key in _IDENTITY}
+    if isinstance(device := shared["device"], dict):
+        shared["device"] = {key: value for key, value in device.items() if key != "count"}
+    return shared
 
 
 def _open_folder(
     folder: Path, plan: SweepPlan, indices: Sequence[int], models: Any, *, is_resumed: bool
 ) -> str:
     """Write the manifest, or check that the existing one is of this sweep; return its identity."""
-    sizes = {"files": plan.num_files, "rows": plan.episodes_of("1/1")}
+    sizes = {"files": plan.num_files, "rows": len(plan.grid.arms) * plan.episodes_of_arm}
     settings = plan.config.document() | {"chunk": CHUNK_SIZE, "lanes": NUM_LANES} | sizes
     required = json.loads(json.dumps(manifest(settings, models=models)))
     path = folder / MANIFEST
@@ -98,12 +106,10 @@ def _open_folder(
             raise ValueError(f"{folder} holds episodes without a manifest: choose another folder")
         write_once(json_text(required).encode(), path)
     # Read back in any case: of several sweeps that start here at once, one has written it.
-    existing = read_manifest(folder)
-    for key in _IDENTITY:
-        actual, expected = _drop_device_count(existing.get(key)), _drop_device_count(required[key])
-        if actual != expected:
-            difference = _difference(actual, expected, key)
-            raise ValueError(f"{folder} holds another sweep ({difference}): choose another folder")
+    theirs, ours = _identifying(read_manifest(folder)), _identifying(required)
+    if theirs != ours:
+        difference = _difference(theirs, ours)
+        raise ValueError(f"{folder} holds another sweep ({difference}): choose another folder")
     if not is_resumed and any(index in indices for index, _ in episode_files(folder)):
         raise ValueError(f"{folder} already holds episodes of this sweep: add --resume")
     return identity(required)
@@ -128,19 +134,12 @@ def _valid_files(
     return valid
 
 
-def _drop_device_count(value: Any) -> Any:
-    """Drop the number of devices, on which results do not depend."""
-    if isinstance(value, dict):
-        return {key: entry for key, entry in value.items() if key != "count"}
-    return value
-
-
-def _difference(theirs: Any, ours: Any, name: str) -> str:
-    """Describe the first difference between two manifests."""
+def _difference(theirs: Any, ours: Any, name: str = "") -> str:
+    """Describe the first difference between two manifests, at their part ``name``."""
     if isinstance(theirs, dict) and isinstance(ours, dict):
         for key in {**ours, **theirs}:
             if theirs.get(key) != ours.get(key):
-                path = key if name == "settings" else f"{name}.{key}"
+                path = key if name in ("", "settings") else f"{name}.{key}"
                 return _difference(theirs.get(key), ours.get(key), path)
     return f"{name}: {theirs} there, {ours} here"
 

@@ -109,13 +109,11 @@ class SweepPlan:
         return range(part - 1, self.num_files, parts)
 
     def episodes_of(self, shard: str) -> int:
-        """Count the rows of a shard's files; only the last file of an arm may be partial."""
-        files, per_arm = self.files(shard), self.files_of_arm
-        partial = sum(last in files for last in range(per_arm - 1, self.num_files, per_arm))
-        return len(files) * CHUNK_SIZE - partial * (CHUNK_SIZE - self.size(per_arm - 1))
+        """Count the rows of a shard's files."""
+        return sum(map(self.size, self.files(shard)))
 
     def size(self, index: int) -> int:
-        """Count the episodes of a file."""
+        """Count the episodes of a file; only the last file of an arm may be partial."""
         return min(CHUNK_SIZE, self.episodes_of_arm - index % self.files_of_arm * CHUNK_SIZE)
 
     def arm(self, index: int) -> Arm:
