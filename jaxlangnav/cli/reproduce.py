@@ -145,12 +145,8 @@ class Reproduce:
                 f'--policy is "{self.policy}", but {self.what} takes {" or ".join(policies)}'
             )
         # Options that the experiment would ignore.
-        is_read = ("what", "trials", "policy", "seed", "out", "json", "settings")
-        unread = [
-            field.name
-            for field in dataclasses.fields(self) if self.what == "table3"
-            and field.name not in is_read and getattr(self, field.name) != field.default
-        ]  # fmt: skip
+        sizes = ("episodes", "particles") if self.what == "table3" else ()
+        unread = [name for name in sizes if getattr(self, name)]
         taken = _SETTING_GROUPS.get(self.what, self.SETTINGS)
         settings = read_options(self.settings, self.SETTINGS)
         unread += [".".join(path).replace("_", "-") for path in settings if path[0] not in taken]
