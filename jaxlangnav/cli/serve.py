@@ -1,5 +1,6 @@
 """``jaxlangnav serve``: a local web page to talk to the robot while it searches."""
 
+import contextlib
 import dataclasses
 import secrets
 import socket
@@ -61,12 +62,9 @@ class Serve:
                 import webbrowser
 
                 webbrowser.open(address)
-            try:
+            # Ctrl-C is the normal way to stop.
+            with listener, contextlib.suppress(KeyboardInterrupt):
                 uvicorn.Server(uvicorn.Config(app, **options)).run(sockets=[listener])
-            except KeyboardInterrupt:
-                pass  # Ctrl-C is the normal way to stop
-            finally:
-                listener.close()
         output.note(f"ended; episodes opened: {server.num_opened}")
         return {"address": address, "episodes": server.num_opened}
 
