@@ -162,23 +162,21 @@ def _acquire(path: Path, on_note: OnNote, *, flags: int = os.O_RDWR | os.O_CREAT
     """Lock a file exclusively; ``ValueError`` names the process that holds the lock."""
     while True:
         handle = os.open(path, flags, 0o666)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with contextlib.ExitStack() as on_failure:
+            on_failure.callback(os.close, handle)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                part = path.name.removeprefix(".held-").removesuffix(".json").replace("-of-", "/")
+                raise ValueError(
+                    f"{path.parent}: {_owner(path)} is at work on part {part}: let it end, or end "
+                    "it; parts that share no files with it (--shard) can run beside it"
+                ) from None
+            # If another process removed the file between opening and locking: try again.
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(handle), path.stat()):
+                    on_failure.pop_all()
                     break
-        except BlockingIOError:
-            os.close(handle)
-            part = path.name.removeprefix(".held-").removesuffix(".json").replace("-of-", "/")
-            raise ValueError(
-                f"{path.parent}: {_owner(path)} is at work on part {part}: let it end, or end "
-                "it; parts that share no files with it (--shard) can run beside it"
-            ) from None
-        except BaseException:
-            os.close(handle)
-            raise
-        # Another process removed the file between opening and locking: try again.
-        os.close(handle)
     if os.fstat(handle).st_size:
         on_note(f"note: {path.parent}: took over from {_owner(path)}, which is gone")
     return handle
