@@ -40,9 +40,8 @@ def _memory() -> int:
     for path in _CGROUP_LIMITS:
         with contextlib.suppress(OSError, ValueError):
             limit = min(limit, int(path.read_text()))
-    is_host = jax.default_backend() == "cpu"
-    stats = None if is_host else jax.local_devices()[0].memory_stats()
-    return int((stats or {}).get("bytes_limit", limit))
+    stats = jax.local_devices()[0].memory_stats() or {}  # a CPU has none
+    return int(stats.get("bytes_limit", limit))
 
 
 def _bytes_of(tree: Any) -> int:
