@@ -13,7 +13,7 @@ import hashlib
 import json
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -120,17 +120,15 @@ def _valid_files(
 ) -> set[int]:
     """Find the indices of those of our files that exist and are valid."""
     valid = set()
-    for index, path in sorted(episode_files(folder)):
-        if index not in indices:
-            continue
+    for index, path in sorted(item for item in episode_files(folder) if item[0] in indices):
         try:
             check_rows(path, FileId(sweep=sweep_id, index=index, rows=plan.size(index)))
         except FileError as fault:
             if path.is_dir():
                 raise ValueError(f"{path}: is a folder where a file belongs: remove it") from None
             on_note(f"note: {path} {fault}; it is made again")
-            continue
-        valid.add(index)
+        else:
+            valid.add(index)
     return valid
 
 
@@ -192,7 +190,7 @@ def run_sweep(
             num_valid, missing = sum(map(plan.size, valid)), (i for i in indices if i not in valid)
             on_progress(num_valid)
             run_files = functools.partial(_run_files, plan, folder, sweep_id, sentences)
-            rounds = _rounds(missing, plan.program_key, mesh().size)
+            rounds = _rounds(plan, missing)
             for done in run_ahead(run_files, rounds, num_threads or concurrent_calls()):
                 on_progress(done)
     return {
@@ -208,15 +206,15 @@ def run_sweep(
     }
 
 
-def _rounds(
-    files: Iterable[int], program_key: Callable[[int], tuple[str, int | None]], devices: int
-) -> Iterator[list[int]]:
+def _rounds(plan: SweepPlan, files: Iterable[int]) -> Iterator[list[int]]:
     """Group file indices into rounds of one program, one file per device."""
     groups: dict[tuple[str, int | None], list[int]] = {}
     for index in files:
-        group = groups.setdefault(key := program_key(index), [])
+        arm = plan.arm(index)
+        key = arm.policy, arm.labels["particles"]  # a baseline has none
+        group = groups.setdefault(key, [])
         group.append(index)
-        if len(group) == devices:
+        if len(group) == mesh().size:
             yield groups.pop(key)
     yield from groups.values()
 

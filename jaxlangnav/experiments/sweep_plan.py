@@ -124,11 +124,6 @@ class SweepPlan:
         """List the indices of a file's episodes within its arm."""
         return index % self.files_of_arm * CHUNK_SIZE + np.arange(self.size(index))
 
-    def program_key(self, index: int) -> tuple[str, int | None]:
-        """Identify the compiled program of a file: policy, and particles if it has any."""
-        arm = self.arm(index)
-        return arm.policy, arm.labels["particles"]
-
 
 def make_plan(config: SweepConfig) -> SweepPlan:
     """Build and validate the plan of a sweep.
