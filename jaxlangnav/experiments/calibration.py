@@ -163,8 +163,7 @@ def _reliability(probability: Array, outcome: Array, is_event: Array) -> Reliabi
     """Sum events into bins of their probability."""
     probability = jnp.clip(probability, 0.0, 1.0)
     bins = jnp.minimum((probability * NUM_BINS).astype(jnp.int32), NUM_BINS - 1)
-    is_member = (bins[:, None] == jnp.arange(NUM_BINS)[None, :]) & is_event[:, None]
-    member = is_member.astype(jnp.float32)
+    member = jax.nn.one_hot(bins, NUM_BINS) * is_event[:, None]
     return Reliability(
         events=jnp.sum(member, axis=0),
         probability=probability @ member,
@@ -228,14 +227,13 @@ def tally_step(before: EpisodeState, info: NavigatorInfo, after: EpisodeState) -
     sums = Tally(
         steps=jnp.float32(1.0),
         covered=(level <= 0.9).astype(jnp.float32),
-        rank=(bin_index == jnp.arange(NUM_BINS)).astype(jnp.float32),
+        rank=jax.nn.one_hot(bin_index, NUM_BINS),
         negative_log_likelihood=-log_density,
         planner=_reliability(goals.object_mass[:-1], outcome, is_event),
         map=_reliability(_referent_mass(after), outcome, is_event),
     )
     stage = jnp.sum(before.steps >= jnp.asarray(STAGES)) - 1
-    is_stage = (jnp.arange(len(STAGES)) == stage) & (scenario.goal_index != NONE)
-    is_stage = is_stage.astype(jnp.float32)
+    is_stage = jax.nn.one_hot(stage, len(STAGES)) * (scenario.goal_index != NONE)
     return jax.tree.map(lambda leaf: is_stage.reshape(-1, *(1,) * leaf.ndim) * leaf[None], sums)
 
 
