@@ -31,7 +31,7 @@ _REPRODUCIBILITY = (
 _COMPILE_EVENTS = "/jax/core/compile/"
 
 
-def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, Any]:
+def manifest(settings: Mapping[str, Any], *, models: Any) -> dict[str, Any]:
     """Build a manifest: settings, versions, device, and the hash of the models used."""
     device = jax.devices()[0]
     return {
@@ -39,7 +39,7 @@ def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, An
         "jaxlangnav": __version__,
         "python": platform.python_version(),
         "libraries": {name: importlib.metadata.version(name) for name in _LIBRARIES},
-        "models_sha256": None if models is None else pytree_hash(models),
+        "models_sha256": pytree_hash(models),
         "device": {
             "platform": device.platform,
             "kind": device.device_kind,
