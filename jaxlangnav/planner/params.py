@@ -27,7 +27,7 @@ class PlannerParams:
         "goal mass still unseen, relative to the best, that is neglected", default=0.25
     )
     prior_share: Array = field(
-        "weight of the learned prior in the order of search; 0: none", default=0.8
+        "weight of the learned prior in the order of search; 0: none", default=0.95
     )
     ahead: Array = field(
         "κ, concentration of the prior that mentioned objects lie ahead of the robot", default=0.0

@@ -1,10 +1,10 @@
 """Search tours of least expected latency, by randomized local search (section 3.4; ours).
 
 Each decision starts from the current tour and from greedy tours over a lattice of viewpoints, and
-improves the best, that of least ``latency``, by a few rounds of random moves: shift a stop, insert
-one, remove one, reverse a segment. As the current tour is among the candidates, it is replaced
-only by one of lower cost. Stops near forbidden objects cost the distance in and out
-(``constraints``).
+improves the best, that of least ``latency``, by rounds of random moves: shift a stop, insert one,
+remove one, reverse a segment. As the current tour is among the candidates, it is replaced only by
+one of lower cost. The larger the area beside the sensing range, the more rounds. Stops near
+forbidden objects cost the distance in and out (``constraints``).
 """
 
 import chex
@@ -85,8 +85,8 @@ def random_moves(key: Array, tour: Tour, search: SearchMap, area: Array) -> Tour
     )
 
 
-NUM_ROUNDS = 3
-"""Rounds of local search at each decision."""
+_MIN_ROUNDS, _MAX_ROUNDS, _VIEWS_PER_ROUND = 3, 32, 3.0
+"""Rounds of local search at each decision: one for every three views that fill the area."""
 _IS_KEPT_OUT = np.arange(NUM_CHANGES) % 2 == 1
 """Moves whose stops are projected out of the keep-out zones of forbidden objects. Those of the
 initial tours are, except of the current tour."""
@@ -139,7 +139,8 @@ def plan(
     chex.assert_type([tour.x, search.unanchored, area], float)
     start = _drop_reached(_drop_reached(tour, robot), robot)
     first = _prepend(start, greedy(search, robot, sensor.range_max, area))
-    keys = jax.random.split(key, NUM_ROUNDS)
+    num_views = (area[1] - area[0]) * (area[3] - area[2]) / (jnp.pi * sensor.range_max**2)
+    rounds = jnp.clip(jnp.ceil(num_views / _VIEWS_PER_ROUND), _MIN_ROUNDS, _MAX_ROUNDS)
     # As many initial tours as moves, so that one program evaluates both.
     first = jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)], first)
 
@@ -148,7 +149,7 @@ def plan(
         tours, cost = carry
         idx = jnp.argmin(cost)
         best = Tour(x=tours.x[idx], y=tours.y[idx])
-        changed = random_moves(keys[index - 1], best, search, area)
+        changed = random_moves(jax.random.fold_in(key, index), best, search, area)
         tried = jax.tree.map(lambda a, b: jnp.where(index == 0, a, b), first, changed)
         if search.forbidden is not None:
             is_out = jnp.where(index == 0, np.arange(NUM_CHANGES) > 0, _IS_KEPT_OUT)[:, None]
@@ -163,6 +164,7 @@ def plan(
     # Nothing has been evaluated yet: placeholders of infinite cost.
     placeholders = jax.tree.map(lambda a: jnp.tile(a, (NUM_CHANGES + 1, 1)), start)
     costs = jnp.full(NUM_CHANGES + 1, jnp.inf)
-    tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS + 1, improve, (placeholders, costs))
+    last = rounds.astype(jnp.int32) + 1
+    tours, cost = jax.lax.fori_loop(0, last, improve, (placeholders, costs))
     mass, anchored = jnp.sum(search.mass), jnp.sum(search.anchored)
     return Plan(tours=tours, latency=cost, mass=mass, anchored=anchored, ordered=search.ordered)
