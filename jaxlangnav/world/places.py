@@ -135,17 +135,12 @@ def _are_free(
     point: Array, type_id: Array, placed: Array, types: Array, is_placed: Array, spec: WorldParams
 ) -> Array:
     """Test at which positions f32[2, K] an object of a type is valid given f32[2, O] others."""
-
-    def is_compatible(other: Array, other_type: Array, gap: Array) -> Array:
-        other = other[:, None]
-        distance = jnp.hypot(point[0] - other[0], point[1] - other[1])
-        as_hydrant = is_related(point, other, side) & (other_type == CONE) & (type_id == HYDRANT)
-        as_cone = is_related(other, point, side) & (other_type == HYDRANT) & (type_id == CONE)
-        return (distance >= gap) & ~as_hydrant & ~as_cone
-
-    gaps, side = jnp.where(jnp.arange(types.size) < 2, GOAL_GAP, spec.gap), spec.stated_side
-    is_valid = jax.vmap(is_compatible, in_axes=(1, 0, 0))(placed, types, gaps)
-    return jnp.all(is_valid | ~is_placed[:, None], axis=0)
+    point, other, other_type = point[:, None, :], placed[:, :, None], types[:, None]
+    gap, side = jnp.where(jnp.arange(types.size) < 2, GOAL_GAP, spec.gap), spec.stated_side
+    is_apart = jnp.hypot(point[0] - other[0], point[1] - other[1]) >= gap[:, None]
+    as_hydrant = is_related(point, other, side) & (other_type == CONE) & (type_id == HYDRANT)
+    as_cone = is_related(other, point, side) & (other_type == HYDRANT) & (type_id == CONE)
+    return jnp.all((is_apart & ~as_hydrant & ~as_cone) | ~is_placed[:, None], axis=0)
 
 
 def _errors(key: Array, spec: WorldParams) -> Errors:

@@ -66,23 +66,18 @@ class ScenarioParams:
     range_sd: Array  # f32[] metres
 
 
-@pytree
-class _Placement:
-    """A world before its goal is chosen: B = MAX_HYDRANTS hydrants, F = NUM_FREE free cones."""
-
-    hydrant: Array  # f32[2, B] x, y metres, map frame
-    anchor_cone: Array  # f32[2, B] metres, the first cone if this hydrant is the anchor
-    free_cone: Array  # f32[2, F] metres, the further cones
-    is_met: Array  # bool[] all constraints are met
-
-
 def _area_depth(dist: ScenarioParams) -> Array:
     """Compute D, the depth of the operating area."""
     return dist.range_mean + AREA_SIGMAS * dist.range_sd
 
 
-def _sample_placement(key: Array, dist: ScenarioParams) -> _Placement:
-    """Sample one world, which may violate the constraints."""
+def _sample_placement(key: Array, dist: ScenarioParams) -> tuple[Array, Array, Array, Array]:
+    """Sample one world before its goal is chosen; it may violate the constraints.
+
+    Positions of the hydrants f32[2, B], of each one's cone if it is the anchor f32[2, B] and of the
+    free cones f32[2, F], metres, map frame; bool[], all constraints are met. B = MAX_HYDRANTS,
+    F = NUM_FREE.
+    """
     points, offsets = _sample_candidates(key, dist)
     is_hydrant = jnp.arange(MAX_HYDRANTS) < dist.num_hydrants
     check = jax.vmap(_are_valid, in_axes=(-1, None, None))
@@ -90,8 +85,7 @@ def _sample_placement(key: Array, dist: ScenarioParams) -> _Placement:
     hydrant = points[:, :MAX_HYDRANTS, jnp.argmax(is_valid)]
     anchor_cone, is_anchor_met = _place_anchor_cones(offsets, dist, hydrant, is_hydrant)
     free_cone, is_free_met = _place_free_cones(points, offsets, dist, hydrant, anchor_cone)
-    is_met = jnp.any(is_valid) & is_anchor_met & is_free_met
-    return _Placement(hydrant=hydrant, anchor_cone=anchor_cone, free_cone=free_cone, is_met=is_met)
+    return hydrant, anchor_cone, free_cone, jnp.any(is_valid) & is_anchor_met & is_free_met
 
 
 def _place_anchor_cones(
@@ -260,13 +254,14 @@ def draw_scenario(key: Array, dist: ScenarioParams) -> Scenario:
     key_place, key_goal = jax.random.split(key)
     keys = jax.random.split(key_place, NUM_ATTEMPTS)
     attempts = jax.vmap(_sample_placement, in_axes=(0, None))(keys, dist)
-    placement = jax.tree.map(lambda leaf: leaf[jnp.argmax(attempts.is_met)], attempts)
+    first = jnp.argmax(attempts[-1])
+    hydrants, anchor_cones, free_cones, is_met = (part[first] for part in attempts)
     choices = (jax.random.uniform(key_goal, (2,)) * dist.num_hydrants).astype(jnp.int32)
     anchor, other = jnp.minimum(choices, dist.num_hydrants - 1)
     goal_index = jnp.where(dist.relation == NULL, other, anchor)
     # Slots: hydrants, then the anchor's cone, then the free cones.
-    cone = placement.anchor_cone[:, anchor]
-    position = jnp.concatenate([placement.hydrant, cone[:, None], placement.free_cone], axis=1)
+    cone = anchor_cones[:, anchor]
+    position = jnp.concatenate([hydrants, cone[:, None], free_cones], axis=1)
     object_type = jnp.array([HYDRANT] * MAX_HYDRANTS + [CONE] * MAX_CONES, jnp.int32)
     is_object = jnp.concatenate(
         [jnp.arange(MAX_HYDRANTS) < dist.num_hydrants, jnp.arange(MAX_CONES) < dist.num_cones]
@@ -284,5 +279,5 @@ def draw_scenario(key: Array, dist: ScenarioParams) -> Scenario:
         goal_index=goal_index,
         start=jnp.zeros(3, jnp.float32),
         area=jnp.stack([jnp.zeros_like(depth), depth, -half_width, half_width]),
-        is_valid=placement.is_met,
+        is_valid=is_met,
     )
