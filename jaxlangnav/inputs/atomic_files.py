@@ -26,7 +26,6 @@ _FILE_TYPES = {
     stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
 }
-_CHUNK = 1 << 20
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS_ACCESS = stat.S_IRWXG | stat.S_IRWXO
 _OPEN_FLAGS = (
@@ -56,20 +55,17 @@ def read_file(path: str | Path, *, max_bytes: int) -> bytes:
 
 def _read_descriptor(descriptor: int, path: str | Path, *, max_bytes: int) -> bytes:
     """Read an open descriptor as ``read_file`` does; it stays open."""
-    status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode):
-        file_type = _FILE_TYPES.get(stat.S_IFMT(status.st_mode), "something else")
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        file_type = _FILE_TYPES.get(stat.S_IFMT(mode), "something else")
         raise ValueError(f"{path}: is {file_type}, not a regular file")
-    content = bytearray()
-    # Read one byte more to detect an excess: growing files and /proc report no true size.
-    while status.st_size <= max_bytes and len(content) <= max_bytes:
-        chunk = os.read(descriptor, min(_CHUNK, max_bytes + 1 - len(content)))
-        if not chunk:
-            return bytes(content)
-        content += chunk
-    raise ValueError(
-        f"{path}: has more than {max_bytes:,} bytes, the most that such a file may have: shorten it"
-    )
+    with open(descriptor, "rb", closefd=False) as file:
+        # One byte more detects an excess: growing files and /proc report no true size.
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        limit = f"{max_bytes:,} bytes, the most that such a file may have"
+        raise ValueError(f"{path}: has more than {limit}: shorten it")
+    return content
 
 
 _MAX_STEM = 100
