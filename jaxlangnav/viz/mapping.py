@@ -1,7 +1,6 @@
 """Draw the layers of a map: ground, objects, hypotheses, robot, waypoint (Figures 1 and 4).
 
-Each function draws one layer into the given axes and returns its matplotlib artists.
-Everything is in metres in the map frame.
+Each function draws one layer into the given axes. Everything is in metres in the map frame.
 """
 
 import math
@@ -18,10 +17,7 @@ from jaxlangnav.world.state import Scenario, WorldState, walls_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.collections import PathCollection
-    from matplotlib.image import AxesImage
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
 _ROBOT_OUTLINE = [(1.0, 0.0), (-0.8, 0.7), (-0.45, 0.0), (-0.8, -0.7), (1.0, 0.0)]
 """Outline of the robot marker, pointing along +x."""
@@ -30,18 +26,17 @@ _HEAD, _SIDE, _FOOT = 0.62, 0.55, 0.45
 _DPI = 100
 
 
-def draw_ground(axes: "Axes", scene: StaticScene, frame: Snapshot) -> "AxesImage":
+def draw_ground(axes: "Axes", scene: StaticScene, frame: Snapshot) -> None:
     """Shade the coverage map, white where observed, and set the axes' limits."""
     from matplotlib.colors import LinearSegmentedColormap
 
     cmap = LinearSegmentedColormap.from_list("jaxlangnav-ground", [style.PAPER, style.UNSEEN])
-    image = axes.imshow(
+    axes.imshow(
         np.asarray(frame.miss), extent=scene.area, origin="lower", cmap=cmap, vmin=0.0, vmax=1.0,
         interpolation="bilinear", zorder=0,
     )  # fmt: skip
     set_area_limits(axes, scene.area)
     draw_walls(axes, scene.walls)
-    return image
 
 
 def draw_walls(axes: "Axes", walls: np.ndarray) -> None:
@@ -64,85 +59,77 @@ def set_area_limits(axes: "Axes", area: tuple[float, float, float, float]) -> No
         spine.set(visible=True, color=style.LINE)
 
 
-def draw_truth(axes: "Axes", scene: StaticScene) -> "list[PathCollection]":
+def draw_truth(axes: "Axes", scene: StaticScene) -> None:
     """Draw the true objects faintly and the intended goal as a dotted ring."""
-    return _draw_world(axes, scene.scenario, scene.stop_radius if scene.is_scored else 0.0)
+    _draw_world(axes, scene.scenario, scene.stop_radius if scene.is_scored else 0.0)
 
 
-def _draw_world(axes: "Axes", world: Scenario, goal_radius: float) -> "list[PathCollection]":
+def _draw_world(axes: "Axes", world: Scenario, goal_radius: float) -> None:
     from matplotlib.patches import Circle
 
     props = {"s": 70, "facecolors": "none", "linewidths": 0.8, "alpha": 0.45, "zorder": 2}
-    marks = [
-        axes.scatter(
-            [world.object_x[slot]], [world.object_y[slot]], marker=style.type_marker(type_id),
-            edgecolors=style.type_color(type_id), **props,
-        )
-        for slot in np.flatnonzero(world.is_object)
-        for type_id in (int(world.object_type[slot]),)
-    ]  # fmt: skip
+    for slot in np.flatnonzero(world.is_object):
+        type_id = int(world.object_type[slot])
+        marker, color = style.type_marker(type_id), style.type_color(type_id)
+        place = [world.object_x[slot]], [world.object_y[slot]]
+        axes.scatter(*place, marker=marker, edgecolors=color, **props)
     if goal_radius:
         goal = (float(world.goal[0]), float(world.goal[1]))
         ring = {"fill": False, "linestyle": ":", "linewidth": 1.0, "color": style.MUTED}
         axes.add_patch(Circle(goal, goal_radius, **ring, zorder=2))
-    return marks
 
 
-def draw_hypotheses(
-    axes: "Axes", frame: Snapshot, *, filled: bool = True
-) -> "list[PathCollection]":
+def draw_hypotheses(axes: "Axes", frame: Snapshot, *, filled: bool = True) -> None:
     """Draw hypothesised objects by type with opacity by particle weight, filled or hollow."""
     from matplotlib.colors import to_rgb
 
     weight = np.broadcast_to(frame.weight[None, :], frame.is_hypothesised.shape)
     max_weight = max(float(frame.weight.max()), 1e-12)
-    artists = []
     for type_id in np.unique(frame.mention_type[np.asarray(frame.is_hypothesised)]):
         mask = frame.is_hypothesised & (frame.mention_type == type_id)
         relative, color = weight[mask] / max_weight, to_rgb(style.type_color(int(type_id)))
         colors = [(*color, float(alpha)) for alpha in np.minimum(0.15 + 0.5 * relative, 1.0)]
-        marks = axes.scatter(
+        axes.scatter(
             frame.hypothesis_x[mask], frame.hypothesis_y[mask], s=5 + 9 * relative,
             marker=style.type_marker(int(type_id)), facecolors=colors if filled else "none",
             edgecolors="none" if filled else colors, linewidths=0.6, zorder=3,
         )  # fmt: skip
-        artists.append(marks)
-    return artists
 
 
-def draw_objects(axes: "Axes", frame: Snapshot) -> "list[PathCollection]":
+def draw_objects(axes: "Axes", frame: Snapshot) -> None:
     """Draw observed objects as filled marks with opacity by existence probability."""
-    return [
+    for obj in observed_objects(frame):
         axes.scatter(
             [obj.x], [obj.y], s=52, marker=style.type_marker(obj.object_type),
             facecolors=style.type_color(obj.object_type), edgecolors=style.INK, linewidths=0.9,
             alpha=min(1.0, max(0.25, obj.probability)), zorder=6,
-        )
-        for obj in observed_objects(frame)
-    ]  # fmt: skip
+        )  # fmt: skip
 
 
-def draw_path(axes: "Axes", recording: Recording, step: int) -> "Line2D":
+def draw_path(axes: "Axes", recording: Recording, step: int) -> None:
     """Draw the robot's true trajectory up to a step."""
-    path = recording.frames.position[: step + 1]
-    (line,) = axes.plot(path[:, 0], path[:, 1], color=style.PATH, linewidth=1.1, zorder=4)
-    return line
+    _draw_path(axes, recording.frames.position[: step + 1])
 
 
-def draw_view(axes: "Axes", sensor: SensorParams, frame: Snapshot | WorldState) -> "Patch":
+def _draw_path(axes: "Axes", path: np.ndarray) -> None:
+    axes.plot(path[:, 0], path[:, 1], color=style.PATH, linewidth=1.1, zorder=4)
+
+
+def draw_view(axes: "Axes", sensor: SensorParams, frame: Snapshot | WorldState) -> None:
     """Draw the field of view as a circle, or as a sector where it is limited."""
     from matplotlib.patches import Circle, Wedge
 
     center = (float(frame.position[0]), float(frame.position[1]))
     radius, angle = float(sensor.range_max), float(sensor.field_of_view)
     props = {"fill": False, "linestyle": "--", "linewidth": 0.9, "color": style.VIEW, "zorder": 4}
-    if angle >= 2 * math.pi - 1e-3:
-        return axes.add_patch(Circle(center, radius, **props))
     heading, half = math.degrees(float(frame.heading)), math.degrees(angle / 2)
-    return axes.add_patch(Wedge(center, radius, heading - half, heading + half, **props))
+    if angle >= 2 * math.pi - 1e-3:
+        axes.add_patch(Circle(center, radius, **props))
+    else:
+        axes.add_patch(Wedge(center, radius, heading - half, heading + half, **props))
 
 
-def draw_robot(axes: "Axes", frame: Snapshot | WorldState) -> "PathCollection":
+def draw_robot(axes: "Axes", frame: Snapshot | WorldState) -> None:
     """Draw the robot as a notched triangle pointing along its heading."""
     from matplotlib.markers import MarkerStyle
     from matplotlib.path import Path
@@ -150,20 +137,19 @@ def draw_robot(axes: "Axes", frame: Snapshot | WorldState) -> "PathCollection":
 
     rotation = Affine2D().rotate(float(frame.heading))
     marker = MarkerStyle(rotation.transform_path(Path(_ROBOT_OUTLINE, closed=True)))
-    return axes.scatter(
+    axes.scatter(
         [frame.position[0]], [frame.position[1]], marker=marker, s=190, facecolors=style.INK,
         edgecolors=style.PAPER, linewidths=0.8, zorder=8,
     )  # fmt: skip
 
 
-def draw_waypoint(axes: "Axes", frame: Snapshot) -> "Line2D":
+def draw_waypoint(axes: "Axes", frame: Snapshot) -> None:
     """Draw the chosen waypoint and the straight line to it; hidden once the task has ended."""
     ends = np.array([frame.position, frame.waypoint], float)
-    (line,) = axes.plot(
+    axes.plot(
         ends[:, 0], ends[:, 1], color=style.WAYPOINT, linewidth=1.2, marker="x", markevery=[1],
         markersize=7, markeredgewidth=1.8, zorder=7, visible=not bool(frame.is_done),
     )  # fmt: skip
-    return line
 
 
 def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D]":
@@ -224,7 +210,7 @@ def render_world(
         _draw_world(axes, scenario, SUCCESS_RADIUS)
         draw_walls(axes, walls_of(scenario))
         draw_view(axes, sensor, world)
-        axes.plot(path[:, 0], path[:, 1], color=style.PATH, linewidth=1.1, zorder=4)
+        _draw_path(axes, path)
         draw_robot(axes, world)
         metres = float(np.hypot(*np.diff(path, axis=0).T).sum())
         style.title(figure, f"“{text}”", f"step {len(path) - 1} · {metres:.1f} m")

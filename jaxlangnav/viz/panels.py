@@ -15,7 +15,6 @@ from jaxlangnav.viz.summary import SAME_NODE_RADIUS, distinct_nodes, goal_field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.collections import PathCollection
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
@@ -174,7 +173,7 @@ def values_figure(
     return figure
 
 
-def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollection":
+def _draw_values(axes: "Axes", recording: Recording, step: int) -> None:
     scene, frame = recording.scene, recording.at(step)
     mapping.draw_ground(axes, scene, frame)
     norm, cmap = _norm(frame.value), style.value_colormap()
@@ -188,7 +187,7 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
     mapping.draw_hypotheses(axes, frame, filled=False)
     is_open = np.flatnonzero(np.isfinite(frame.value))
     order = is_open[np.argsort(frame.value[is_open])]
-    nodes = axes.scatter(
+    axes.scatter(
         frame.node_x[order], frame.node_y[order], c=frame.value[order], cmap=cmap, norm=norm, s=62,
         edgecolors=style.INK, linewidths=0.7, zorder=5,
     )  # fmt: skip
@@ -202,7 +201,6 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
             textcoords="offset points", fontsize=7.5, fontweight="bold", zorder=9,
             bbox={"boxstyle": "circle,pad=0.1", "fc": style.PAPER, "ec": "none", "alpha": 0.75},
         )  # fmt: skip
-    return nodes
 
 
 def _draw_value_terms(axes: "Axes", frame: Snapshot, *, with_label: bool = True) -> None:
