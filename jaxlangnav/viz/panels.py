@@ -152,7 +152,8 @@ def values_figure(
         figure, maps, charts = _layout(recording, len(chosen), text=text, has_charts=True)
         for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
             _draw_values(axes, recording, step)
-            _draw_value_terms(chart, recording.at(step), with_label=axes.get_ylabel() != "")
+            _draw_value_terms(chart, recording.at(step))
+            chart.set_ylabel("waypoint" if axes.get_ylabel() else "")
             _title_panel(axes, recording.steps[step], index)
         marks = [
             handle
@@ -203,7 +204,7 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> None:
         )  # fmt: skip
 
 
-def _draw_value_terms(axes: "Axes", frame: Snapshot, *, with_label: bool = True) -> None:
+def _draw_value_terms(axes: "Axes", frame: Snapshot) -> None:
     """Draw the value terms of the best waypoints as stacked bars: goal, information, cost."""
     # Once the task has ended, show the reason instead.
     if bool(frame.is_done):
@@ -238,8 +239,6 @@ def _draw_value_terms(axes: "Axes", frame: Snapshot, *, with_label: bool = True)
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     axes.tick_params(length=2, pad=2)
     axes.set_xlabel("value", labelpad=1)
-    if with_label:
-        axes.set_ylabel("waypoint")
 
 
 def _norm(values: np.ndarray) -> "Normalize":

@@ -89,34 +89,26 @@ def describe_reading(scene: StaticScene, index: int) -> str:
     return join_words([_mention_words(scene, index, i) for i in heads]) if heads.size else "nothing"
 
 
-def _mention_words(scene: StaticScene, index: int, mention: int) -> str:
+def _mention_words(scene: StaticScene, index: int, mention: int, path: tuple[int, ...] = ()) -> str:
     """Describe a mention of a reading by its relations: "a hydrant behind a cone"."""
-    readings = scene.readings
-    types, relations = readings.mention_type[index], readings.relation[index]
-    figures, landmarks = readings.figure[index], readings.landmark[index]
+    object_type = int(scene.readings.mention_type[index, mention])
+    if ROBOT in (mention, object_type):
+        return "the robot"
+    relatives: dict[str, list[str]] = {}
+    for figure, relation, landmark, rank in scene.readings.edges(index).tolist():
+        if figure == mention and relation != NONE and landmark not in path:
+            landmark_words = _mention_words(scene, index, landmark, (*path, mention))
+            relatives.setdefault(_relation_words(relation, rank), []).append(landmark_words)
+    parts = [f"{words} {join_words(names)}" for words, names in relatives.items()]
+    return " ".join([with_article(scene.type_name(object_type)), *parts])
 
-    def relation_words(edge: int) -> str:
-        rank = int(readings.rank[index, edge])
-        relation = REGISTRY[int(relations[edge])]
-        if rank == 0:
-            return relation.words
-        ordinal = f"{ORDINALS[min(rank, 4) - 2]} " if rank > 1 else ""
-        return ordinal + SUPERLATIVE_WORDS[relation.name]
 
-    def describe(mention: int, path: tuple[int, ...]) -> str:
-        if mention == ROBOT or int(types[mention]) == ROBOT:
-            return "the robot"
-        relatives: dict[str, list[str]] = {}
-        for edge in range(len(relations)):
-            landmark = int(landmarks[edge])
-            is_edge = int(figures[edge]) == mention and int(relations[edge]) != NONE
-            if is_edge and landmark not in path:
-                landmark_words = describe(landmark, (*path, mention))
-                relatives.setdefault(relation_words(edge), []).append(landmark_words)
-        parts = [f"{words} {join_words(names)}" for words, names in relatives.items()]
-        return " ".join([with_article(scene.type_name(int(types[mention]))), *parts])
-
-    return describe(mention, ())
+def _relation_words(relation: int, rank: int) -> str:
+    """Describe a relation of a rank, 0 without one: "near", "second nearest to"."""
+    if rank == 0:
+        return REGISTRY[relation].words
+    ordinal = f"{ORDINALS[min(rank, 4) - 2]} " if rank > 1 else ""
+    return ordinal + SUPERLATIVE_WORDS[REGISTRY[relation].name]
 
 
 def describe_commands(scene: StaticScene) -> list[str]:

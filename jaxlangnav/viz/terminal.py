@@ -42,12 +42,11 @@ def _letters(scene: StaticScene) -> dict[int, str]:
     return letters
 
 
-def _draw_map(scene: StaticScene, frame: Snapshot, *, width: int = 48) -> "Text":
+def _draw_map(scene: StaticScene, frame: Snapshot, *, width: int) -> "Text":
     """Draw objects as letters, hypotheses as shades, × the waypoint; dots: unobserved ground."""
     from rich.text import Text
 
     x_min, x_max, y_min, y_max = scene.area
-    width = max(width, 8)
     height = max(4, round(width * (y_max - y_min) / (x_max - x_min) / _CELL_SHAPE))
     size = frame.miss.shape[0]
     line, column = (((np.arange(n) + 0.5) / n * size).astype(int) for n in (height, width))
@@ -77,7 +76,7 @@ def _draw_map(scene: StaticScene, frame: Snapshot, *, width: int = 48) -> "Text"
     return Text("\n", no_wrap=True).join(rows)
 
 
-def _draw_moment(moment: StepView, *, width: int = 48) -> "RenderableType":
+def _draw_moment(moment: StepView, *, width: int) -> "RenderableType":
     """Render a step: the map beside its narrative and bars of probability."""
     from rich.panel import Panel
     from rich.table import Table
@@ -102,7 +101,7 @@ def _draw_moment(moment: StepView, *, width: int = 48) -> "RenderableType":
         side.append(f" {scene.type_name(code)}  ")
     side.append(f"\n· not looked at, in colour {_DENSITY} hypotheses, × waypoint", style="dim")
     grid = Table.grid(padding=(0, 2))
-    grid.add_column(width=max(width, 8))
+    grid.add_column(width=width)
     grid.add_column(ratio=1, min_width=30)
     grid.add_row(_draw_map(scene, frame, width=width), side)
     title = Text(f"“{scene.text}”" if scene.text else "Episode")
@@ -126,11 +125,11 @@ def watch(
     from rich.live import Live
 
     console = console or Console()
-    width = int(np.clip(console.width // 2 - 4, 8, 56))
     height = max(4, console.height - 4)
     x_min, x_max, y_min, y_max = scene.area
     # The map must fit the screen, or a live display would scroll.
-    width = min(width, int(height * _CELL_SHAPE * (x_max - x_min) / (y_max - y_min)))
+    fitting = int(height * _CELL_SHAPE * (x_max - x_min) / (y_max - y_min))
+    width = max(8, min(console.width // 2 - 4, 56, fitting))
     shown: list[StepView] = []
     with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
         for moment in replay(scene, steps, said):
