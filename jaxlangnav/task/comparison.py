@@ -40,8 +40,7 @@ class _Behavior(NamedTuple):
 def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...]) -> str:
     """Describe the first difference between an instruction and its label; empty if none."""
     try:
-        num_objects = len(meaning.reading.types)
-        types = tuple(names.index(meaning.type_of(index)) for index in range(num_objects))
+        types = tuple(names.index(meaning.type_names[code]) for code in meaning.reading.types)
     except ValueError:
         return "speaks of other types"
     reading = dataclasses.replace(meaning.reading, types=types)

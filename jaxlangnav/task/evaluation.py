@@ -190,8 +190,8 @@ def score_variants(
         BOTH: lambda graph: FirstGrounder(graph, rewritten(graph)),
     }
     summaries = {}
-    for name in VARIANTS:
-        scores = score_sentences(sentences, model, on_progress, wrappers[name])
+    for name, wrap in wrappers.items():
+        scores = score_sentences(sentences, model, on_progress, wrap)
         summaries[name] = {
             **summarize_scores(scores),
             "meant": _count_scores([score for score in scores if score.sentence.meaning]),

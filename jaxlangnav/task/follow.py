@@ -53,9 +53,11 @@ class PreparedEpisode:
 
     def play(self, max_steps: int, speech: Any = None) -> Iterator[tuple[Snapshot, EpisodeResult]]:
         """Run it step by step, as ``recorder.play``."""
-        inputs = self.prepared.task, batched(self.understood)
+        # A batch of one instruction, leaves [1, …] on the host.
+        instruction = self.understood.instruction
+        batch: Instruction = jax.tree.map(lambda leaf: np.asarray(leaf)[None], instruction)
         sizes = {"params": self.params, "config": self.config, "max_steps": max_steps}
-        return recorder.play(*inputs, **sizes, speech=speech)
+        return recorder.play(self.prepared.task, batch, **sizes, speech=speech)
 
 
 def follow(
@@ -154,11 +156,6 @@ def params_and_config(
         return pretrained.params, navigator_config(static, particles)
     map_config = dataclasses.replace(pretrained.config.map, num_particles=particles)
     return pretrained.params, dataclasses.replace(pretrained.config, map=map_config)
-
-
-def batched(understood: Understanding) -> Instruction:
-    """Build a batch of one instruction, leaves [1, …] on the host."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
 
 
 def precompile_cycle(opened: PreparedEpisode) -> None:

@@ -138,10 +138,6 @@ class Meaning(NamedTuple):
     reading: FormReading
     type_names: tuple[str, ...]  # object types by index; those of the lexicon by their own names
 
-    def type_of(self, thing: int) -> str:
-        """Name the object type of a thing that is not the robot."""
-        return self.type_names[self.reading.types[thing]]
-
 
 class LabelledSentence(NamedTuple):
     """One line of a file of labelled sentences."""
