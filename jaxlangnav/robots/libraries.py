@@ -38,14 +38,10 @@ SYSTEM_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
 _BACKEND = "MUJOCO_GL"  # environment variable of the rendering backend; read on import of MuJoCo
 
 
-class MissingSystemLibraryError(ValueError):
-    """Offscreen rendering does not work here; the message says what to install."""
-
-
 def mujoco() -> Any:
     """Load MuJoCo for offscreen rendering; a missing extra or library raises."""
     if "mujoco" in sys.modules and os.environ.get(_BACKEND) is None:
-        raise MissingSystemLibraryError(
+        raise MissingExtraError(
             f"mujoco was imported before jaxlangnav.robots could ask it to render off screen: set "
             f"{_BACKEND}=egl in the environment"
         )
@@ -57,7 +53,7 @@ def mujoco() -> Any:
 
 
 def renderer(model: Any, height: int, width: int) -> Any:
-    """Open a ``mujoco.Renderer``, sizes in pixels, or raise a ``MissingSystemLibraryError``."""
+    """Open a ``mujoco.Renderer``, sizes in pixels, or raise a ``MissingExtraError``."""
     try:
         return mujoco().Renderer(model, height, width)
     except Exception as error:  # PyOpenGL raises whatever it meets first
@@ -73,17 +69,16 @@ def check_libraries() -> None:
     """Check that the libraries for physics, cameras and tags are installed and work.
 
     Raises:
-        MissingExtraError: a Python library is not installed.
-        MissingSystemLibraryError: offscreen rendering does not work.
+        MissingExtraError: a Python library is not installed, or offscreen rendering does not work.
     """
     opencv()
     require("pupil_apriltags", extra="robot")
     renderer(mujoco().MjModel.from_xml_string("<mujoco/>"), 8, 8).close()
 
 
-def _rendering_error(error: BaseException) -> MissingSystemLibraryError:
+def _rendering_error(error: BaseException) -> MissingExtraError:
     reason = " ".join(str(error).split()) or type(error).__name__
-    return MissingSystemLibraryError(
+    return MissingExtraError(
         f"rendering off screen needs EGL, which does not work here ({reason[:120]}): "
         f"apt-get install {SYSTEM_PACKAGES}"
     )

@@ -89,8 +89,8 @@ def reproduce_table3(
         The document: ``rows``, each with the paper's; ``success`` over all trials; ``wall_s``.
 
     Raises:
-        MissingExtraError: a library of the extra ``robot`` is not installed.
-        MissingSystemLibraryError: offscreen rendering does not work.
+        MissingExtraError: a library of the extra ``robot`` is not installed, or offscreen
+            rendering does not work.
     """
     start_time = time.perf_counter()
     check_libraries()

@@ -67,7 +67,7 @@ _BOLD_WIDTH, _PLAIN_WIDTH = 0.69, 0.6
 
 
 class MissingExtraError(ValueError):
-    """An optional dependency of a requested figure is not installed; the message is one line."""
+    """An optional dependency is not installed or does not work; the message is one line."""
 
 
 def require(module: str, *, extra: str = "viz") -> Any:

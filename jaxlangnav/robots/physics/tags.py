@@ -100,11 +100,8 @@ def draw_tag(tag_id: int) -> np.ndarray:
     """Draw the tag of an ID from 0 to 586 with its white margin, u8[160, 160]."""
     cv2 = libraries.opencv()
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    image = np.full((_CELLS * _PIXELS_PER_CELL,) * 2, 255, np.uint8)
-    inner = slice(_PIXELS_PER_CELL, -_PIXELS_PER_CELL)
-    size = (_CELLS - 2) * _PIXELS_PER_CELL
-    image[inner, inner] = cv2.aruco.generateImageMarker(dictionary, tag_id, size)
-    return image
+    black = cv2.aruco.generateImageMarker(dictionary, tag_id, (_CELLS - 2) * _PIXELS_PER_CELL)
+    return np.pad(black, _PIXELS_PER_CELL, constant_values=255)
 
 
 @functools.cache
