@@ -46,8 +46,7 @@ _SETTINGS = (
 _BYPASS_SETTINGS = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit")
 """Settings of JAX under which the cache is bypassed."""
 _folder: Path | None = None
-_warn: Callable[[str], None] = warnings.warn
-_has_warned = False
+_say: Callable[[str], None] | None = warnings.warn  # None once it has been called
 
 
 def set_cache_dir(folder: Path | None, *, say: Callable[[str], None] = warnings.warn) -> None:
@@ -61,16 +60,16 @@ def set_cache_dir(folder: Path | None, *, say: Callable[[str], None] = warnings.
         OSError: the folder is another user's, others can enter or replace it, or it cannot be
             made; the cache is disabled.
     """
-    global _folder, _warn, _has_warned
-    _folder, _warn, _has_warned = None, say, False
+    global _folder, _say
+    _folder, _say = None, say
     _folder = None if folder is None else user_folder(folder)
 
 
 def _warn_once(text: str) -> None:
-    global _has_warned
-    if not _has_warned:
-        _has_warned = True
-        _warn(text)
+    global _say
+    say, _say = _say, None
+    if say is not None:
+        say(text)
 
 
 def cached_jit(

@@ -236,13 +236,6 @@ def list_behaviors(
             is_robot = slot == len(placed.objects)
             name, x, y = ("robot", *placed.robot[:2]) if is_robot else placed.objects[slot]
             goal = {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}
-            rows.append(
-                {
-                    "clause": clause,
-                    "action": ACTIONS[action],
-                    "mode": MODES[mode],
-                    "goal": goal,
-                    "probability": float(joint[index]),
-                }
-            )
+            row = {"clause": clause, "action": ACTIONS[action], "mode": MODES[mode], "goal": goal}
+            rows.append({**row, "probability": float(joint[index])})
     return sorted(rows, key=lambda row: (row["clause"], -row["probability"]))

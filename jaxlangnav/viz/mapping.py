@@ -168,12 +168,8 @@ def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D
     seen = {obj.object_type for step in recording.steps for obj in observed_objects(step.frame)}
     hypothesised = np.unique(frames.mention_type[np.asarray(frames.is_hypothesised)])
     present = np.unique(scene.scenario.object_type[np.asarray(scene.scenario.is_object)])
-    handles = []
-    for type_id in map(int, hypothesised):
-        color = style.type_color(type_id)
-        handles.append(
-            mark("hypothesised", type_id, 4 if filled else 5, color if filled else "none", color)
-        )
+    size, colors = 4 if filled else 5, [(int(t), style.type_color(int(t))) for t in hypothesised]
+    handles = [mark("hypothesised", t, size, c if filled else "none", c) for t, c in colors]
     handles += [mark("observed", t, 7, style.type_color(t), style.INK) for t in sorted(seen)]
     handles += [mark("true place", t, 8, "none", style.type_color(t), alpha=0.5) for t in present]
     handles += [
