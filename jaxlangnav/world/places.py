@@ -21,14 +21,12 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import field, pytree, replace, strong_types
-from jaxlangnav.world.state import CONE, HYDRANT, Errors, Scenario
+from jaxlangnav.world.state import CONE, HYDRANT, NUM_TYPES, Errors, Scenario
 
 WORLD_SLOTS = 64
 """O, object slots of a world."""
 NUM_FIXED_CLUTTER = 4
 """G, limit of fixed positions of recurring false detections."""
-NUM_TYPES = 8
-"""T, types of the shipped lexicon; bystanders are of all but two of them."""
 _NUM_CANDIDATES = 32
 """Candidate positions sampled in parallel for each object."""
 GOAL_GAP = 0.9  # metres from goal and cone to other objects
@@ -50,7 +48,7 @@ class WorldParams:
     has_goal: Array = field("whether the goal exists", default=True)
     has_cone: Array = field("whether the goal's cone exists", default=True)
     num_pairs: Array = field("further hydrants, and as many further cones", default=0)
-    num_bystanders: Array = field("objects of other types", default=0)
+    num_bystanders: Array = field("objects of all other types", default=0)
     gap: Array = field("metres between objects", default=GOAL_GAP)
     num_clutter: Array = field("fixed clutter, at most NUM_FIXED_CLUTTER", default=0)
     clutter_probability: Array = field("of fixed clutter in view, in one scan", default=0.0)
@@ -150,8 +148,6 @@ def _errors(key: Array, spec: WorldParams) -> Errors:
     types = jax.random.randint(type_key, (NUM_FIXED_CLUTTER,), HYDRANT, CONE + 1)
     is_used = jnp.arange(NUM_FIXED_CLUTTER) < spec.num_clutter
     return Errors(
-        is_type=jnp.ones(NUM_TYPES, bool),
-        is_clutter=jnp.isin(jnp.arange(NUM_TYPES), jnp.array([HYDRANT, CONE])),
         clutter_type=jnp.where(is_used, types, NONE).astype(jnp.int32),
         clutter_x=position[0],
         clutter_y=position[1],

@@ -25,7 +25,7 @@ from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.pytree import replace
 from jaxlangnav.terrain.view import eye_of
-from jaxlangnav.world.state import Errors, Scenario, WorldState
+from jaxlangnav.world.state import CLUTTER_TYPES, NUM_TYPES, Errors, Scenario, WorldState
 
 MAX_CLUTTER = 4
 """Limit of random clutter in one scan; at a mean of 0.1 exceeded once in ten million scans."""
@@ -44,37 +44,29 @@ def _to_robot(
     return ahead, left, is_used & scenario.terrain.view.sees(eye, x, y)
 
 
-def _sample_labels(key: Array, label: Array, errors: Errors, sensor: SensorParams) -> Array:
+def _sample_labels(key: Array, label: Array, sensor: SensorParams) -> Array:
     """Sample the reported labels of objects, some of them wrong."""
-    # Limits: a rate of 0, or a single type, leaves every label unchanged.
+    # Limits: a rate of 0 leaves every label unchanged.
     uniform = jax.random.uniform(key, (2, label.size))
-    num_others = jnp.sum(errors.is_type) - 1
-    is_wrong = (uniform[0] < sensor.mislabelled) & (num_others > 0) & (label != NONE)
-    index = _pick_index(uniform[1], num_others)
+    is_wrong = (uniform[0] < sensor.mislabelled) & (label != NONE)
+    other = _pick_index(uniform[1], NUM_TYPES - 1)
     # Skip the object's true type.
-    index = index + (index >= (jnp.cumsum(errors.is_type) - 1)[jnp.maximum(label, 0)])
-    return jnp.where(is_wrong, _nth_true(errors.is_type, index), label).astype(label.dtype)
+    return jnp.where(is_wrong, other + (other >= label), label).astype(label.dtype)
 
 
-def _pick_index(uniform: Array, count: Array) -> Array:
+def _pick_index(uniform: Array, count: int) -> Array:
     """Map uniform numbers to equally likely indices: f32[n] in [0, 1) to i32[n]."""
     return jnp.minimum((uniform * count).astype(jnp.int32), count - 1)
 
 
-def _nth_true(mask: Array, rank: Array) -> Array:
-    """Find the index of the rank-th true element: bool[T], i32[n] from 0, to i32[n]."""
-    is_at_rank = (jnp.cumsum(mask) - 1)[None, :] == rank[:, None]
-    return jnp.argmax(is_at_rank & mask[None, :], axis=1)
-
-
 def _random_clutter(
-    key: Array, state: WorldState, scenario: Scenario, errors: Errors, sensor: SensorParams
+    key: Array, state: WorldState, scenario: Scenario, sensor: SensorParams
 ) -> Clutter:
     """Sample the random clutter of one scan."""
     # count ~ Poisson(λ T),   λ = ``false_detections``, T affected types
     # Limits: λ = 0 gives no clutter.
     count_key, position_key = jax.random.split(key)
-    mean = sensor.false_detections * jnp.sum(errors.is_clutter)
+    mean = sensor.false_detections * len(CLUTTER_TYPES)
     terms = jnp.cumprod(jnp.concatenate([jnp.exp(-mean)[None], mean / jnp.arange(1, MAX_CLUTTER)]))
     count = jnp.sum(jax.random.uniform(count_key) > jnp.cumsum(terms))
     uniform = jax.random.uniform(position_key, (3, MAX_CLUTTER))
@@ -85,8 +77,8 @@ def _random_clutter(
     is_used = jnp.arange(MAX_CLUTTER) < count
     ahead, left, is_reported = _to_robot(x, y, is_used, state, scenario, sensor)
     ahead, left = scenario.sensor_model.simulate(jnp.zeros((2, 1)), ahead, left, sensor)
-    label = _nth_true(errors.is_clutter, _pick_index(uniform[2], jnp.sum(errors.is_clutter)))
-    return label.astype(jnp.int32), ahead, left, is_reported
+    label = jnp.array(CLUTTER_TYPES, jnp.int32)[_pick_index(uniform[2], len(CLUTTER_TYPES))]
+    return label, ahead, left, is_reported
 
 
 def _fixed_clutter(
@@ -142,8 +134,8 @@ def sense(
     x, y = scenario.sensor_model.simulate(normal, x, y, sensor)
     if (errors := scenario.errors) is not None:
         error_keys = jax.random.split(jax.random.fold_in(key, _ERROR_KEY), 3)
-        label = _sample_labels(error_keys[0], label, errors, sensor)
-        random = _random_clutter(error_keys[1], state, scenario, errors, sensor)
+        label = _sample_labels(error_keys[0], label, sensor)
+        random = _random_clutter(error_keys[1], state, scenario, sensor)
         fixed = _fixed_clutter(error_keys[2], state, scenario, errors, sensor)
         parts = zip((label, x, y, is_detected), random, fixed, strict=True)
         label, x, y, is_detected = (jnp.concatenate(part) for part in parts)

@@ -1,7 +1,7 @@
 """Ground-truth records: a simulated world and the state of its robot (section 4.2).
 
-Axis letters: **O** object slots of a world (eight by default), **E** episodes in a batch, **T**
-types that a detector distinguishes, **G** fixed positions of recurring false detections.
+Axis letters: **O** object slots of a world (eight by default), **E** episodes in a batch, **G**
+fixed positions of recurring false detections.
 """
 
 from collections.abc import Sequence
@@ -16,6 +16,10 @@ from jaxlangnav.terrain import OPEN, RANGING, SensorModel, Terrain
 
 HYDRANT, CONE = 0, 1
 """Type indices, in the lexicon's order, of the two types in the templates of Table 2."""
+CLUTTER_TYPES = (HYDRANT, CONE)
+"""Types of random false detections, the worst case for a sentence about them."""
+NUM_TYPES = 8
+"""T, types of the shipped lexicon."""
 NUM_SLOTS = 8
 """Default number of object slots of a world."""
 
@@ -24,11 +28,11 @@ NUM_SLOTS = 8
 class Errors:
     """Detector errors in one world, at the rates of its ``SensorParams``.
 
-    Without this record there are no false detections or wrong labels, whatever the rates.
+    Random clutter is of ``CLUTTER_TYPES``, each at the rate of one type; a wrong label is any other
+    type, uniformly. Without this record there are no false detections or wrong labels, whatever the
+    rates.
     """
 
-    is_type: Array  # bool[T] types distinguished: a wrong label is any other of them, uniformly
-    is_clutter: Array  # bool[T] types of false detections, each at the rate of one type
     clutter_type: Array  # i32[G] types of fixed clutter; NONE in empty slots
     clutter_x: Array  # f32[G] metres
     clutter_y: Array  # f32[G] metres

@@ -19,7 +19,7 @@ from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.robot import Detection
-from jaxlangnav.world.places import NUM_TYPES
+from jaxlangnav.world.state import NUM_TYPES
 
 FAMILY = "tag36h11"
 TAG_SIDE = 0.32
