@@ -4,15 +4,14 @@ Frame: the robot starts at the origin and faces +x, anywhere in a rectangular op
 distribution, which is unknown to all policies:
 
 - the goal is a hydrant 1.2-2.8 m behind (or in front of) its cone as seen from the start, rotated
-  from the line of sight by N(0, 0.25²) rad; the cone is uniform in the part of the area that is
-  within the bearings and at least 1.5 m from the start;
+  from the line of sight by N(0, 0.25²) rad; the cone is uniform in the part of the area that is at
+  least 1.5 m from the start;
 - further hydrants and cones, and objects of other types, are uniform in the area;
 - goal and cone keep 0.9 m from all others, the others ``gap`` from each other;
 - except for the goal and its cone, no hydrant satisfies the sentence's relation to any cone
   (within 5 m and 72°). So a true sentence has one referent, and a false one none.
 """
 
-import math
 from typing import Any
 
 import jax
@@ -42,7 +41,6 @@ class WorldParams:
     """Parameters of a distribution of worlds; traced, so one program samples them all."""
 
     area: Array  # f32[4] x_min, x_max, y_min, y_max metres; the start, at the origin, is in it
-    bearing: Array = field("radians: limit of the goal cone's bearing, either way", default=math.pi)
     side: Array = field("1: the goal is behind its cone, −1: in front of it", default=1.0)
     stated_side: Array = field("of the sentence, ±1, which no other pair has; 0: any", default=1.0)
     has_goal: Array = field("whether the goal exists", default=True)
@@ -118,10 +116,10 @@ def _draw_pair(key: Array, spec: WorldParams) -> tuple[Array, Array, Array]:
     cone = _uniform_points(position_key, spec.area, (8 * _NUM_CANDIDATES,))
     uniform = jax.random.uniform(gap_key, cone.shape[1:])
     gap = PAIR_GAP[0] + (PAIR_GAP[1] - PAIR_GAP[0]) * uniform
-    bearing = jnp.arctan2(cone[1], cone[0])
-    direction = bearing + DIRECTION_SD * jax.random.normal(turn_key, cone.shape[1:])
+    turn = DIRECTION_SD * jax.random.normal(turn_key, cone.shape[1:])
+    direction = jnp.arctan2(cone[1], cone[0]) + turn
     goal = cone + spec.side * jnp.stack([gap * jnp.cos(direction), gap * jnp.sin(direction)])
-    is_valid = (jnp.hypot(cone[0], cone[1]) > _MIN_DISTANCE) & (jnp.abs(bearing) <= spec.bearing)
+    is_valid = jnp.hypot(cone[0], cone[1]) > _MIN_DISTANCE
     is_valid &= jnp.hypot(goal[0], goal[1]) > _MIN_DISTANCE
     low, high = _inner_corners(spec.area)
     is_valid &= jnp.all((goal >= low[:, None]) & (goal <= high[:, None]), axis=0)
