@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.episode.recording import Recording, Snapshot, StepView
+from jaxlangnav.episode.recording import Recording, Snapshot
 from jaxlangnav.messages import Status
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import describe_ending, headline, select_steps
@@ -23,11 +23,14 @@ NUM_BARS = 5  # waypoints in the chart beneath a map
 
 
 def _layout(
-    recording: Recording, num_panels: int, *, text: str, has_charts: bool = False
+    recording: Recording, steps: Sequence[int], *, text: str, has_charts: bool = False
 ) -> "tuple[Figure, list[Axes], list[Axes]]":
-    """Create a grid of map axes with the area's aspect ratio and optional charts below them."""
+    """Create map axes with the area's aspect ratio for each step, and optional charts below them.
+
+    A panel's title is its letter, step, distance so far and headline.
+    """
     x_min, x_max, y_min, y_max = recording.scene.area
-    aspect = (x_max - x_min) / (y_max - y_min)
+    aspect, num_panels = (x_max - x_min) / (y_max - y_min), len(steps)
     columns = num_panels if num_panels <= 4 or aspect < 0.5 else math.ceil(num_panels / 2)
     rows = math.ceil(num_panels / columns)
     height = min(3.6, _WIDTH / columns / aspect, 4.4)
@@ -37,29 +40,26 @@ def _layout(
     how = {"height_ratios": rows * heights, "hspace": 0.34 if has_charts else 0.25, "wspace": 0.08}
     figure, grid = style.panels(size, rows * len(heights), columns, (0.62, 0.12, 1.08, 1.02), **how)
     maps = list(grid[:: len(heights)].flat)
-    for index, axes in enumerate(maps):
-        axes.set_xlabel("x (m)" if index + columns >= num_panels else "")
-        axes.set_ylabel("y (m)" if index % columns == 0 else "")
-        axes.tick_params(labelleft=index % columns == 0)
     charts = list(grid[1::2].flat) if has_charts else []
     for axes in (*maps[num_panels:], *charts[num_panels:]):
         axes.remove()
+    for index, (axes, step) in enumerate(zip(maps, steps, strict=False)):
+        axes.set_xlabel("x (m)" if index + columns >= num_panels else "")
+        axes.set_ylabel("y (m)" if index % columns == 0 else "")
+        axes.tick_params(labelleft=index % columns == 0)
+        moment, letter = recording.steps[step], chr(ord("a") + index % 26)
+        distance = f"{float(moment.frame.distance):.1f} m"
+        axes.set_title(f"({letter}) step {moment.step} · {distance}", pad=16)
+        axes.annotate(
+            headline(moment), (0, 1), xytext=(0, 5), xycoords="axes fraction",
+            textcoords="offset points", fontsize=8, color=style.MUTED,
+        )  # fmt: skip
     style.title(
         figure,
         f"“{recording.scene.text}”" if recording.scene.text else "Episode",
         f"{verdict(recording)}.\n{text}",
     )
     return figure, maps[:num_panels], charts[:num_panels]
-
-
-def _title_panel(axes: "Axes", moment: StepView, index: int) -> None:
-    """Title a panel with its letter, step, distance so far and headline."""
-    letter = chr(ord("a") + index % 26)
-    axes.set_title(f"({letter}) step {moment.step} · {float(moment.frame.distance):.1f} m", pad=16)
-    axes.annotate(
-        headline(moment), (0, 1), xytext=(0, 5), xycoords="axes fraction",
-        textcoords="offset points", fontsize=8, color=style.MUTED,
-    )  # fmt: skip
 
 
 def outcome(recording: Recording) -> str:
@@ -129,10 +129,9 @@ def belief_figure(
     chosen = _choose_steps(recording, steps, num_panels)
     text = "Dots: hypotheses, one map per particle, stronger where heavier. Grey: not looked at."
     with style.house_style():
-        figure, maps, _ = _layout(recording, len(chosen), text=text)
-        for index, (axes, step) in enumerate(zip(maps, chosen, strict=True)):
+        figure, maps, _ = _layout(recording, chosen, text=text)
+        for axes, step in zip(maps, chosen, strict=True):
             draw_belief(axes, recording, step)
-            _title_panel(axes, recording.steps[step], index)
         _add_legend(figure, mapping.legend_handles(recording))
     return figure
 
@@ -149,12 +148,11 @@ def values_figure(
         text = "Discs: waypoints it may choose, darker where more valuable at that step."
         if recording.scene.portrayal.is_field:
             text += " Lines: equal value."
-        figure, maps, charts = _layout(recording, len(chosen), text=text, has_charts=True)
-        for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
+        figure, maps, charts = _layout(recording, chosen, text=text, has_charts=True)
+        for axes, chart, step in zip(maps, charts, chosen, strict=True):
             _draw_values(axes, recording, step)
             _draw_value_terms(chart, recording.at(step))
             chart.set_ylabel("waypoint" if axes.get_ylabel() else "")
-            _title_panel(axes, recording.steps[step], index)
         marks = [
             handle
             for handle in mapping.legend_handles(recording, filled=False)
