@@ -106,7 +106,7 @@ def test_opencvs_own_detector_sees_the_same_tags(husky: PhysicsRobot) -> None:
         (int(one), four.reshape(4, 2).mean(axis=0))
         for one, four in zip(numbers.ravel(), corners, strict=True)
     ]
-    ours = tags.find_tags(grey, husky.camera)
+    ours = tags.find_tags(grey)
     assert len(ours) >= 2
     for tag in ours:
         # OpenCV counts pixels from their middles.
@@ -129,12 +129,13 @@ def test_opencvs_own_detector_sees_the_same_tags(husky: PhysicsRobot) -> None:
 def test_what_is_out_of_the_gates_is_not_used(husky: PhysicsRobot, gates: tags.Gates) -> None:
     husky.detections()
     wide = tags.Gates(range=9.0, field_of_view=6.0, view_angle=1.5)
-    every = tags.to_detections(husky.last_tags, husky.camera, wide)
-    kept = tags.to_detections(husky.last_tags, husky.camera, gates)
+    ahead = husky.robot_model.camera_ahead
+    every = tags.to_detections(husky.last_tags, ahead, wide)
+    kept = tags.to_detections(husky.last_tags, ahead, gates)
     assert len(every) == 2
     assert len(kept) < len(every)
     strangers = [dataclasses.replace(one, tag_id=8 * 16) for one in husky.last_tags]
-    assert tags.to_detections(strangers, husky.camera, wide) == []
+    assert tags.to_detections(strangers, ahead, wide) == []
 
 
 def test_a_covered_tag_is_not_seen_and_a_turned_cube_is() -> None:

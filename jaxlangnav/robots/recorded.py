@@ -68,7 +68,7 @@ class Views:
             index, names = tag.tag_id // TAGS_PER_TYPE, self._type_names
             if index < len(names) and tag.tag_id not in labelled:
                 labelled.add(tag.tag_id)
-                dist = np.hypot(*object_center(tag, robot.camera))
+                dist = np.hypot(*object_center(tag, robot.robot_model.camera_ahead))
                 self._draw_label(image, f"{names[index]} {dist:.1f} m", corners.min(axis=0), color)
         return self._to_panel(image)
 

@@ -15,7 +15,8 @@ from jaxlangnav.robots.motion.mover import TICK, MotionPlanner
 from jaxlangnav.robots.motion.steering import BodyLimits, WheelCommand
 from jaxlangnav.robots.physics.scene import compile_scene
 from jaxlangnav.robots.physics.tags import (
-    Camera,
+    HEIGHT,
+    WIDTH,
     Gates,
     Tag,
     add_image_noise,
@@ -133,7 +134,6 @@ class PhysicsRobot(SimulatedRobot):
             bias=self._errors.gyro_bias,
         )
         self._mujoco = libraries.mujoco()
-        self.camera = Camera(ahead=self.robot_model.camera_ahead)
         self.last_picture: np.ndarray | None = None
         """u8[H, W, 3], last camera image, red, green, blue; for display, as are its tags."""
         self.last_tags: list[Tag] = []
@@ -145,7 +145,7 @@ class PhysicsRobot(SimulatedRobot):
         joints = [model.actuator_trnid[index, 0] for index in range(model.nu)]
         self._wheels = np.array([model.jnt_qposadr[joint] for joint in joints])
         self._scanner = int(model.site("scanner").id)
-        self._renderer = libraries.renderer(model, self.camera.height, self.camera.width)
+        self._renderer = libraries.renderer(model, HEIGHT, WIDTH)
         self._with_robot = self._mujoco.MjvOption()
         self._with_robot.geomgroup[3] = 1
         self._mujoco.mj_step(model, self.scene.data, nstep=_SETTLING_STEPS)
@@ -176,15 +176,15 @@ class PhysicsRobot(SimulatedRobot):
 
     def is_used(self, tag: Tag) -> bool:
         """Tell whether a tag is within the gates."""
-        return bool(to_detections([tag], self.camera, self._gates))
+        return bool(to_detections([tag], self.robot_model.camera_ahead, self._gates))
 
     def _detect(self) -> list[Detection]:
         self.last_picture = self.render("front")
         cv2 = libraries.opencv()
         grey = cv2.cvtColor(self.last_picture, cv2.COLOR_RGB2GRAY)
         grey = add_image_noise(grey, self._random, noise=self._errors.grain, blur=self._errors.blur)
-        self.last_tags = find_tags(grey, self.camera)
-        return to_detections(self.last_tags, self.camera, self._gates)
+        self.last_tags = find_tags(grey)
+        return to_detections(self.last_tags, self.robot_model.camera_ahead, self._gates)
 
     def _scan(self) -> np.ndarray:
         bearing = BEAM_ANGLES + self.true_pose[2]

@@ -31,28 +31,16 @@ TAGS_PER_TYPE = 16
 RATE, NOISE = 0.95, 0.05
 """Detection probability within the gates, and standard deviation of positions, metres each axis:
 ``scripts/measure_detector.py`` at ranges of 1.25 to 4 m, rounded conservatively."""
+WIDTH, HEIGHT = 1280, 720
+"""Pixels of a picture. The camera is a pinhole, level and facing ahead."""
+_FOCAL = 0.5 * WIDTH / float(np.tan(0.5 * np.deg2rad(110.0)))  # pixels, by its field of view
+# AprilTag counts pixels from their corners.
+_INTRINSICS = np.array([[_FOCAL, 0, 0.5 * WIDTH], [0, _FOCAL, 0.5 * HEIGHT], [0, 0, 1]])
 _CELLS, _PIXELS_PER_CELL = 10, 16
 _TAG_CORNERS = 0.5 * TAG_SIDE * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
 """Corners of a tag, clockwise from the top left one; its z axis points to the viewer."""
 _MIN_MARGIN = 25.0  # AprilTag's decision margin below which a tag is rejected
 _SAME_OBJECT = 0.6  # metres within which two sides with one tag ID belong to one object
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Camera:
-    """Pinhole camera on a robot, level and facing ahead."""
-
-    width: int = 1280
-    height: int = 720
-    view: float = np.deg2rad(110.0)
-    """Radians, horizontal field of view."""
-    ahead: float = 0.0
-    """Metres ahead of the robot's center."""
-
-    @property
-    def focal(self) -> float:
-        """Focal length, pixels."""
-        return 0.5 * self.width / float(np.tan(0.5 * self.view))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -112,39 +100,37 @@ def _detector() -> Any:
     )
 
 
-def find_tags(image: np.ndarray, camera: Camera) -> list[Tag]:
+def find_tags(image: np.ndarray) -> list[Tag]:
     """Detect the tags in a grey image u8[H, W] that have no bit errors and sufficient contrast."""
     return [
-        _tag_pose(int(tag.tag_id), np.asarray(tag.corners, float), camera)
+        _tag_pose(int(tag.tag_id), np.asarray(tag.corners, float))
         for tag in _detector().detect(np.ascontiguousarray(image))
         if tag.hamming == 0 and tag.decision_margin >= _MIN_MARGIN
     ]
 
 
-def _tag_pose(tag_id: int, corners: np.ndarray, camera: Camera) -> Tag:
+def _tag_pose(tag_id: int, corners: np.ndarray) -> Tag:
     """Estimate a tag's pose from its corners (IPPE): the better of the two solutions."""
     cv2 = libraries.opencv()
-    # AprilTag counts pixels from their corners.
-    intrinsics = np.diag([camera.focal, camera.focal, 1.0])
-    intrinsics[:2, 2] = 0.5 * camera.width, 0.5 * camera.height
     _, rotations, translations, _ = cv2.solvePnPGeneric(
-        _TAG_CORNERS, corners[::-1].copy(), intrinsics, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        _TAG_CORNERS, corners[::-1].copy(), _INTRINSICS, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
     inward = -cv2.Rodrigues(rotations[0])[0][:, 2]
     return Tag(tag_id=tag_id, position=translations[0].ravel(), inward=inward, corners=corners)
 
 
-def object_center(tag: Tag, camera: Camera) -> np.ndarray:
+def object_center(tag: Tag, camera_ahead: float) -> np.ndarray:
     """Compute the center of the object that carries a tag, f64[2], robot frame, metres.
 
-    The sides are upright: only the horizontal component of the normal is used.
+    The sides are upright: only the horizontal component of the normal is used. ``camera_ahead``:
+    metres from the robot's center to the camera.
     """
     normal = tag.inward[[0, 2]] / max(float(np.hypot(tag.inward[0], tag.inward[2])), 1e-6)
     right, ahead = tag.position[[0, 2]] + 0.5 * CUBE_SIDE * normal
-    return np.array([ahead + camera.ahead, -right])
+    return np.array([ahead + camera_ahead, -right])
 
 
-def to_detections(tags: Sequence[Tag], camera: Camera, gates: Gates) -> list[Detection]:
+def to_detections(tags: Sequence[Tag], camera_ahead: float, gates: Gates) -> list[Detection]:
     """Convert the tags of one image to detections within the gates, one per object.
 
     Each is at the weighted mean of its sides, weight cos² of the view angle. Tags of types beyond
@@ -153,8 +139,8 @@ def to_detections(tags: Sequence[Tag], camera: Camera, gates: Gates) -> list[Det
     sides_by_id: dict[int, list[tuple[np.ndarray, float]]] = {}
     for tag in tags:
         if tag.tag_id // TAGS_PER_TYPE < NUM_TYPES and tag.view_angle <= gates.view_angle:
-            weight = np.cos(tag.view_angle) ** 2
-            sides_by_id.setdefault(tag.tag_id, []).append((object_center(tag, camera), weight))
+            side = object_center(tag, camera_ahead), np.cos(tag.view_angle) ** 2
+            sides_by_id.setdefault(tag.tag_id, []).append(side)
     detections = []
     for tag_id, sides in sides_by_id.items():
         reference = max(sides, key=lambda side: side[1])[0]
