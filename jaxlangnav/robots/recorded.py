@@ -40,7 +40,7 @@ _QUALITY = 75  # of a JPEG, in percent
 class Views:
     """Renders images of a robot; each is u8[H, W, 3], blue, green, red, as in OpenCV."""
 
-    def __init__(self, robot: PhysicsRobot, type_names: tuple[str, ...] = ()) -> None:
+    def __init__(self, robot: PhysicsRobot, type_names: tuple[str, ...]) -> None:
         """Set up a chase camera; tags of types without a name are not labelled."""
         self._robot, self._type_names = robot, type_names
         self._cv2 = libraries.opencv()

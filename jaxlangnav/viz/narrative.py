@@ -128,10 +128,10 @@ def headline(moment: StepView) -> str:
     scene, frame, before = moment.scene, moment.frame, moment.before
     if moment.utterances:
         return f"hears “{moment.utterances[-1].text}”"
-    if int(frame.fault) and int(frame.status) not in _ENDED:
-        return "stands still"
     if int(frame.status) in _ENDED:
         return _ENDED[int(frame.status)]
+    if int(frame.fault):
+        return "stands still"
     if frame.is_done:
         return "says stop"
     if frame.is_stop:

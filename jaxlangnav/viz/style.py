@@ -123,12 +123,11 @@ def panels(
     from matplotlib.figure import Figure
 
     (width, height), (left, right, head, foot) = size, margins
-    sides = {"left": left / width, "right": 1 - right / width, "top": 1 - head / height}
-    spaces = {name: options.pop(name) for name in ("wspace", "hspace") if name in options}
+    where = {name: options.pop(name) for name in ("wspace", "hspace") if name in options}
+    where |= {"left": left / width, "right": 1 - right / width}
+    where |= {"top": 1 - head / height, "bottom": foot / height}
     figure = Figure(figsize=size)
-    grid = figure.subplots(rows, columns, squeeze=False, **options)
-    figure.subplots_adjust(**sides, bottom=foot / height, **spaces)
-    return figure, grid
+    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=where, **options)
 
 
 def rgb_image(figure: "Figure") -> np.ndarray:

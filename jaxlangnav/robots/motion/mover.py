@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from jaxlangnav.robots.motion.path import EMPTY_DISCS, find_path, inflate, is_clear
+from jaxlangnav.robots.motion.path import find_path, inflate, is_clear
 from jaxlangnav.robots.motion.steering import (
     STOP,
     BodyLimits,
@@ -71,7 +71,7 @@ class MotionPlanner:
         """Drop the waypoints; the next commands brake."""
         self.progress = WaypointStatus.STANDING
 
-    def tick(self, pose: np.ndarray, discs: np.ndarray = EMPTY_DISCS) -> WheelCommand:
+    def tick(self, pose: np.ndarray, discs: np.ndarray) -> WheelCommand:
         """Compute the next wheel command, within the body's limits of speed and acceleration.
 
         Args:

@@ -18,7 +18,6 @@ MAX_DISC_SPAN = 0.8
 DISC_MARGIN = 0.04
 """Metres by which a disc extends beyond its hits."""
 _DEPTH_RATIO = 0.8  # depth of an object's center behind its near side, over half its width
-EMPTY_DISCS = np.zeros((0, 3))
 
 
 def to_discs(ranges: np.ndarray, angles: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -36,7 +35,7 @@ def to_discs(ranges: np.ndarray, angles: np.ndarray, pose: np.ndarray) -> np.nda
     """
     is_hit = np.isfinite(ranges)
     if not is_hit.any():
-        return EMPTY_DISCS
+        return np.zeros((0, 3))
     bearing = angles[is_hit] + pose[2]
     x = pose[0] + ranges[is_hit] * np.cos(bearing)
     y = pose[1] + ranges[is_hit] * np.sin(bearing)
