@@ -129,13 +129,12 @@ def test_opencvs_own_detector_sees_the_same_tags(husky: PhysicsRobot) -> None:
 def test_what_is_out_of_the_gates_is_not_used(husky: PhysicsRobot, gates: tags.Gates) -> None:
     husky.detections()
     wide = tags.Gates(range=9.0, field_of_view=6.0, view_angle=1.5)
-    ahead = husky.robot_model.camera_ahead
-    every = tags.to_detections(husky.last_tags, ahead, wide)
-    kept = tags.to_detections(husky.last_tags, ahead, gates)
+    every = tags.to_detections(husky.last_tags, husky.robot_model.camera_ahead, wide)
+    kept = tags.to_detections(husky.last_tags, husky.robot_model.camera_ahead, gates)
     assert len(every) == 2
     assert len(kept) < len(every)
     strangers = [dataclasses.replace(one, tag_id=8 * 16) for one in husky.last_tags]
-    assert tags.to_detections(strangers, ahead, wide) == []
+    assert tags.to_detections(strangers, husky.robot_model.camera_ahead, wide) == []
 
 
 def test_a_covered_tag_is_not_seen_and_a_turned_cube_is() -> None:

@@ -30,39 +30,37 @@ def axes_of(recording):
     return axes
 
 
+def marks(recording, draw, *args, **options):
+    draw(axes := axes_of(recording), *args, **options)
+    return axes.collections
+
+
 def test_every_hypothesis_is_a_point(one):
     for step in (0, 5, 8):
         frame = one.at(step)
-        mapping.draw_hypotheses(axes := axes_of(one), frame)
-        drawn = [part.get_offsets() for part in axes.collections]
-        points = np.concatenate(drawn or [np.zeros((0, 2))])
+        drawn = marks(one, mapping.draw_hypotheses, frame)
+        points = np.concatenate([part.get_offsets() for part in drawn] or [np.zeros((0, 2))])
         assert len(points) == frame.is_hypothesised.sum()
         held = frame.hypothesis_x[frame.is_hypothesised]
         assert sorted(points[:, 0]) == pytest.approx(sorted(held))
 
 
 def test_a_heavier_particle_is_drawn_stronger(one):
-    axes, frame = axes_of(one), one.at(0)
-    mapping.draw_hypotheses(axes, frame)
-    drawn = axes.collections[0]
+    frame = one.at(0)
+    drawn = marks(one, mapping.draw_hypotheses, frame)[0]
     chosen = frame.is_hypothesised & (frame.mention_type == 0)
     order = np.argsort(np.broadcast_to(frame.weight, chosen.shape)[chosen])
     assert (np.diff(drawn.get_facecolors()[order, 3]) >= -1e-9).all()
     assert (np.diff(drawn.get_sizes()[order]) >= -1e-9).all()
     # In the value figure hypotheses are empty.
-    mapping.draw_hypotheses(axes := axes_of(one), frame, filled=False)
-    assert not axes.collections[0].get_facecolors().size
+    assert not marks(one, mapping.draw_hypotheses, frame, filled=False)[0].get_facecolors().size
 
 
 def test_seen_objects_truth_and_a_path_that_ends_at_the_robot(one):
-    axes = axes_of(one)
-    mapping.draw_objects(axes, one.at(0))
-    assert len(axes.collections) == 0
-    mapping.draw_objects(axes, one.at(-1))
-    assert len(axes.collections) == 2
-    mapping.draw_truth(axes, one.scene)
-    assert len(axes.collections) == 4
-    mapping.draw_path(axes, one, 5)
+    assert len(marks(one, mapping.draw_objects, one.at(0))) == 0
+    assert len(marks(one, mapping.draw_objects, one.at(-1))) == 2
+    assert len(marks(one, mapping.draw_truth, one.scene)) == 2
+    mapping.draw_path(axes := axes_of(one), one, 5)
     (line,) = axes.lines
     assert line.get_xydata()[-1] == pytest.approx(one.frames.position[5])
     assert len(line.get_xydata()) == 6
@@ -73,15 +71,14 @@ def test_seen_objects_truth_and_a_path_that_ends_at_the_robot(one):
 @pytest.mark.parametrize("heading", [0.0, 1.0, -2.5])
 def test_the_robot_points_where_it_heads(heading):
     one = make_recording(3, 5)
-    mapping.draw_robot(axes := axes_of(one), replace(one.at(1), heading=np.float32(heading)))
-    tip = axes.collections[0].get_paths()[0].vertices[0]
+    (mark,) = marks(one, mapping.draw_robot, replace(one.at(1), heading=np.float32(heading)))
+    tip = mark.get_paths()[0].vertices[0]
     assert np.arctan2(tip[1], tip[0]) == pytest.approx(heading, abs=1e-5)
 
 
 def test_nodes_carry_their_values_and_the_best_are_in_order_and_open(one):
     frame = one.at(8)
-    panels._draw_values(axes := axes_of(one), one, 8)
-    nodes = next(part for part in axes.collections if part.get_zorder() == 5)
+    nodes = next(part for part in marks(one, panels._draw_values, one, 8) if part.zorder == 5)
     values = np.sort(frame.value[np.isfinite(frame.value)])
     assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(values)
     best = distinct_nodes(frame)[:5]

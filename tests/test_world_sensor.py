@@ -148,12 +148,9 @@ def place(errors: Errors | None) -> Scenario:
 
 def errors(haunted: float = 0.0) -> Errors:
     """One place, 1 m from the robot, is taken for a cone."""
-    return Errors(
-        clutter_type=jnp.array([1, NONE], jnp.int32),
-        clutter_x=jnp.array([2.0, 1.0]),
-        clutter_y=jnp.array([1.0, 1.0]),
-        clutter_probability=jnp.float32(haunted),
-    )
+    kinds, share = jnp.array([1, NONE], jnp.int32), jnp.float32(haunted)
+    x, y = jnp.array([[2.0, 1.0], [1.0, 1.0]])
+    return Errors(clutter_type=kinds, clutter_x=x, clutter_y=y, clutter_probability=share)
 
 
 def looks(scenario: Scenario, sensor: SensorParams, robot: WorldState = ROBOT) -> Observation:
