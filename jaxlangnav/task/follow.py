@@ -53,11 +53,9 @@ class PreparedEpisode:
 
     def play(self, max_steps: int, speech: Any = None) -> Iterator[tuple[Snapshot, EpisodeResult]]:
         """Run it step by step, as ``recorder.play``."""
-        # A batch of one instruction, leaves [1, …] on the host.
-        instruction = self.understood.instruction
-        batch: Instruction = jax.tree.map(lambda leaf: np.asarray(leaf)[None], instruction)
+        inputs = self.prepared.task, batched(self.understood)
         sizes = {"params": self.params, "config": self.config, "max_steps": max_steps}
-        return recorder.play(self.prepared.task, batch, **sizes, speech=speech)
+        return recorder.play(*inputs, **sizes, speech=speech)
 
 
 def follow(
@@ -156,6 +154,11 @@ def params_and_config(
         return pretrained.params, navigator_config(static, particles)
     map_config = dataclasses.replace(pretrained.config.map, num_particles=particles)
     return pretrained.params, dataclasses.replace(pretrained.config, map=map_config)
+
+
+def batched(understood: Understanding) -> Instruction:
+    """Build a batch of one instruction, leaves [1, …] on the host."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
 
 
 def precompile_cycle(opened: PreparedEpisode) -> None:
