@@ -73,7 +73,7 @@ def _drive(machine: str, seed: int) -> np.ndarray:
     for _ in range(_NUM_LEGS):
         angle, distance = rng.uniform(-np.pi, np.pi), rng.uniform(_MIN_LEG, _MAX_LEG)
         goal = np.clip(goal + distance * np.array([np.cos(angle), np.sin(angle)]), -_EDGE, _EDGE)
-        robot.go_to(goal[None], speed=1.0, clearance=0.0)
+        robot.go_to(goal, speed=1.0, clearance=0.0)
         progress = WaypointStatus.UNDER_WAY
         while progress is WaypointStatus.UNDER_WAY:
             progress = robot.wait(DECISION_SECONDS)

@@ -68,7 +68,7 @@ def test_its_wheels_seem_as_far_apart_as_is_known(machine: str) -> None:
 @BOTH
 def test_its_wheels_roll_as_far_as_they_are_said_to(machine: str) -> None:
     robot = put(machine, ())
-    robot.go_to(np.array([[4.0, 0.0]]), speed=1.0, clearance=0.0)
+    robot.go_to(np.array([4.0, 0.0]), speed=1.0, clearance=0.0)
     assert robot.wait(15.0) is WaypointStatus.REACHED
     x, y, heading = robot.true_pose
     assert abs(x - robot.pose()[0]) < 0.01 * x + 0.01
@@ -81,8 +81,9 @@ def test_its_wheels_roll_as_far_as_they_are_said_to(machine: str) -> None:
 
 def test_odometry_drifts_and_never_tells_the_truth() -> None:
     robot = put("husky", (), errors=SensorErrors(), seed=3)
-    robot.go_to(np.array([[3.0, 2.0], [0.0, 2.0]]), speed=1.0, clearance=0.0)
-    assert robot.wait(25.0) is WaypointStatus.REACHED
+    for goal in ([3.0, 2.0], [0.0, 2.0]):
+        robot.go_to(np.array(goal), speed=1.0, clearance=0.0)
+        assert robot.wait(15.0) is WaypointStatus.REACHED
     off = robot.pose() - robot.true_pose
     assert 0.005 < np.hypot(*off[:2]) < 0.5
     assert 0.0 < abs(wrap(off[2])) < 0.2
@@ -156,7 +157,7 @@ def test_things_and_people_are_seen_by_the_scanner_and_not_run_into() -> None:
         one.scene.set_position("person", one.true_pose[0] + 1.3, one.true_pose[1])
 
     robot.at(4.0, step_in)
-    robot.go_to(np.array([[4.5, 0.0]]), speed=1.0, clearance=0.2)
+    robot.go_to(np.array([4.5, 0.0]), speed=1.0, clearance=0.2)
     way = np.array([robot.true_pose[:2] for _ in range(450) if robot.wait(0.1)])
     assert robot.wait(0.1) is WaypointStatus.REACHED
     person = robot.scene.data.mocap_pos[-1, :2]

@@ -468,7 +468,7 @@ def test_a_goal_that_is_none_is_refused_and_the_next_one_is_taken(monkeypatch) -
     for one in (unfilled, pose(math.nan, 0.0, 0.0), pose(2.0, 1.0, 0.0)):
         take(Message(pose=one))
     assert [text[:11] for text in said] == ["orientation", "a pose says"]
-    np.testing.assert_allclose([one.args[0] for one in robot.go_to.call_args_list], [[[2.0, 1.0]]])
+    np.testing.assert_allclose([one.args[0] for one in robot.go_to.call_args_list], [[2.0, 1.0]])
 
 
 CLOUDS = [

@@ -92,7 +92,7 @@ def drive(
 
     Args:
         navigator: infers the task and chooses waypoints.
-        robot: follows waypoints and observes.
+        robot: drives to goals and observes.
         text: the instruction.
         key: random key of the decisions, consumed.
         state: of a former drive, to continue from; by default nothing is known.
@@ -173,7 +173,7 @@ class _DriveLoop:
             goal = pose[:2] + offset if self.overshoot is None else self.overshoot
             target = goal if self.facing is None else pose[:2]
             speed, clearance = float(action.speed), float(action.clearance)
-            self.robot.go_to(target[None], speed=speed, clearance=clearance, facing=self.facing)
+            self.robot.go_to(target, speed=speed, clearance=clearance, facing=self.facing)
             step = max(float(np.hypot(*action.step)), _MIN_PROGRESS)
             progress = self._drive_for(DECISION_SECONDS, step)
         self._record(pose, detections, status, info, target, progress, next_state)
@@ -203,7 +203,7 @@ class _DriveLoop:
             return Ending.NOT_FOUND, f"the {name} is not where it was seen"
         x, y = np.array(goal[1:]) - np.asarray(info.robot)
         facing = wrap(float(np.arctan2(y, x)) + _CONFIRM_OFFSETS[self.checks - 1])
-        self.robot.go_to(pose[None, :2], speed=1.0, clearance=0.0, facing=facing)
+        self.robot.go_to(pose[:2], speed=1.0, clearance=0.0, facing=facing)
         self._drive_for(_TURN_SECONDS)
         return None
 

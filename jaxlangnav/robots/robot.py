@@ -1,6 +1,6 @@
 """The ``Robot`` protocol, and the records of a drive (section 4.3).
 
-A robot reports pose and detections, follows waypoints and stops; a drive has steps and an ending.
+A robot reports pose and detections, drives to a goal and stops; a drive has steps and an ending.
 Frames: the *map* frame is that of the robot's odometry; the *robot* frame has x ahead and y to the
 left. Metres, radians, seconds.
 """
@@ -20,13 +20,13 @@ from jaxlangnav.world.sensor import NUM_DETECTIONS
 
 
 class WaypointStatus(enum.Enum):
-    """Progress of a robot along its waypoints."""
+    """Progress of a robot to its goal."""
 
     STANDING = "standing"
     """It has none."""
     UNDER_WAY = "under way"
     REACHED = "there"
-    """At the last waypoint, or as near as obstacles allow, and facing it."""
+    """At the goal, or as near as obstacles allow, and facing it."""
     FAILED = "gave up"
     """Its motion planner finds no path, or makes no progress."""
 
@@ -70,25 +70,25 @@ class Robot(Protocol):
         """Return the present detections; None where the camera delivers no picture."""
 
     def go_to(
-        self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
+        self, goal: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
-        """Set waypoints to follow in order; returns at once, motion happens during ``wait``.
+        """Set the goal to drive to; returns at once, motion happens during ``wait``.
 
         Args:
-            waypoints: f64[W, 2], map frame, metres. An occupied one, such as an object, is
-                approached as near as the body allows.
+            goal: f64[2], map frame, metres. An occupied one, such as an object, is approached as
+                near as the body allows.
             speed: factor on the robot's normal speed.
-            clearance: metres to keep between body and obstacles, except an occupied waypoint.
-            facing: heading at the end, radians, map frame; None: any, or towards a waypoint that
+            clearance: metres to keep between body and obstacles, except an occupied goal.
+            facing: heading at the end, radians, map frame; None: any, or towards a goal that
                 could not be reached.
         """
 
     def wait(self, seconds: float) -> WaypointStatus:
-        """Drive for some seconds, and return the progress along the waypoints."""
+        """Drive for some seconds, and return the progress to the goal."""
         ...
 
     def stop(self) -> None:
-        """Brake to a stop, and drop the waypoints."""
+        """Brake to a stop, and drop the goal."""
 
 
 class Ending(enum.Enum):

@@ -149,7 +149,7 @@ def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
     start_time = time.perf_counter()
     with contextlib.closing(make_robot(row, seed, -1)) as robot:
         goal = np.asarray(robot.scenario.goal, float)
-        robot.go_to(goal[None], speed=1.0, clearance=0.3)
+        robot.go_to(goal, speed=1.0, clearance=0.3)
         progress = robot.wait(0.1)
         while progress is WaypointStatus.UNDER_WAY and robot.seconds < MAX_SECONDS:
             if np.hypot(*(robot.pose()[:2] - goal)) <= STOP_DISTANCE:

@@ -1,1 +1,1 @@
-"""Motion planning from waypoints and range scans to wheel speeds (section 4.3)."""
+"""Motion planning from goals and range scans to wheel speeds (section 4.3)."""

@@ -1,4 +1,4 @@
-"""Motion planner that follows waypoints: repeated path planning and dynamic-window control.
+"""Motion planner to a goal: repeated path planning and dynamic-window control.
 
 It fails where there is no path, or where the robot makes no progress.
 """
@@ -22,10 +22,10 @@ from jaxlangnav.robots.robot import WaypointStatus
 TICK = 0.1
 """Seconds between two wheel commands."""
 TOLERANCE = 0.12
-"""Metres from a waypoint within which it is reached."""
+"""Metres from the goal, or the next corner of a path, within which it is reached."""
 _MAX_TURN_SPEED = 0.1  # metres a second below which it may turn in place
-_HEADING_TOLERANCE = 0.15  # radians off the last waypoint within which the robot faces it
-_MIN_OFFSET = 0.3  # metres from the last waypoint beyond which its direction is defined
+_HEADING_TOLERANCE = 0.15  # radians off the goal within which the robot faces it
+_MIN_OFFSET = 0.3  # metres from the goal beyond which its direction is defined
 _STUCK_SECONDS = 8.0  # without motion: then it fails
 _MOVED = 0.1  # metres, or a fifth of a radian, that count as motion
 _BASE, _DETOUR = 15.0, 4.0  # time limit: base seconds, and factor on the direct time
@@ -38,10 +38,10 @@ class MotionPlanner:
     """Motion planner: shortest path around inflated discs, followed by a local controller."""
 
     def __init__(self, body: BodyLimits) -> None:
-        """Initialize at rest, without waypoints."""
+        """Initialize at rest, without a goal."""
         self.body = body
         self.command, self.progress = STOP, WaypointStatus.STANDING
-        self._waypoints = np.zeros((0, 2))
+        self._goal = np.full(2, np.inf)
         self._speed, self._clearance = 1.0, 0.0
         self._facing: float | None = None
         self._reset()
@@ -54,21 +54,20 @@ class MotionPlanner:
         self._still_seconds = 0.0
 
     def go_to(
-        self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
+        self, goal: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
-        """Set finite waypoints or ``ValueError``, as ``Robot.go_to``; the same change nothing."""
-        points = np.asarray(waypoints, float).reshape(-1, 2)
-        if not len(points) or not np.isfinite(points).all():
-            raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")
-        is_under_way = self.progress is WaypointStatus.UNDER_WAY and facing == self._facing
-        is_same = is_under_way and points.shape == self._waypoints.shape
-        if not is_same or np.hypot(*(points - self._waypoints).T).max() >= TOLERANCE:
+        """Set a finite goal or ``ValueError``, as ``Robot.go_to``; the same changes nothing."""
+        goal = np.asarray(goal, float)
+        if not np.isfinite(goal).all():
+            raise ValueError(f"the goal is {goal.tolist()}, but must be finite")
+        is_same = self.progress is WaypointStatus.UNDER_WAY and facing == self._facing
+        if not is_same or np.hypot(*(goal - self._goal)) >= TOLERANCE:
             self._reset()
-        self._waypoints, self._speed, self._clearance = points, speed, clearance
+        self._goal, self._speed, self._clearance = goal, speed, clearance
         self._facing, self.progress = facing, WaypointStatus.UNDER_WAY
 
     def stop(self) -> None:
-        """Drop the waypoints; the next commands brake."""
+        """Drop the goal; the next commands brake."""
         self.progress = WaypointStatus.STANDING
 
     def tick(self, pose: np.ndarray, discs: np.ndarray) -> WheelCommand:
@@ -93,9 +92,6 @@ class MotionPlanner:
 
     def _follow(self, pose: np.ndarray, discs: np.ndarray) -> WheelCommand:
         """Compute the desired command, without the body's limits."""
-        if len(self._waypoints) > 1 and np.hypot(*(self._waypoints[0] - pose[:2])) < TOLERANCE:
-            self._waypoints = self._waypoints[1:]
-            self._path = None
         self._plan(pose, discs)
         if self._path is None:
             if self._failures >= _MAX_FAILURES:
@@ -114,8 +110,7 @@ class MotionPlanner:
     def _plan(self, pose: np.ndarray, discs: np.ndarray) -> None:
         """Plan a path if there is none or it is blocked; shorten a free one from time to time."""
         self._path_age += TICK
-        goal = self._waypoints[0]
-        inflated = inflate(discs, pose[:2], goal, self.body.radius, self._clearance)
+        inflated = inflate(discs, pose[:2], self._goal, self.body.radius, self._clearance)
         is_free = self._path is not None and all(
             is_clear(*pair, inflated - _DISC_JITTER)
             for pair in itertools.pairwise([pose[:2], *self._path])
@@ -124,7 +119,7 @@ class MotionPlanner:
             return
         self._path_age = 0.0
         if not is_free or self._path is None:
-            self._path = find_path(pose[:2], goal, inflated)
+            self._path = find_path(pose[:2], self._goal, inflated)
             self._failures = self._failures + 1 if self._path is None else 0
             return
         # Skip corners that have been passed, and those that a free segment bypasses.
@@ -135,12 +130,8 @@ class MotionPlanner:
             self._path = path[1:]
 
     def _arrive(self, pose: np.ndarray) -> WheelCommand:
-        """Turn to the final heading, then report the waypoints as reached."""
-        if len(self._waypoints) > 1:
-            self._waypoints = self._waypoints[1:]
-            self._path = None
-            return STOP
-        offset = self._waypoints[0] - pose[:2]
+        """Turn to the final heading, then report the goal as reached."""
+        offset = self._goal - pose[:2]
         facing = self._facing
         if facing is None and np.hypot(*offset) > _MIN_OFFSET:
             facing = math.atan2(offset[1], offset[0])
@@ -153,7 +144,7 @@ class MotionPlanner:
     def _is_stuck(self, pose: np.ndarray) -> bool:
         """Tell whether the robot has been at rest, or under way, for too long."""
         if math.isinf(self._time_left):
-            straight = float(np.hypot(*(self._waypoints[-1] - pose[:2])))
+            straight = float(np.hypot(*(self._goal - pose[:2])))
             self._time_left = _BASE + _DETOUR * straight / max(self.body.speed * self._speed, 0.05)
         self._time_left -= TICK
         self._still_seconds += TICK

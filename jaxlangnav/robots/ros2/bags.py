@@ -62,7 +62,7 @@ class Loopback:
         """Send the robot somewhere, see ``Bus.send_goal``."""
         pose = compose(self.origin, goal)
         facing = float(pose[2])
-        self.simulated.go_to(pose[None, :2], speed=speed, clearance=clearance, facing=facing)
+        self.simulated.go_to(pose[:2], speed=speed, clearance=clearance, facing=facing)
 
     def publish(self, topic: str, stamp: float, what: Any) -> None:
         """Deliver odometry, a pose f64[3], or detections to the inbox."""

@@ -141,19 +141,16 @@ class RosRobot:
         return self._bus.inbox.silent_for(now) <= PATIENCE and now - start <= 2.0 * PATIENCE
 
     def go_to(
-        self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
+        self, goal: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
-        """Send the last of the waypoints as the goal, see ``Robot.go_to``.
-
-        Without ``facing`` the goal's heading is the direction of travel.
-        """
-        pose, target = self.pose(), np.asarray(waypoints, float)[-1]
-        offset = target - pose[:2]
+        """Send a goal, see ``Robot.go_to``; its heading without ``facing`` is that of travel."""
+        pose = self.pose()
+        offset = goal - pose[:2]
         if facing is None:
             facing = math.atan2(*offset[::-1]) if np.hypot(*offset) > _MOVED else float(pose[2])
-        goal = np.array([*target, facing])
-        self._monitor.set(goal, self._bus.now())
-        self._send(goal, speed, clearance)
+        goal_pose = np.array([*goal, facing])
+        self._monitor.set(goal_pose, self._bus.now())
+        self._send(goal_pose, speed, clearance)
 
     def wait(self, seconds: float) -> WaypointStatus:
         """Receive messages for a time, see ``Robot.wait``."""

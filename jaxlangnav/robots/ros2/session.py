@@ -44,7 +44,7 @@ class Session:
 
         Args:
             navigator: infers tasks and chooses waypoints.
-            robot: follows waypoints and observes.
+            robot: drives to goals and observes.
             tell: called after every decision, ending and refusal.
             key: random key of all drives, consumed.
             max_seconds: time limit of a drive.

@@ -122,7 +122,7 @@ class RobotServer:
         if np.hypot(*offset[:2]) < _STOP_TOLERANCE and abs(offset[2]) < _STOP_TOLERANCE:
             self.robot.stop()
             return
-        self.robot.go_to(goal[None, :2], speed=1.0, clearance=_CLEARANCE, facing=float(goal[2]))
+        self.robot.go_to(goal[:2], speed=1.0, clearance=_CLEARANCE, facing=float(goal[2]))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
