@@ -170,11 +170,11 @@ def plan(search: SearchMap, tour: Tour, seed: int = 0) -> tours.Plan:
 
 
 def exact(lines: Tour, search, cells: np.ndarray) -> np.ndarray:
-    """Enumerate what may be true: the metres until either is seen, or until all has been."""
+    """Enumerate what may be true: the metres until one is seen, and its own, or all has been."""
     x, y = search.x[cells], search.y[cells]
     radius = jnp.float32(RANGE - SIGHT_MARGIN)
     own, other = (np.asarray(FIRST_SIGHT(lines, at, y, HERE, radius)[0]) for at in (x, x - 2.0))
-    there = np.minimum(own, other) @ np.asarray(search.mass)[cells]
+    there = np.minimum(own, other + 2.0) @ np.asarray(search.mass)[cells]
     return (1.0 - float(search.prob_absent)) * there + float(search.prob_absent) * own.max(axis=1)
 
 

@@ -6,9 +6,9 @@ comes into view:
     L = Σ_c m_c t_c + Σ_{c missed} m_c (T + |c − q_K| + B / 4R)
 
 m_c is the mass of cell c, t_c the distance after which the tour first comes within sensing range
-of it (of an unanchored pair: of either), T the whole length, q_K the last stop and B the area that
-the tour misses, so that B / 4R is about half of a sweep of it (R sin h for a view of half-angle h
-below a right angle, whose swath is narrower).
+of it (or of the nearer of an unanchored pair, plus the distance between the two), T the length, q_K
+the last stop and B the area that the tour misses, so that B / 4R is about half of a sweep of it
+(R sin h for a view of half-angle h below a right angle, whose swath is narrower).
 
 The target may not exist, with probability q (``termination``): then all of the area has to be
 viewed before that is known, in whatever order, and the total distance counts:
@@ -137,7 +137,8 @@ def latency(
     y = jnp.concatenate([search.y, search.partner_y])
     sight_at, length = first_sight(tours, x, y, robot, radius, fov, terrain=search.terrain)
     own_at, partner_at = jnp.split(sight_at, 2, axis=1)  # distance at which either point is viewed
-    first_at = jnp.minimum(own_at, partner_at)
+    gap = jnp.hypot(search.x - search.partner_x, search.y - search.partner_y)
+    first_at = jnp.minimum(own_at, partner_at + gap[None])
     distance = search.terrain.travel.metres(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
@@ -148,8 +149,7 @@ def latency(
     is_relevant = (mass > 0.1 * jnp.mean(mass))[None, :]
     cell_area = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     num_missed = jnp.sum((first_at >= LARGE) & is_relevant, axis=1)
-    sweep = num_missed * cell_area / (4.0 * half_width)
-    later_at = (length + sweep)[:, None] + distance
+    later_at = (length + num_missed * cell_area / (4.0 * half_width))[:, None] + distance
     cost_unanchored = search.unanchored[None, :] * jnp.where(first_at < LARGE, first_at, later_at)
     cost_anchored = search.anchored[None, :] * jnp.where(own_at < LARGE, own_at, later_at)
     total = jnp.sum(cost_unanchored + cost_anchored, axis=1)
