@@ -59,13 +59,13 @@ def _read_descriptor(descriptor: int, path: str | Path, *, max_bytes: int) -> by
     if not stat.S_ISREG(mode):
         file_type = _FILE_TYPES.get(stat.S_IFMT(mode), "something else")
         raise ValueError(f"{path}: is {file_type}, not a regular file")
-    with open(descriptor, "rb", closefd=False) as file:
-        # One byte more detects an excess: growing files and /proc report no true size.
-        content = file.read(max_bytes + 1)
+    content = bytearray()  # in pieces: growing files and /proc report no true size
+    while len(content) <= max_bytes and (piece := os.read(descriptor, 1 << 16)):
+        content += piece
     if len(content) > max_bytes:
         limit = f"{max_bytes:,} bytes, the most that such a file may have"
         raise ValueError(f"{path}: has more than {limit}: shorten it")
-    return content
+    return bytes(content)
 
 
 _MAX_STEM = 100
