@@ -160,9 +160,10 @@ def test_hits_of_one_thing_are_one_disc() -> None:
     assert (discs[:, 2] < 0.3).all()
 
 
-def test_a_goal_that_cannot_be_is_refused() -> None:
+@pytest.mark.parametrize("goal", [[np.nan, 0.0], [[1.0, 2.0]]])
+def test_a_goal_that_cannot_be_is_refused(goal) -> None:
     with pytest.raises(ValueError, match="goal"):
-        put().go_to(np.array([np.nan, 0.0]), speed=1.0, clearance=0.0)
+        put().go_to(np.array(goal), speed=1.0, clearance=0.0)
 
 
 @pytest.mark.parametrize("name", sorted(ROBOT_MODELS))

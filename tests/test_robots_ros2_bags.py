@@ -134,13 +134,12 @@ def replay(navigator, path, store, *, sensor, area, key) -> list[dict]:
 
 def test_the_bag_that_ships_replays_to_the_same_decisions(navigator, store) -> None:
     """Where decisions have changed since, ``python scripts/make_bag.py`` makes it anew."""
-    options = RobotOptions(robot="husky", seed=2)
+    options = RobotOptions(robot="husky", seed=3)
     gates = Gates(range=options.range, field_of_view=math.radians(options.field_of_view))
     area = np.asarray(draw_start(options).area).tolist()
-    key = jax.random.key(options.seed)
-    told = replay(navigator, BAG, store, sensor=sensor_params(gates), area=area, key=key)
-    assert told[-1]["ending"] == "arrived"
-    assert len(told) > 8
+    sensor, key = sensor_params(gates), jax.random.key(options.seed)
+    told = replay(navigator, BAG, store, sensor=sensor, area=area, key=key)
+    assert [one["ending"] for one in told[9:] if one["status"] == "ended"] == ["arrived"]
     assert sum(one.stat().st_size for one in BAG.iterdir()) < 500_000
 
 

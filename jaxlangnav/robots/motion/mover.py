@@ -58,8 +58,8 @@ class MotionPlanner:
     ) -> None:
         """Set a finite goal or ``ValueError``, as ``Robot.go_to``; the same changes nothing."""
         goal = np.asarray(goal, float)
-        if not np.isfinite(goal).all():
-            raise ValueError(f"the goal is {goal.tolist()}, but must be finite")
+        if goal.shape != (2,) or not np.isfinite(goal).all():
+            raise ValueError(f"the goal is {goal.tolist()}, but must be two finite numbers")
         is_same = self.progress is WaypointStatus.UNDER_WAY and facing == self._facing
         if not is_same or np.hypot(*(goal - self._goal)) >= TOLERANCE:
             self._reset()
