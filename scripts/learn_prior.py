@@ -1,9 +1,10 @@
-"""Estimate the spatial prior of objects for search: the table of ``planner.prior``.
+"""Estimate the spatial prior for search: the tables of ``planner.prior``.
 
     python scripts/learn_prior.py
 
 Training worlds have seed 2000, the first 1,000 of each row of Table 2; results tables use other
-seeds. The histogram is over all objects, not only goals, by range and bearing from the start.
+seeds. The histograms are by range and bearing from the start: over goals, of rows that mention no
+landmark; over goals and landmarks, of the others.
 """
 
 import numpy as np
@@ -12,11 +13,10 @@ from jaxlangnav.experiments.rows import TABLE2_ROWS
 from jaxlangnav.experiments.tasks import make_tasks
 from jaxlangnav.inputs.atomic_files import replacing
 from jaxlangnav.planner.prior import BEARING_BINS, BEARING_MAX, RANGE_BINS, RANGE_MAX, TABLE_FILE
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import CONE, Scenario
 
-SEED = 2000
-WORLDS = 1000
-"""Training worlds of each row."""
+SEED, WORLDS = 2000, 1000
+"""Of the training worlds, so many of each row."""
 _SMOOTH = (0.25, 0.5, 0.25)
 _SAMPLES = 400
 """Grid points per side for the area fraction of each bin."""
@@ -45,33 +45,33 @@ def _smooth(table: np.ndarray) -> np.ndarray:
 
 
 def learn(rows: list[Scenario]) -> np.ndarray:
-    """Estimate the density of objects relative to a uniform one over the operating area.
+    """Estimate the density of mentioned objects relative to a uniform one over the operating area.
 
     Args:
-        rows: training worlds, leaves [E, …] each; every record counts alike. The start is the
-            origin and faces +x, as in all drawn worlds.
+        rows: ``training_worlds``; the start is the origin and faces +x, as in all drawn worlds.
 
     Returns:
-        f32[RANGE_BINS, BEARING_BINS].
+        f32[2, RANGE_BINS, BEARING_BINS], of rows without and with a landmark; they count alike.
     """
-    total = np.zeros((RANGE_BINS, BEARING_BINS))
-    for scenario in rows:
-        is_object = np.asarray(scenario.is_object)
-        area = np.asarray(scenario.area)
-        depth = np.broadcast_to(area[:, 1:2], is_object.shape)[is_object]
-        x = np.asarray(scenario.object_x)[is_object]
-        y = np.asarray(scenario.object_y)[is_object]
-        total += _histogram(x, y, depth) / len(x) / len(rows)
+    total = np.zeros((2, RANGE_BINS, BEARING_BINS))
+    for spec, scenario in zip(TABLE2_ROWS, rows, strict=True):
+        place = np.stack([scenario.object_x, scenario.object_y], axis=2)
+        cone = np.argmax(np.asarray(scenario.object_type) == CONE, axis=1)  # first: the landmark
+        mentioned = np.asarray(scenario.goal), place[np.arange(len(cone)), cone]
+        number = 1 if spec.relation == "null" else 2
+        for at in mentioned[:number]:
+            total[number - 1] += _histogram(*at.T, np.asarray(scenario.area)[:, 1])
+    total /= total.sum(axis=(1, 2), keepdims=True)
     # Mass of the uniform density in each bin, on a fine grid; all areas have the same shape.
     _, far, low, high = np.asarray(rows[0].area)[0]
     grid = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     x, y = np.meshgrid(far * grid, low + (high - low) * grid)
-    uniform = _histogram(x.ravel(), y.ravel(), np.full(x.size, far)) / x.size
-    return (_smooth(total) / np.maximum(_smooth(uniform), 1e-4)).astype(np.float32)
+    uniform = _smooth(_histogram(x.ravel(), y.ravel(), np.full(x.size, far)) / x.size)
+    return np.stack([_smooth(table) / np.maximum(uniform, 1e-4) for table in total], dtype="f4")
 
 
 def training_worlds(worlds: int = WORLDS) -> list[Scenario]:
-    """Sample the training worlds, one record per row of Table 2."""
+    """Sample the training worlds, leaves [E, …] for each row of Table 2."""
     return [make_tasks(row.setting(seed=SEED), worlds).scenario for row in TABLE2_ROWS]
 
 

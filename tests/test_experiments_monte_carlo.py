@@ -102,11 +102,11 @@ def test_bad_cells_are_refused() -> None:
         Cell(world="1H1C", relation="null", seed=2**32)
 
 
-def test_pieces_come_back_in_order_and_without_padding() -> None:
-    number = 2 * monte_carlo.CHUNK_SIZE + 3
+def test_pieces_come_back_in_order_and_without_padding(monkeypatch) -> None:
+    monkeypatch.setattr(monte_carlo, "concurrent_calls", lambda: 2)
+    number, seen = 2 * monte_carlo.CHUNK_SIZE + 3, []
     tasks = make_tasks(Cell(world="1H1C", relation="null", seed=0), number)
-    seen: list[int] = []
-    found = run_policy("known", tasks, INSTRUCTIONS, on_progress=seen.append, num_threads=2)
+    found = run_policy("known", tasks, INSTRUCTIONS, on_progress=seen.append)
     np.testing.assert_allclose(found.distance, known_distances(tasks), atol=1.0)
     assert len(seen) > 2
     assert len(found.distance) == sum(seen) == number

@@ -281,8 +281,8 @@ def test_what_a_library_raises_is_said_in_what_can_be_printed() -> None:
 @pytest.mark.parametrize(
     "table",
     [
-        *(np.ones((9, 15)), np.ones((15, 8)), np.ones(135), -np.ones((15, 9))),
-        *(np.full((15, 9), np.nan), ".", "none", "/dev/zero"),
+        *(np.ones((15, 9)), np.ones((2, 15, 8)), np.ones(270), -np.ones((2, 15, 9))),
+        *(np.full((2, 15, 9), np.nan), ".", "none", "/dev/zero"),
     ],
 )
 def test_a_prior_that_is_no_table_of_densities_is_refused(tmp_path, table, monkeypatch):

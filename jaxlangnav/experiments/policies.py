@@ -117,7 +117,6 @@ class Arm:
         *,
         with_tally: bool = False,
         on_progress: OnProgress | None = None,
-        num_threads: int | None = None,
     ) -> tuple[EpisodeResult, Tally | None]:
         """Run tasks, at least one, as ``run_tasks`` takes them.
 
@@ -130,7 +129,6 @@ class Arm:
             params=self.params,
             config=self.config or NavigatorConfig(),
             on_progress=on_progress,
-            num_threads=num_threads,
             max_steps=self.max_steps,
             program=TALLY_PROGRAM if with_tally else self.program,
         )
@@ -170,7 +168,6 @@ def run_policy(
     *,
     num_particles: int = DEFAULT_PARTICLES,
     on_progress: OnProgress | None = None,
-    num_threads: int | None = None,
 ) -> EpisodeResult:
     """Run any policy on tasks, at least one; ``ValueError`` where there is none of that name.
 
@@ -180,10 +177,9 @@ def run_policy(
         instructions: leaves [I, …].
         num_particles: P, of the navigator's policies.
         on_progress: called with the number of episodes just finished.
-        num_threads: concurrent calls; the number of usable cores by default.
 
     Returns:
         Results as NumPy arrays, leaves [E, …], in the order of the tasks.
     """
     arm = policy_arm(policy, num_particles=num_particles)
-    return arm.run(tasks, instructions, on_progress=on_progress, num_threads=num_threads)[0]
+    return arm.run(tasks, instructions, on_progress=on_progress)[0]

@@ -51,16 +51,12 @@ class WaypointKeeping(Policy):
 
     value: Callable[[Situation], Valuation]
     """Function from a situation to values of its nodes and goal probability within reach."""
+    portrayal = PolicyDescription(place="the frontier")
 
     @property
     def name(self) -> str:
         """Name of the function."""
         return getattr(self.value, "__name__", "own")
-
-    @property
-    def portrayal(self) -> PolicyDescription:
-        """Its waypoints are frontiers, visited positions and observed objects."""
-        return PolicyDescription(place="the frontier")
 
     def init(self, belief: ParticleBelief) -> Waypoint:
         """Begin without an active waypoint."""
@@ -84,20 +80,16 @@ class Faithful(WaypointKeeping):
     """The paper's policy: QMDP values over frontiers, visited positions and objects."""
 
     value: Callable[[Situation], Valuation] = qmdp_value
+    portrayal = PolicyDescription(
+        place="the frontier",
+        reason="of {number} places the nearest to the goal, over all maps (value {value:.2f})",
+        is_field=True,
+    )
 
     @property
     def name(self) -> str:
         """Name of the policy in the tables."""
         return "faithful"
-
-    @property
-    def portrayal(self) -> PolicyDescription:
-        """Like that of its base, but with values defined between the nodes, too."""
-        return PolicyDescription(
-            place="the frontier",
-            reason="of {number} places the nearest to the goal, over all maps (value {value:.2f})",
-            is_field=True,
-        )
 
     def map_params(self, params: MapParams) -> MapParams:
         """Assume that every annotation is true, ε = 0."""

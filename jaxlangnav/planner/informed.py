@@ -35,19 +35,12 @@ _SETTLED_VALUE = 10.0  # value of a settled goal; information values stay below 
 class Informed(Policy):
     """Policy that plans search tours; its memory is the current tour."""
 
-    @property
-    def portrayal(self) -> PolicyDescription:
-        """Its waypoints are the first stops of search tours."""
-        return PolicyDescription(
-            place="a viewpoint",
-            reason="on the way {tested} of its maps are put to the test",
-            reason_object="nothing is left to find out that would matter more",
-        )
-
-    @property
-    def takes_likeliest(self) -> bool:
-        """Always true."""
-        return True
+    portrayal = PolicyDescription(
+        place="a viewpoint",
+        reason="on the way {tested} of its maps are put to the test",
+        reason_object="nothing is left to find out that would matter more",
+    )
+    takes_likeliest = True
 
     def check(self, sizes: MapConfig) -> None:
         """Raise a ValueError if the coverage map cannot be reduced to the search map."""

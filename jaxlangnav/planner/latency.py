@@ -6,12 +6,14 @@ comes into view:
     L = Σ_c m_c t_c + Σ_{c missed} m_c (T + |c − q_K| + B / 4R)
 
 m_c is the mass of cell c, t_c the distance after which the tour first comes within sensing range
-of it (or of the nearer of an unanchored pair, plus the distance between the two), T the length, q_K
-the last stop and B the area that the tour misses, so that B / 4R is about half of a sweep of it
-(R sin h for a view of half-angle h below a right angle, whose swath is narrower).
+of it (or of its unanchored landmark, plus half the way between the two: all of it for a tour that
+makes for them, next to none for one that passes by), T the length, q_K the last stop and B the area
+that the tour misses, so that B / 4R is about half of a sweep of it (R sin h for a view of
+half-angle h below a right angle, whose swath is narrower).
 
 The target may not exist, with probability q (``termination``): then all of the area has to be
-viewed before that is known, in whatever order, and the total distance counts:
+viewed before that is known (of an unanchored pair either place), in whatever order, and the total
+distance counts:
 
     L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R + G),   M = Σ_c m_c
 
@@ -138,7 +140,7 @@ def latency(
     sight_at, length = first_sight(tours, x, y, robot, radius, fov, terrain=search.terrain)
     own_at, partner_at = jnp.split(sight_at, 2, axis=1)  # distance at which either point is viewed
     gap = jnp.hypot(search.x - search.partner_x, search.y - search.partner_y)
-    first_at = jnp.minimum(own_at, partner_at + gap[None])
+    first_at = jnp.minimum(own_at, partner_at + 0.5 * gap[None])
     distance = search.terrain.travel.metres(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
@@ -153,11 +155,13 @@ def latency(
     cost_unanchored = search.unanchored[None, :] * jnp.where(first_at < LARGE, first_at, later_at)
     cost_anchored = search.anchored[None, :] * jnp.where(own_at < LARGE, own_at, later_at)
     total = jnp.sum(cost_unanchored + cost_anchored, axis=1)
-    is_missed = (own_at >= LARGE) & is_relevant
+    is_anchored = (search.anchored > search.unanchored)[None]
+    either_at = jnp.where(is_anchored, own_at, jnp.minimum(own_at, partner_at))
+    is_missed = (either_at >= LARGE) & is_relevant
     missed = jnp.sum(is_missed, axis=1)
     to_missed = jnp.sum(jnp.where(is_missed, distance, 0.0), axis=1) / jnp.maximum(missed, 1)
     later_at = length + to_missed + missed * cell_area / (2.0 * half_width)
-    last_at = jnp.max(jnp.where(is_relevant, own_at, 0.0), axis=1)
+    last_at = jnp.max(jnp.where(is_relevant, either_at, 0.0), axis=1)
     all_at = jnp.where(missed > 0, later_at + _patch_travel(is_missed, area), last_at)
     total = (1.0 - search.prob_absent) * total + search.prob_absent * jnp.sum(mass) * all_at
     return total + jnp.where(is_reached(tours.x[:, 0], tours.y[:, 0], robot), LARGE, 0.0)

@@ -12,7 +12,7 @@ within reach that may be the goal.
 
 import dataclasses
 from abc import abstractmethod
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -66,20 +66,15 @@ class Policy(Protocol):
     ShapeDtypeStructs elsewhere.
     """
 
+    portrayal: ClassVar[PolicyDescription] = PolicyDescription()
+    """Texts by which reports and figures describe its choices."""
+    takes_likeliest: ClassVar[bool] = False
+    """Whether it accepts the likeliest observed object once the search is nearly exhausted."""
+
     @property
     def name(self) -> str:
         """Name of the policy for users."""
         return type(self).__name__.lower()
-
-    @property
-    def portrayal(self) -> PolicyDescription:
-        """Texts by which reports and figures describe its choices."""
-        return PolicyDescription()
-
-    @property
-    def takes_likeliest(self) -> bool:
-        """Whether it accepts the likeliest observed object once the search is nearly exhausted."""
-        return False
 
     @abstractmethod
     def init(self, belief: ParticleBelief, /) -> Any:

@@ -1,7 +1,8 @@
 """Spatial prior over positions of mentioned objects, learned from training worlds.
 
-A table, learned by ``scripts/learn_prior.py`` from worlds whose seeds are in no results table, has
-the relative density of an object at a range and bearing from the robot's pose at the utterance.
+Two tables, learned by ``scripts/learn_prior.py`` from worlds whose seeds are in no results table,
+have the relative density of an object at a range and bearing from the robot's pose at the
+utterance: of goals, where no landmark is mentioned, and of goals and landmarks.
 Only the order of search depends on it; ``PlannerParams.prior_share`` = 0 disables it. The prior
 ``PlannerParams.ahead``, which is not learned, is a von Mises density of the bearing b from the
 heading, exp κ cos b.
@@ -29,13 +30,13 @@ _MAX_BYTES = 1 << 20
 
 @functools.cache
 def load_table() -> np.ndarray:
-    """Read the learned table, f32[RANGE_BINS, BEARING_BINS], density relative to uniform.
+    """Read the learned tables, f32[2, RANGE_BINS, BEARING_BINS], densities relative to uniform.
 
-    Raises a ValueError if the file has no finite, non-negative table.
+    Raises a ValueError if the file has no finite, non-negative tables.
     """
     try:
         density = parse_floats(read_file(TABLE_FILE, max_bytes=_MAX_BYTES))
-        if density.shape != (RANGE_BINS, BEARING_BINS) or (density < 0.0).any():
+        if density.shape != (2, RANGE_BINS, BEARING_BINS) or (density < 0.0).any():
             raise ValueError(f"shape {density.shape}, or a negative density")
     except (OSError, ValueError) as error:
         raise ValueError(f"{TABLE_FILE}: not a table of densities ({error})") from error
@@ -43,24 +44,25 @@ def load_table() -> np.ndarray:
 
 
 def relative_density(
-    coverage: Coverage, viewer: Array, x: Array, y: Array, weight: Array, ahead: Array
+    coverage: Coverage, viewer: Array, x: Array, y: Array, weight: Array, ahead: Array, pair: Array
 ) -> Array:
     """Look up the prior density of an object at each position, relative to uniform.
 
         (w · learned + 1 − w) · exp κ (cos b − 1)
 
-    Limits: 1 everywhere for w and κ of 0; 1 − w straight ahead where no training world had an
-    object.
+    Limits: 1 everywhere for w and κ of 0; 1 − w straight ahead where no training world had one.
 
     Args:
         coverage: for the operating area.
         viewer: f32[3], x, y, heading when the instruction was heard, map frame.
         x: f32[C], metres, map frame.
         y: f32[C], metres.
-        weight: f32[] in [0, 1], w, weight of the table; the rest is uniform.
+        weight: f32[] in [0, 1], w, weight of the tables; the rest is uniform.
         ahead: f32[], κ ≥ 0, concentration of bearings b about the viewer's heading.
+        pair: f32[] in [0, 1], probability that a landmark is sought, too.
     """
-    learned = jnp.asarray(load_table())
+    alone, beside = jnp.asarray(load_table())
+    learned = (1.0 - pair) * alone + pair * beside
     offset_x, offset_y = x - viewer[0], y - viewer[1]
     cos, sin = jnp.cos(viewer[2]), jnp.sin(viewer[2])
     left, forward = (offset_y * cos - offset_x * sin, offset_x * cos + offset_y * sin)

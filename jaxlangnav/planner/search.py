@@ -4,18 +4,19 @@ For each cell of the operating area it has the probability that a mentioned, not
 object lies there. ``tours`` plans the path that finds it soonest.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import ROBOT
+from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.numerics.batching import materialize, skip_unless_any
 from jaxlangnav.planner import prior
 from jaxlangnav.planner.constraints import Zones
 from jaxlangnav.planner.relevance import components
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.coverage import Coverage, cell_size
+from jaxlangnav.semantic_map.coverage import Coverage, cell_size, log_miss_at
 from jaxlangnav.semantic_map.proposal.ranks import log_viewer_density
 from jaxlangnav.semantic_map.proposal.relation_query import Utterances
 from jaxlangnav.terrain import OPEN, Eye, Terrain
@@ -27,6 +28,7 @@ LATTICE = 6
 _TIE_BREAK = 2e-3
 """Relative gradient of the cell weights across the area, to break ties: else rounding would choose
 between a tour and its mirror image, differently in each compiled program."""
+_GAP_SPREAD = np.array([0.6, 1.0, 1.4], np.float32)  # of the gap of a pair, about its mean
 _OFF_CENTRE = 1e-3  # nats, penalty of subcells per squared offset from the centre of their cell
 
 
@@ -38,7 +40,7 @@ class SearchMap:
     y: Array  # f32[C]
     unanchored: Array  # f32[C] probability that an unanchored target lies there
     anchored: Array  # f32[C] probability that a target anchored to an observed object lies there
-    partner_x: Array  # f32[C] metres: position of the partner in an unanchored pair; else x
+    partner_x: Array  # f32[C] metres: position of the landmark in an unanchored pair; else x
     partner_y: Array  # f32[C]
     unseen: Array  # f32[] u, miss probability of a target placed as described
     terrain: Terrain = OPEN  # lines of sight and travel distances
@@ -77,22 +79,28 @@ def grid(area: Array, side: int) -> tuple[Array, Array]:
     return jnp.tile(x, side), jnp.repeat(y, side)
 
 
-def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -> Array:
-    """Estimate the position of the partner in an unseen pair: f32[C], factor on the line of sight.
+def _range_gap(belief: ParticleBelief, is_free: Array, readings: Readings) -> tuple[Array, Array]:
+    """Estimate how much farther from the viewer the figure of an unseen pair is than its landmark.
 
-    From the mean difference of their ranges from the viewer, over the particles in which neither
-    is anchored to an observed object.
+    f32[] metres, the mean over particles with anything free; f32[], the fraction with a pair.
     """
-    viewer_x, viewer_y = belief.viewer[0], belief.viewer[1]
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
-    offset_x, offset_y = particles.hypothesis_x - viewer_x, particles.hypothesis_y - viewer_y
-    distance = jnp.sqrt(offset_x**2 + offset_y**2 + 1e-9)  # [M, P]
-    is_pair = jnp.sum(is_free, axis=0) == 2
-    sign = jnp.where(is_free, jnp.where(jnp.cumsum(is_free, axis=0) == 1, 1.0, -1.0), 0.0)
-    range_gap = jnp.sum(jnp.where(is_pair, weight, 0.0) * jnp.sum(sign * distance, axis=0))
-    prob = jnp.sum(jnp.where(jnp.any(is_free, axis=0), weight, 0.0))
-    mean_gap = jnp.abs(range_gap) / jnp.maximum(prob, 1e-6)
-    return 1.0 - mean_gap / jnp.sqrt((x - viewer_x) ** 2 + (y - viewer_y) ** 2 + 1e-9)
+    offset = particles.hypothesis_x - belief.viewer[0], particles.hypothesis_y - belief.viewer[1]
+    distance = jnp.where(is_free, jnp.hypot(*offset), 0.0)  # [M, P]
+    landmark_type = jnp.take_along_axis(readings.mention_type, readings.landmark, axis=1)
+    is_edge = (readings.relation != NONE) & (landmark_type != ROBOT)  # [K, J]
+    figure, landmark = jax.nn.one_hot(jnp.stack([readings.figure, readings.landmark]), len(is_free))
+    sign = jnp.sign(jnp.sum((figure - landmark) * is_edge[..., None], axis=1))  # [K, M]
+    gap = jnp.sum(distance * sign[particles.reading].T, axis=0)
+    pairs = jnp.where(jnp.sum(is_free, axis=0) == 2, weight, 0.0)
+    prob = jnp.maximum(jnp.sum(jnp.where(jnp.any(is_free, axis=0), weight, 0.0)), 1e-6)
+    return jnp.sum(pairs * gap) / prob, jnp.sum(pairs) / prob
+
+
+def _towards_viewer(x: Array, y: Array, gap: Array, viewer: Array) -> tuple[Array, Array]:
+    """Move positions towards the viewer by ``gap`` metres."""
+    frac = gap / jnp.sqrt((x - viewer[0]) ** 2 + (y - viewer[1]) ** 2 + 1e-9)
+    return x - frac * (x - viewer[0]), y - frac * (y - viewer[1])
 
 
 def _unseen_prob(coverage: Coverage, anchored: Array, density: Array) -> Array:
@@ -153,18 +161,17 @@ def search_map(
     """Compute the search map of a belief.
 
     Hypotheses anchored to an observed object count at their position. Unanchored ones are
-    distributed by the coverage map, the prior learned from training worlds (``prior``) and their
-    relations to the robot, rather than by the few particles that sample them. The mass of the map
-    sums to the expected number of objects still to be found.
+    distributed by the coverage map (of a pair neither has been seen), the prior learned from
+    training worlds (``prior``) and their relations to the robot, rather than by the few particles
+    that sample them. The mass of the map sums to the expected number of objects still to be found.
 
     Args:
         belief: weighted particles and coverage map.
         prior_share: f32[] in [0, 1], weight of the learned prior; 0 leaves it out.
         ahead: f32[], κ of the prior that objects lie ahead of the viewer; 0: uniform direction.
-        utterances: utterances; None: none that relates an object to the robot.
+        utterances: utterances; None: none that relates an object to another or the robot.
     """
-    particles, weight = belief.particles, jnp.exp(belief.log_weight)
-    area = belief.coverage.area
+    particles, weight, area = belief.particles, jnp.exp(belief.log_weight), belief.coverage.area
     x, y = grid(area, CELLS)
     is_open = particles.is_hypothesised  # [M, P]
     is_free = is_open & (particles.root < 0)
@@ -173,9 +180,12 @@ def search_map(
     miss = jnp.exp(belief.coverage.log_miss)
     block = miss.shape[0] // CELLS
     unseen = miss.reshape(CELLS, block, CELLS, block).sum(axis=(1, 3)).reshape(-1)
-    factor = prior.relative_density(belief.coverage, belief.viewer, x, y, prior_share, ahead)
+    ordered, gap, prob_pair = np.float32(0.0), jnp.float32(0.0), jnp.float32(0.0)
+    if utterances is not None:
+        gap, prob_pair = _range_gap(belief, is_free, utterances.readings)
+    weights = prior_share, ahead, prob_pair
+    factor = prior.relative_density(belief.coverage, belief.viewer, x, y, *weights)
     unseen = uniform_unseen = unseen * factor
-    ordered = np.float32(0.0)
     if utterances is not None:
         readings, mentions = utterances.readings, np.arange(is_open.shape[0])[None, None]
         is_figure = (readings.figure[:, :, None] == mentions) & readings.is_ordinal[:, :, None]
@@ -183,25 +193,25 @@ def search_map(
         ordered = jnp.sum(jnp.where(jnp.any(is_open & is_ranked, axis=0), weight, 0.0))
         viewer_factor = _viewer_factor(belief, is_free, x, y, unseen, utterances)
         factor, unseen = factor * viewer_factor, unseen * viewer_factor
+        partner = _towards_viewer(x[None], y[None], gap * _GAP_SPREAD[:, None], belief.viewer)
+        partner_miss = jnp.mean(jnp.exp(log_miss_at(belief.coverage, *partner)), axis=0)
+        unseen *= 1.0 - prob_pair * (1.0 - utterances.params.misleading) * (1.0 - partner_miss)
     unseen = unseen * (1.0 + _TIE_BREAK * jnp.linspace(-0.5, 0.5, CELLS**2))
-    column = jnp.floor((particles.hypothesis_x - area[0]) / (area[1] - area[0]) * CELLS)
-    row = jnp.floor((particles.hypothesis_y - area[2]) / (area[3] - area[2]) * CELLS)
-    is_inside = (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)
-    cell = jnp.where(is_inside, row * CELLS + column, 0.0).astype(jnp.int32)
-    anchored = jnp.where(is_open & ~is_free & is_inside, weight[None, :], 0.0)
-    anchored_map = jnp.zeros(CELLS**2, jnp.float32).at[cell.reshape(-1)].add(anchored.reshape(-1))
+    anchored = jnp.where(is_open & ~is_free, weight[None], 0.0).reshape(-1)
+    positions = particles.hypothesis_x.reshape(-1), particles.hypothesis_y.reshape(-1)
+    anchored = jnp.histogram2d(*positions, CELLS, [area[:2], area[2:]], anchored)[0].T.reshape(-1)
     x, y = _least_observed(belief.coverage, x, y)
-    scale = _partner_scale(belief, is_free, x, y)
+    partner_x, partner_y = _towards_viewer(x, y, gap, belief.viewer)
     return SearchMap(
         x=x,
         y=y,
         unanchored=unanchored_prob * unseen / jnp.maximum(jnp.sum(unseen), 1e-9),
-        anchored=anchored_map,
-        partner_x=belief.viewer[0] + scale * (x - belief.viewer[0]),
-        partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
+        anchored=anchored,
+        partner_x=partner_x,
+        partner_y=partner_y,
         relocation_density=uniform_unseen / jnp.maximum(jnp.sum(uniform_unseen), 1e-9),
         ordered=ordered,
-        unseen=_unseen_prob(belief.coverage, anchored_map, factor),
+        unseen=_unseen_prob(belief.coverage, anchored, factor),
         mean_miss=jnp.mean(miss),
         terrain=belief.terrain,
     )
