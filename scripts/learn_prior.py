@@ -59,8 +59,8 @@ def learn(rows: list[Scenario]) -> np.ndarray:
         cone = np.argmax(np.asarray(scenario.object_type) == CONE, axis=1)  # first: the landmark
         mentioned = np.asarray(scenario.goal), place[np.arange(len(cone)), cone]
         number = 1 if spec.relation == "null" else 2
-        for at in mentioned[:number]:
-            total[number - 1] += _histogram(*at.T, np.asarray(scenario.area)[:, 1])
+        for x, y in (at.T for at in mentioned[:number]):
+            total[number - 1] += _histogram(x, y, np.asarray(scenario.area)[:, 1])
     total /= total.sum(axis=(1, 2), keepdims=True)
     # Mass of the uniform density in each bin, on a fine grid; all areas have the same shape.
     _, far, low, high = np.asarray(rows[0].area)[0]
