@@ -35,7 +35,7 @@ K, RANGE = NUM_STOPS, 3.0
 SENSOR = default_sensor(RANGE)
 SEARCH_MAP, PLAN, CHANGE = jax.jit(search_map), jax.jit(tours.plan), jax.jit(tours.random_moves)
 FIRST_SIGHT, LATENCY = jax.jit(first_sight), jax.jit(latency)
-DENSITY = jax.jit(prior.relative_density)
+DENSITY, ONE = jax.jit(prior.relative_density), jnp.float32(1.0)
 
 
 def random_tours(number: int, seed: int = 0) -> Tour:
@@ -104,10 +104,8 @@ def test_what_a_narrow_view_passes_by_is_driven_up_to() -> None:
     """A camera that looks ahead: the thing beside the way is in no view along it."""
     mass = np.zeros((CELLS, CELLS))
     mass[CELLS // 2 + 1, 2] = 1.0  # at (2.1, 1.25)
-    search, narrow = (
-        search_of(np.zeros(CELLS**2), mass.reshape(-1)),
-        default_sensor(RANGE, field_of_view=1.4),
-    )
+    search = search_of(np.zeros(CELLS**2), mass.reshape(-1))
+    narrow = default_sensor(RANGE, field_of_view=1.4)
     past = Tour(x=jnp.full((1, K), 9.0), y=jnp.zeros((1, K)))
     up_to = Tour(x=jnp.full((1, K), 1.7), y=jnp.full((1, K), 0.8))
     here = jnp.float32(1.4), jnp.float32(0.0)
@@ -150,7 +148,7 @@ def test_partner_is_where_the_relation_has_it(figure: int, gap: float) -> None:
     parts = {n: getattr(belief.particles, n).at[1].set(value) for n, value in nearer.items()}
     pair = replace(belief, particles=replace(belief.particles, **parts))
     words = by_hand.readings([[0, 1]], [[(figure, BEHIND, 1 - figure, False)]])
-    search = SEARCH_MAP(pair, NOT, NOT, hear(words, pair))
+    search = SEARCH_MAP(pair, ONE, NOT, hear(words, pair))
     before = np.hypot(search.x, search.y) - np.hypot(search.partner_x, search.partner_y)
     far = np.hypot(search.x, search.y) > 2.1
     np.testing.assert_allclose(before[far], gap, atol=1e-3)
@@ -159,7 +157,8 @@ def test_partner_is_where_the_relation_has_it(figure: int, gap: float) -> None:
     centres = np.stack(grid(belief.coverage.area, CELLS), axis=1)
     moved = (1.0 - np.outer([0.6, 1.0, 1.4], gap / np.hypot(*centres.T)))[..., None] * centres
     missed = np.exp(log_miss_at(belief.coverage, *moved.transpose(2, 0, 1))).mean(axis=0)
-    expected = alone.mass * (0.2 + 0.8 * missed)
+    learned = DENSITY(pair.coverage, pair.viewer, *centres.T, ONE, NOT, ONE)
+    expected = alone.mass * (0.2 + 0.8 * missed) * learned
     np.testing.assert_allclose(search.mass, expected / expected.sum(), rtol=1e-3)
 
 
@@ -282,25 +281,26 @@ def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:
     belief = by_hand.begin(config=CONFIG)
     steps = (np.arange(80) + 0.5) / 80 * 10.0
     x, y = (jnp.asarray(one, jnp.float32) for one in (np.tile(steps, 80), np.repeat(steps - 5, 80)))
-    viewer = jnp.zeros(3)
 
-    def density(share: float, ahead: float = 0.0):
-        numbers = jnp.float32(share), jnp.float32(ahead), NOT
-        return np.asarray(DENSITY(belief.coverage, viewer, x, y, *numbers))
+    def density(share: float, ahead: float = 0.0, pair: float = 0.0, turn: float = 0.0):
+        numbers = jnp.array([share, ahead, pair], jnp.float32)
+        return np.asarray(DENSITY(belief.coverage, jnp.array([0.0, 0.0, turn]), x, y, *numbers))
 
     np.testing.assert_array_equal(density(0.0), 1.0)
-    trusted = density(1.0)
-    assert trusted.max() > 2.0
-    np.testing.assert_allclose(density(0.5), 0.5 * trusted + 0.5, rtol=1e-5)
+    # Of goals alone, of goals and landmarks, and of what may be either.
+    alone, pairs = density(1.0), density(1.0, pair=1.0)
+    place = np.array([np.hypot(x, y) / 12.5 * 15, np.abs(np.arctan2(y, x)) / (np.pi / 2) * 9])
+    for table, found in zip(prior.load_table(), (alone, pairs), strict=True):
+        inside = place[0] < 15
+        np.testing.assert_allclose(found[inside], table[*place[:, inside].astype(int)], rtol=1e-5)
+    np.testing.assert_allclose(density(1.0, pair=0.3), 0.7 * alone + 0.3 * pairs, rtol=1e-5)
+    np.testing.assert_allclose(density(0.5), 0.5 * alone + 0.5, rtol=1e-5)
+    assert alone.max() > 2.0
     # Behind the viewer nothing was ever learned.
-    turned = DENSITY(
-        belief.coverage, jnp.array([0.0, 0.0, np.pi]), x, y, jnp.float32(1.0), NOT, NOT
-    )
-    assert float(jnp.max(turned)) == 0.0
+    assert density(1.0, turn=np.pi).max() == 0.0
     # Of a robot that takes things to lie ahead, exp κ (cos b − 1), at any range.
-    np.testing.assert_allclose(
-        density(0.0, 1.5), np.exp(1.5 * (np.asarray(x) / np.hypot(x, y) - 1.0)), rtol=1e-4
-    )
+    expected = np.exp(1.5 * (np.asarray(x) / np.hypot(x, y) - 1.0))
+    np.testing.assert_allclose(density(0.0, 1.5), expected, rtol=1e-4)
 
 
 def test_the_shipped_table_is_what_training_worlds_teach() -> None:
