@@ -43,7 +43,7 @@ def small():
 
 
 def all_counts(design: Design) -> np.ndarray:
-    return design.counts(np.ones((1, design.num_instructions), np.float32))[0]
+    return design.counts(np.ones((1, design.occurrences.shape[0]), np.float32))[0]
 
 
 def random_weights(design: Design, scale=0.3):
@@ -104,7 +104,7 @@ def test_equal_factors_are_joined_and_split_by_instruction():
 def test_fit_reaches_the_minimum(small):
     """J is λ-strongly convex: J(W) − min J ≤ ‖∇J(W)‖² / 2 λ."""
     _, _, design = small
-    config, ones = TrainingConfig(l2=0.1), np.ones((1, design.num_instructions), np.float32)
+    config, ones = TrainingConfig(l2=0.1), np.ones((1, design.occurrences.shape[0]), np.float32)
     (weights,), measured = fit(design, ones, config=config)
     gradient = jax.grad(loss)(weights, design, all_counts(design), 0.1)
     length = np.sqrt(sum(float(jnp.sum(g * g)) for g in gradient.values()))
@@ -193,7 +193,7 @@ def test_derivative_by_every_strength_is_that_of_the_minimum():
     times = jnp.asarray(rng.integers(0, 3, problem.counts.shape), jnp.float32)
     held = jnp.asarray(rng.integers(0, 2, problem.counts.shape), jnp.float32)
     factors = np.asarray(problem.words), np.asarray(problem.properties)
-    design = Design(*factors, {"symbol": slice(0, 6)}, None, num_instructions=1)
+    design = Design(*factors, {"symbol": slice(0, 6)}, None)
     factored, config = on_device(design), TrainingConfig(gap=1e-9, max_steps=200)
     at = np.log(np.linspace(0.5, 3.0, len(groups)))
 

@@ -5,9 +5,9 @@ paper is one factor, (phrase, symbol); one of ours is a phrase with the factors 
 Training uses the distinct factors with their counts.
 """
 
-import itertools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,17 +160,6 @@ def _tree_examples(
         yield PhraseExample(node.phrase, blocks, instruction)
 
 
-def _labelled_trees(
-    name: str, labelled: LabelledInstruction, type_names: tuple[str, ...]
-) -> Sequence[tuple[SymbolSpace[Any], Labelled[Any]]]:
-    """List the trees that an instruction has for a model, with their symbol spaces."""
-    annotations, behaviors = Annotations(type_names), Behaviors(type_names, labelled.rank)
-    return {
-        "annotation": [(annotations, tree) for tree in labelled.annotations],
-        "behavior": [(behaviors, tree) for tree in itertools.chain(*labelled.behaviors)],
-    }[name]
-
-
 def model_examples(
     name: str, instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> list[PhraseExample]:
@@ -178,12 +167,15 @@ def model_examples(
 
     ``name``: "annotation", or "behavior" with one per phrase and world, without empty slots.
     """
-    return [
-        example
-        for index, labelled in enumerate(instructions)
-        for space, tree in _labelled_trees(name, labelled, type_names)
-        for example in _tree_examples(space, tree, index)
-    ]
+    examples: list[PhraseExample] = []
+    for index, labelled in enumerate(instructions):
+        by_model: dict[str, tuple[SymbolSpace[Any], Iterable[Labelled[Any]]]] = {
+            "annotation": (Annotations(type_names), labelled.annotations),
+            "behavior": (Behaviors(type_names, labelled.rank), chain(*labelled.behaviors)),
+        }
+        space, trees = by_model[name]
+        examples += (one for tree in trees for one in _tree_examples(space, tree, index))
+    return examples
 
 
 # ---------------------------------------------------------------- counts of distinct factors
@@ -196,8 +188,7 @@ def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     row_type = np.dtype((np.void, rows.shape[1] * np.dtype(np.float32).itemsize))
     keys = np.ascontiguousarray(rows, np.float32).view(row_type)[:, 0]
-    _, first_index, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    return first_index, inverse.ravel()
+    return np.unique(keys, return_index=True, return_inverse=True)[1:]
 
 
 class Factors(NamedTuple):
@@ -225,7 +216,6 @@ class Design(NamedTuple):
     properties: np.ndarray  # f32[U, G, F]
     columns: dict[str, slice]  # kind → its properties
     occurrences: csr_array  # [I, U · G · 2] count by instruction, words, symbol and label
-    num_instructions: int
 
     def counts(self, instruction_weights: np.ndarray) -> np.ndarray:
         """Count factors by label (φ, eq. 4), by instruction weights f32[K, I]: f32[K, U, G, 2]."""
@@ -245,14 +235,13 @@ def tabulate(factors: Factors, columns: dict[str, slice], num_instructions: int)
     num_slots = int(slot.max()) + 1
     properties = np.zeros((len(first_word), num_slots, factors.properties.shape[1]), np.float32)
     properties[word_row, slot] = factors.properties[first_row[symbol_row]]
-    cell = (word_row * num_slots + slot)[inverse.ravel()] * 2 + factors.label
+    cell = (word_row * num_slots + slot)[inverse] * 2 + factors.label
     shape = num_instructions, len(first_word) * num_slots * 2
     return Design(
         words=factors.words[first_word],
         properties=properties,
         columns=columns,
         occurrences=csr_array((factors.repeats, (factors.instruction, cell)), shape),
-        num_instructions=num_instructions,
     )
 
 

@@ -13,7 +13,7 @@ theorem, from ∇J(V*(θ), θ) = 0. ``vmap`` over the counts n trains several ho
 import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import chex
 import jax
@@ -33,6 +33,7 @@ from jaxlangnav.grounding.model import (
 from jaxlangnav.numerics.descent import descend
 from jaxlangnav.training.examples import Design, PhraseExample, examples_of, factors_of, tabulate
 
+_Weights = TypeVar("_Weights", Array, np.ndarray)
 _LINEAR_TOLERANCE, _LINEAR_STEPS = 1e-5, 500
 """Conjugate gradients of a derivative: relative residual and maximum number of steps."""
 
@@ -205,7 +206,7 @@ def _compile(shapes: tuple, config: TrainingConfig) -> jax.stages.Compiled:
     return _fit_splits.lower(*shapes, config=config).compile()
 
 
-def by_kind(weights: Array, design: Design) -> dict[str, Array]:
+def by_kind(weights: _Weights, design: Design) -> dict[str, _Weights]:
     """Split weights f32[W, F] of all kinds side by side, kind → f32[W, F of the kind]."""
     return {kind: weights[:, columns] for kind, columns in design.columns.items()}
 
@@ -259,7 +260,7 @@ def fit(
     Raises:
         ValueError: the regularisation is not above zero: the minimum would not be unique.
     """
-    chex.assert_shape(instruction_weights, (None, design.num_instructions))
+    chex.assert_rank(instruction_weights, 2)
     config = config or TrainingConfig()
     if not config.l2 > 0.0:
         raise ValueError(f"l2 is {config.l2:g}, but must be above 0")
@@ -274,14 +275,13 @@ def fit(
     weights = np.array(trained)
     # Weights of pairs that never co-occur are zero up to rounding; exact zeros compress well.
     weights[np.abs(weights) < 1e-6 * np.abs(weights).max()] = 0.0
-    models = [{kind: w[:, columns] for kind, columns in design.columns.items()} for w in weights]
     info = Fit(
         loss=np.asarray(search.value),
         steps=np.asarray(search.num_steps, np.int32),
         seconds=time.perf_counter() - start - compile_seconds,
         compile_seconds=compile_seconds,
     )
-    return models, info
+    return [by_kind(model, design) for model in weights], info
 
 
 def train_graph(
