@@ -180,12 +180,11 @@ def _log_weights(
     is_alike, log_new = label_of(carry.object_type) == label_of(z.object_type), z.log_new
     is_candidate = is_alike & ~carry.is_hit
     is_counted = carry.object_type != NONE if is_pooled else is_alike
-    if clutter is None:
-        log_more = (log_new + jnp.log1p(growth * jnp.sum(is_counted, axis=0)))[None]
-        return jnp.concatenate([jnp.where(is_candidate, log_existing, -jnp.inf), log_more]), None
     existence = carry.existence
-    counted = jnp.where(is_counted, existence, 0.0)
+    counted = is_counted if clutter is None else jnp.where(is_counted, existence, 0.0)
     log_more = (log_new + jnp.log1p(growth * jnp.sum(counted, axis=0)))[None]
+    if clutter is None:
+        return jnp.concatenate([jnp.where(is_candidate, log_existing, -jnp.inf), log_more]), None
     is_other = ~is_alike & (carry.object_type != NONE)
     log_confused = prepend_axes(log_new + clutter.log_confused, log_more.ndim)
     log_exists = jnp.log(jnp.maximum(existence, 1e-9))

@@ -58,8 +58,7 @@ def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
     if belief.particles.drift.shape[0]:
         return mean_robot_pose(belief, is_active(belief))[:2]
     weight, particles = jnp.exp(belief.log_weight), belief.particles
-    robot = particles.object_type.shape[0]
-    return jnp.sum(weight * particles.mean_x[robot]), jnp.sum(weight * particles.mean_y[robot])
+    return jnp.sum(weight * particles.mean_x[-1]), jnp.sum(weight * particles.mean_y[-1])
 
 
 def mean_drift(belief: ParticleBelief) -> Array | None:

@@ -82,7 +82,7 @@ def raise_existence(existence: Array, growth: Array | float, prob_real: Array | 
     return existence * (1.0 + jnp.asarray(gain)[None] * (1.0 - existence))
 
 
-def lower_existence(existence: Array, log_exposure: Array) -> tuple[Array, Array]:
+def lower_existence(existence: Array, log_rise: Array) -> tuple[Array, Array]:
     """Lower existence probabilities after more of the area is observed without further objects.
 
         log Π_i (1 − r_i + r_i q),   r_i' = r_i q / (1 − r_i + r_i q),   q = (1 + κ s) / (1 + κ s')
@@ -90,6 +90,6 @@ def lower_existence(existence: Array, log_exposure: Array) -> tuple[Array, Array
     Log-likelihood, f32[...], and r', f32[O, ...]; of r, 0 in empty slots, and −log q ≥ 0, f32[].
     """
     # Divided by q, so that r = 1 stays 1 exactly.
-    log_norm = jnp.log1p((1.0 - existence) * jnp.expm1(log_exposure))
-    log_likelihood = jnp.where(existence > 0.0, log_norm - log_exposure, 0.0)
+    log_norm = jnp.log1p((1.0 - existence) * jnp.expm1(log_rise))
+    log_likelihood = jnp.where(existence > 0.0, log_norm - log_rise, 0.0)
     return jnp.sum(log_likelihood, axis=0), existence * jnp.exp(-log_norm)

@@ -33,7 +33,7 @@ from jaxlangnav.semantic_map.proposal.utterance import ground_words
 from jaxlangnav.semantic_map.unreferenced_objects import no_bystanders
 from jaxlangnav.terrain import OPEN, RANGING, SensorModel, Terrain
 
-_RANGE_KEY = 1  # folded into the detections' key to draw ranges that are not measured
+_RANGE_KEY = 1  # folded into the survivors' key to draw ranges that are not measured
 
 
 @pytree

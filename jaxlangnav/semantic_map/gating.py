@@ -5,8 +5,8 @@ If one is out of bounds the whole observation is rejected, as the rest may be wr
 filter steps as if the robot had not moved and detected nothing.
 
 A pose farther from the last one than the robot can have gone is rejected at first. If the next
-observation repeats it, it is accepted, and the part of the jump that motion does not explain is
-added to the variance of the robot's position. Both observations are flagged as faulty.
+observation repeats it, the pose alone is accepted, and the square of the whole jump is added to the
+variance of the robot's position (``motion.predict``). Both observations are flagged as faulty.
 """
 
 from collections.abc import Sequence
@@ -138,7 +138,8 @@ def _is_within(pose: Array, other: Array, distance: Array) -> Array:
 def gate(belief: ParticleBelief, gated: GatedStep) -> tuple[ParticleBelief, GatedStep]:
     """Gate an observation: check every field, reject it if one is impossible, record the fault.
 
-    The result is finite: as reported, or, if rejected, nothing detected from the last pose.
+    The result is finite: as reported, or, if rejected, nothing detected from the last pose, or
+    from the new one where that repeats a jump.
     """
     observation, max_travel = gated.observation, gated.max_travel
     pose, last = observation.pose, belief.last_pose

@@ -34,7 +34,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         jnp.sum(jnp.where(ends[:, None] == mentions[None], slot[None], 0), axis=1)
         for ends in (reading.figure, reading.landmark)
     )
-    edge = (  # [J, 6, N, N]
+    edge = (  # [J, 6, N + 1, N + 1]
         (symbol_of(reading.relation)[:, None] == jnp.arange(len(RELATIONS))[None])[:, :, None, None]
         & (figure[:, None] == slots[None])[:, None, :, None]
         & (landmark[:, None] == slots[None])[:, None, None, :]

@@ -54,8 +54,8 @@ def observed(particles: SemanticMap) -> Observed:
 class Unexplored(NamedTuple):
     """The unexplored area, shared by all particles of an episode during grounding.
 
-    With particles of several episodes, all fields have the particle axis too, and the coverage
-    maps are stacked along the row axis.
+    With a heading bias ``first_row`` and ``log_unseen`` have the particle axis, with particles of
+    several episodes all fields; the coverage maps are then stacked along the row axis.
     """
 
     coverage: Coverage
@@ -136,7 +136,7 @@ def _log_priors(
 ) -> tuple[Array, Array]:
     """Compute the log-prior of observed objects as referents, 1/λ, relative to none being one.
 
-    f32[2, 1, ...] or f32[2, O, ...], and ``Candidates.log_pair_gain``.
+    f32[2, O, ...], and ``Candidates.log_pair_gain``.
     """
     ndim, is_counted, num_pooled, num_grounded = type_matches.ndim - 1, type_matches, None, None
     if scene.num_pooled is not None:  # objects of all types count, except grounded ones

@@ -47,7 +47,7 @@ _NUM_CHUNKS, _MIN_CHUNK = 8, 256
 """Number of chunks in which the particles of all lanes are grounded, and minimum chunk size."""
 
 _RECURRENCES = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
-"""Steps of additive recurrences, fractional parts of √5, √2, √3, √7: jointly low-discrepancy."""
+"""Steps of additive recurrences, fractional parts of (1 + √5) / 2, √2, √3, √7: low-discrepancy."""
 
 
 class ParticleInputs(NamedTuple):
