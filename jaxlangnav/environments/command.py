@@ -22,7 +22,7 @@ DEFAULT_RELATION = "behind"
 class EmbeddedCommand:
     """A command as a fixed-size vector, with the object types of goal and landmark."""
 
-    embedding: Array  # f32[COMMAND_SIZE] probabilities over its readings: see the module
+    embedding: Array  # f32[COMMAND_SIZE] probabilities over its readings: see ``functional``
     figure: Array  # i32[] type of the goal; NONE where it is a region; ANYTHING
     landmark: Array  # i32[] type of what it is placed against; NONE
 

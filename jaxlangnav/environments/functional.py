@@ -143,8 +143,8 @@ def default_params(
     """
     check_minimum(1, max_steps=max_steps)
     model, source, is_find_task = load_shipped(), open_world(world), False
-    range_max = 3.0 if sensing_range is None else sensing_range
-    sensor, motion = default_sensor(range_max), default_motion()
+    sensor = default_sensor(3.0 if sensing_range is None else sensing_range)
+    motion = default_motion()
     if isinstance(source, WorldFile):
         text = command_text(world=world, instruction=instruction)
         if not text:
@@ -161,14 +161,13 @@ def default_params(
     else:
         worlds = scenario_params(template=source, relation=relation)
         understood = understand(command_text(world=world, relation=relation), model)
-    range_max = jnp.maximum(sensor.range_max, simulator.SUCCESS_RADIUS)
     return EnvironmentParams(
         worlds=worlds,
         command=embed_command(understood, is_find_task=is_find_task),
         sensor=sensor,
         motion=motion,
         max_steps=jnp.int32(max_steps),
-        stop_radius=range_max if is_find_task else jnp.float32(simulator.SUCCESS_RADIUS),
+        stop_radius=jnp.maximum(sensor.range_max * is_find_task, simulator.SUCCESS_RADIUS),
         metre_cost=jnp.float32(metre_cost),
         shaping=jnp.float32(shaping),
     )
@@ -191,9 +190,9 @@ def step(
     Args:
         key: random key, consumed.
         state: the episode.
-        action: f32[3], in [−1, 1]: the step along the map's x and y in units of the greatest step
-            (1 m), and stop where above ``STOP_THRESHOLD``. A step longer than the greatest
-            one is shortened. ``DISCRETE_ACTIONS`` lists some.
+        action: f32[3], in [−1, 1]: the step along the map's x and y in units of
+            ``motion.step_length``, to which a longer one is shortened, and stop where above
+            ``STOP_THRESHOLD``. ``DISCRETE_ACTIONS`` lists some.
         params: the environment.
 
     Returns:

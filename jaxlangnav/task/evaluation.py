@@ -36,7 +36,7 @@ class Score(NamedTuple):
 def score_sentences(
     sentences: Sequence[LabelledSentence],
     model: GroundingModel,
-    on_progress: Callable[[int], None] | None = None,
+    on_progress: Callable[[int], object] = lambda count: None,
     wrap: GrounderWrapper = lambda graph: graph,
     least_probability: float = MIN_PROBABILITY,
 ) -> list[Score]:
@@ -54,8 +54,7 @@ def score_sentences(
     for sentence in sentences:
         graph = GraphGrounder(model, labels, least_probability=least_probability)
         scores.append(_score(sentence, graph, wrap))
-        if on_progress is not None:
-            on_progress(1)
+        on_progress(1)
     return scores
 
 
@@ -169,7 +168,7 @@ def score_variants(
     recorded: RecordedRewrites,
     model: GroundingModel,
     temperature: float,
-    on_progress: Callable[[int], None] | None = None,
+    on_progress: Callable[[int], object],
 ) -> dict[str, Any]:
     """Score labelled sentences with the graph, with their rewrites, and with both.
 

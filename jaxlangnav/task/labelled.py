@@ -70,7 +70,7 @@ def intended_goals(understood: Understanding, scenario: Scenario) -> tuple[list[
         _best_goals(instruction, clause, behavior, placed, scenario)
         for clause, behavior in enumerate(behaviors)
     ]
-    is_find_task = bool(behaviors) and bool(goals[-1]) and bool(behaviors[-1].action.argmax() == 1)
+    is_find_task = bool(goals and goals[-1]) and ACTIONS[behaviors[-1].action.argmax()] == "find"
     return goals or [[]], is_find_task
 
 

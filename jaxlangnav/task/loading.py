@@ -86,8 +86,8 @@ def load_task(
         texts = (source.instruction or "", understood.parse.instruction)
         expected, given = (" ".join(phrase.lower().split()).rstrip(".!") for phrase in texts)
         # The world's goal is that of its own instruction.
-        kwargs = {"is_default": source.has_goal and expected == given, "has_goal": source.has_goal}
-        return _set_goal(source.name, task, understood, **kwargs)
+        is_default, has_goal = source.has_goal and expected == given, source.has_goal
+        return _set_goal(source.name, task, understood, is_default=is_default, has_goal=has_goal)
     return _sample_task(source, understood, 3.0 if sensing_range is None else sensing_range, seed)
 
 

@@ -157,7 +157,7 @@ def train_models(
     *,
     kinds: Sequence[str] = MODELS,
     base: GroundingModel | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Callable[[str], object] = lambda line: None,
 ) -> Trained:
     """Train one or both models on a corpus and evaluate them on its hold-out.
 
@@ -171,8 +171,7 @@ def train_models(
         ValueError: the corpus is invalid, or has no sentence to train on; one model alone is
             trained without ``base``.
     """
-    report_progress = on_progress or (lambda line: None)
-    report_progress("reading the corpus")
+    on_progress("reading the corpus")
     if corpus is None:
         examples = load_corpus()
     else:
@@ -190,7 +189,7 @@ def train_models(
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
     for name in [name for name in MODELS if name in kinds]:
-        report_progress(f"fitting the {name} model")
+        on_progress(f"fitting the {name} model")
         models[name], report[name] = _train_model(
             name, training_instructions, is_tuning, held_out, models, type_names
         )
