@@ -51,14 +51,13 @@ _QUANTITY_OF = {name: quantity for quantity, names in _QUANTITIES for name in na
 _RECORDS = dict(sensor=SensorParams, motion=MotionParams, map=MapParams, planner=PlannerParams)
 FIELDS = {
     table: {
-        field.name: _QUANTITY_OF.get(field.name, Quantity(low=-math.inf))
+        field.name: _QUANTITY_OF[field.name]
         for field in dataclasses.fields(record)
-        if field.type in (Array, "Array") and field.name != "range_max"
+        if field.type is Array and field.name != "range_max"
     }
     for table, record in _RECORDS.items()
 }
-"""Quantities of the scalar parameters, by the four tables of Params in a sweep's configuration; a
-plain number by default."""
+"""Quantities of the scalar parameters, by the four tables of Params in a sweep's configuration."""
 
 
 def deployment_params() -> NavigatorParams:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE
+from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import pytree, replace
 
 START_VARIANCE = 1e-4
@@ -49,8 +50,7 @@ class SemanticMap:
     @property
     def is_referent(self) -> Array:
         """Which observed slots are referents of mentions, bool[O, ...]."""
-        slots = jnp.arange(self.object_type.shape[0])
-        slots = slots.reshape(-1, *(1,) * self.referent.ndim)
+        slots = append_axes(jnp.arange(self.object_type.shape[0]), self.referent.ndim + 1)
         return jnp.any(jnp.where(self.is_mentioned, self.referent, NONE)[None] == slots, axis=1)
 
     @property

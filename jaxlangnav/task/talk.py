@@ -107,7 +107,7 @@ def check_utterance(grounder: Grounder, first: Understanding, text: str) -> None
         return
     if opening_of(text) is not None or alarm_in(text, lambda words: False) is not None:
         return
-    about = next((kind for kind in first.spoken.goals if kind not in (NONE, ANYTHING)), NONE)
+    about = next((goal for goal in first.spoken.goals if goal not in (NONE, ANYTHING)), NONE)
     grounder.ground(utterance.rest, Context(is_under_way=True, about=about, is_at=about != NONE))
 
 

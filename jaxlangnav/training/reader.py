@@ -129,7 +129,7 @@ def read_reader_corpus(path: Path | None = None) -> list[CorpusLine]:
 
 
 def label_lines(rows: Sequence[CorpusLine]) -> list[ReaderExample]:
-    """Label the words of sentences by aligning them with how they read; skip what cannot be."""
+    """Label the words of each line by alignment with its rewriting; skip lines that have none."""
     examples = []
     # A name that is another word as well ("keep", "drive") is one only where its line says so.
     pooled = frozenset(name.lower() for row in rows for name in row.names)
