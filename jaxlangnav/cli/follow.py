@@ -169,7 +169,7 @@ class Follow:
 
         prepared, understood = opened.prepared, opened.understood
         counts = count_types(prepared.task.scenario, understood.type_names)
-        for name in absent_types(counts, understood.annotations, understood.type_names):
+        for name in absent_types(counts, understood):
             output.note(f"note: world {prepared.world} has no {name}")
         if prepared.unscored and not (prepared.goal_exists and self.person):
             output.note(f"note: {prepared.unscored}, so success cannot be judged")

@@ -187,8 +187,7 @@ def _to_sentence(line_number: int, line: _Line) -> LabelledSentence:
         reading, types = read_meaning(line.label, path="label")
         reading_of_form(reading, "label")  # refuses what the arrays do not hold
         meaning = Meaning(reading, tuple(find_type(name.lower()) or name for name in types))
-    texts = {"text": line.text, "construction": line.construction, "set": line.set}
-    return LabelledSentence(line=line_number, **texts, meaning=meaning)
+    return LabelledSentence(line_number, line.text, line.construction, line.set, meaning)
 
 
 _MIN_LISTED_PROB = 1e-3

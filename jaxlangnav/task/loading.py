@@ -6,8 +6,7 @@ or a bad file raises a ``ValueError`` wherever it is named.
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -25,8 +24,6 @@ from jaxlangnav.world.files import WorldFile, WorldSource, shipped_worlds
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import Template
 
-AnnotationDocument = Mapping[str, Any]
-"""An annotation: ``figure``, ``relation``, ``landmark``, ``superlative``, ``probability``."""
 _MAX_TRIES = 64
 """Maximum number of worlds sampled in search of one in which the sentence is true."""
 
@@ -39,12 +36,9 @@ class PreparedTask:
     task: Task
     is_find_task: bool  # success is to have the goal in view
     goal_exists: bool  # some place there fits the sentence
-    via: tuple[tuple[float, float], ...] = ()
-    """End positions of the commands before the last, metres."""
-    num_tied: int = 1
-    """Number of equally good goals of the sentence; 1 where the world names its goal."""
-    missing: tuple[str, ...] = ()
-    """Mentions of the sentence without a referent there, where no place fits."""
+    via: tuple[tuple[float, float], ...]  # end positions of the commands before the last, metres
+    num_tied: int  # equally good goals of the sentence; 1 where the world names its goal
+    missing: tuple[str, ...]  # mentions without a referent there, where no place fits
 
     @property
     def unscored(self) -> str:
@@ -115,13 +109,12 @@ def mismatch_message(world: str, counts: Sequence[tuple[str, int]], missing: Seq
     )
 
 
-def absent_types(
-    counts: Sequence[tuple[str, int]], documents: Iterable[AnnotationDocument], names: Sequence[str]
-) -> list[str]:
-    """List the types of probable annotations that are not among the objects of ``count_types``."""
-    likely = [document for document in documents if document["probability"] >= 0.5]
+def absent_types(counts: Sequence[tuple[str, int]], understood: Understanding) -> list[str]:
+    """List the types of a sentence's probable annotations that are not in ``count_types``."""
+    likely = [item for item in understood.annotations if item["probability"] >= 0.5]
     mentioned = dict.fromkeys(item[role] for item in likely for role in ("figure", "landmark"))
-    return [name for name in mentioned if name in names and name not in dict(counts)]
+    names = set(understood.type_names) - set(dict(counts))
+    return [name for name in mentioned if name in names]
 
 
 def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int]]:
@@ -169,7 +162,7 @@ def _sample_task(
     """
     counts = [("hydrant", template.num_hydrants), ("cone", template.num_cones)]
     counts = [(name, count) for name, count in counts if count]
-    if missing := absent_types(counts, understood.annotations, understood.type_names):
+    if missing := absent_types(counts, understood):
         raise ValueError(mismatch_message(template.name, counts, missing))
     # Templates of Table 2's commands make these true.
     relations = {"behind": "behind", "near": "nearest"}
