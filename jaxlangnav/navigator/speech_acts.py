@@ -178,7 +178,7 @@ def choose_freely(state: NavigatorState) -> NavigatorState:
 
 
 def come_closer(state: NavigatorState) -> NavigatorState:
-    """Halve the arrival radius, at least to a quarter of the usual one, and resume."""
+    """Halve the arrival radius, down to a quarter of the usual one, and resume."""
     closeness = jnp.maximum(state.talk.closeness * CLOSENESS_STEP, MIN_CLOSENESS)
     return _resume_search(replace(state, talk=replace(state.talk, closeness=closeness)))
 

@@ -26,7 +26,7 @@ _EXISTENCE = 0.95  # existence probability of an object inserted from the list
 class Bystanders:
     """Objects of unmentioned types, shared by all particles; B entries."""
 
-    object_type: Array  # i32[B] type index; NONE in empty entries
+    object_type: Array  # i32[B] type code, or index if detected here; NONE in empty entries
     x: Array  # f32[B] metres, map frame
     y: Array  # f32[B]
     variance: Array  # f32[B] m², both axes

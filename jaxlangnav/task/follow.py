@@ -190,9 +190,9 @@ def score(
 ) -> Recording:
     """Evaluate the success of an episode by the command's action.
 
-    To navigate is to stop within 1.5 m of the goal; to find is to stop with the goal in view. Where
-    no place fits, or several do and nothing says which is meant, success is undefined and set to
-    False. A simulated person who speaks (``has_person``) means one of several places.
+    To navigate is to stop within 1.5 m of the goal; to find is to stop within the sensing range of
+    it, walls or not. Where no place fits, or several do and nothing says which is meant, success is
+    undefined and set to False. A person who speaks (``has_person``) means one of several places.
     """
     result, scene = recording.result, recording.scene
     radius = max(float(scene.sensor.range_max) if prepared.is_find_task else 0.0, SUCCESS_RADIUS)

@@ -34,7 +34,7 @@ class PreparedTask:
 
     world: str  # its name
     task: Task
-    is_find_task: bool  # success is to have the goal in view
+    is_find_task: bool  # success is to have the goal within the sensing range
     goal_exists: bool  # some place there fits the sentence
     via: tuple[tuple[float, float], ...]  # end positions of the commands before the last, metres
     num_tied: int  # equally good goals of the sentence; 1 where the world names its goal
@@ -93,7 +93,7 @@ def detector_of(source: WorldSource, type_names: Sequence[str]) -> Detector:
 
 
 def step_limit(scenario: Scenario, sensor: SensorParams) -> int:
-    """Compute the default step limit: 120, or three coverage sweeps of the area if more."""
+    """Compute the default step limit: 120, or three sweeps of the area in 1 m steps if more."""
     x_min, x_max, y_min, y_max = np.asarray(scenario.area).tolist()
     path = (x_max - x_min) * (y_max - y_min) / (2.0 * float(sensor.range_max))  # of a sweep, metres
     return max(MAX_STEPS, math.ceil(3.0 * path))
