@@ -1,6 +1,5 @@
 """Scores of grounders on labelled sentences: right, refused or wrong (section 4.1)."""
 
-import dataclasses
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -233,10 +232,9 @@ def render_variants(document: dict[str, Any], fit: TemperatureFit | None) -> tup
     table = Table.of(rows, columns, title="Sentences as labelled, by what reads them")
     lines = [f"temperature {document['temperature']:.3g}"]
     if fit is not None:
-        values = dataclasses.asdict(fit)
         lines.append(
-            "fitted to {used} sentences: mean log-likelihood {log_likelihood:.3f}, at temperature "
-            "1 {log_likelihood_at_one:.3f}; {left_out} say nothing about it".format(**values)
+            f"fitted to {fit.used} sentences: mean log-likelihood {fit.log_likelihood:.3f}, at "
+            f"temperature 1 {fit.log_likelihood_at_one:.3f}; {fit.left_out} say nothing about it"
             + (" (at the bound of what is looked for)" if fit.is_at_bound else "")
         )
     return table.text(), lines

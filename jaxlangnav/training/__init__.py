@@ -1,7 +1,3 @@
 """Training and evaluation of the log-linear correspondence models (section 4.1)."""
 
-from jaxlangnav.training.fit import (
-    Fit as Fit,
-    TrainingConfig as TrainingConfig,
-    train_graph as train_graph,
-)
+from jaxlangnav.training.fit import TrainingConfig as TrainingConfig, train_graph as train_graph
