@@ -64,9 +64,8 @@ def ing_form(verb: str) -> str:
     """Form the -ing form of a regular verb: moving, stopping, seeing."""
     if verb.endswith("e") and not verb.endswith(("ee", "ye", "oe")) and verb != "be":
         return verb[:-1] + "ing"
-    doubles = len(verb) == 3 or verb in {"stop", "spot", "shun", "swing", "step"}
-    closed = verb[-1] in "bdgmnpt" and verb[-2:-1] in "aeiou" and verb[-3:-2] not in "aeiou"
-    return verb + verb[-1] + "ing" if doubles and closed and verb != "get up" else verb + "ing"
+    is_short = sum(letter in "aeiou" for letter in verb) == 1 and verb[-2:-1] in "aeiou"
+    return verb + verb[-1] * (is_short and verb[-1] in "bdgmnpt") + "ing"
 
 
 def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -> LexicalEntry:
@@ -145,8 +144,7 @@ def read_lexicon(text: str, user_text: str | None = None) -> Lexicon:
             raise ValueError(f"lexicon: table [{table}] is missing")
     if user_text is not None:
         merge_user_lexicon(document, parse_toml(user_text))
-    unknown = set(document["refused"]) - set(REASONS)
-    if unknown:
+    if unknown := set(document["refused"]) - set(REASONS):
         raise ValueError(f"lexicon: [refused] has unknown reasons {sorted(unknown)}")
     entries: dict[str, dict[tuple[str, ...], LexicalEntry]] = {}
     for name, entry in _entries(document):
@@ -190,8 +188,7 @@ def merge_user_lexicon(document: dict[str, Any], user_lexicon: dict[str, Any]) -
         ValueError: a table is none, a class or sense does not exist, a word could not be read or
             has another meaning already; one line.
     """
-    unknown = set(user_lexicon) - {"types", "class"}
-    if unknown:
+    if unknown := set(user_lexicon) - {"types", "class"}:
         listed = shorten(", ".join(sorted(map(as_text, unknown))))
         raise ValueError(f"only [types] and [class.X] may be added to, not {listed}")
     types, classes = user_lexicon.get("types", {}), user_lexicon.get("class", {})
