@@ -304,7 +304,7 @@ class _SenseIndex:
         uses = self._senses.get(bare, set())
         is_other = any(used != senses for _, used in uses) or bare in self._owners
         is_closed = " " not in bare and self._is_closed(bare)
-        is_refused = self._refused.get(bare, "path") not in WORDS["meant"]
+        is_refused = self._refused.get(bare, "path") not in WORDS["redefinable"]
         if (name, senses) not in uses and (is_other or is_closed or is_refused):
             raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
 
@@ -315,7 +315,7 @@ class _SenseIndex:
 
     def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
         """Check whether a word cannot be a name, or cannot begin or end one."""
-        if self._is_closed(word) or self._refused.get(word, "path") not in WORDS["meant"]:
+        if self._is_closed(word) or self._refused.get(word, "path") not in WORDS["redefinable"]:
             return True
         uses = {name for name, _ in self._senses.get(word, ())}
         is_known = any(name not in WORDS["open"] and not name.startswith("v_") for name in uses)
