@@ -106,7 +106,7 @@ def _four_best_sets(log_odds: Array, cost: Array, size: int) -> tuple[Array, Arr
     f32[4, E, P] of the combinations: masks i32[4, 1 + L, E, P] and their costs, best first.
     """
     margin = jnp.abs(log_odds)
-    # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
+    # Σ log(1 + e^−m) as one logarithm of a product: up to 2^93 (3 N factors, N ≤ 31) fits float32.
     base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-3))
     (m1, m2, m3), (f1, f2, f3) = smallest_with_index(margin, 3)
     is_pair = (m1 + m2 < m3).astype(jnp.int32)

@@ -161,10 +161,10 @@ def to_mask(flags: Array) -> Array:
 
 
 def smallest_with_index(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
-    """Find the ``count`` smallest nonnegative costs f32[..., n ≤ 64, E, P] and their indices.
+    """Find the ``count`` smallest nonnegative costs f32[..., n ≤ 128, E, P] and their indices.
 
     The index replaces the lowest bits of the float, so that one minimum yields both and equal costs
-    stay apart; costs are rounded down by them, at n = 64 by less than 1e-5 of their value.
+    stay apart; costs are rounded down by them, at n = 128 by less than 2e-5 of their value.
     """
     size = cost.shape[-3]
     low = (1 << (size - 1).bit_length()) - 1

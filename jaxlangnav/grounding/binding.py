@@ -63,14 +63,12 @@ class Detector:
             for label in self.labels
         ]
         self._unlabelled: list[str] = []
-        fault = self._fault()
-        if fault:
+        if fault := self._fault():
             raise ValueError(
                 f"the detector's labels have {fault}: give 1 to {MAX_LABELS - 1} names, none "
                 "empty or a word like 'the' and 'behind', each once"
             )
-        unknown = sorted(self.attribute_groups - set(ATTRIBUTES))
-        if unknown:
+        if unknown := sorted(self.attribute_groups - set(ATTRIBUTES)):
             raise ValueError(
                 f"the detector cannot report {unknown[0]!r}: attributes are compared by "
                 f"{', '.join(ATTRIBUTES)}"
@@ -236,8 +234,7 @@ class BoundSentence:
             else:
                 by_group[group] = value
         for word in ignored:
-            adjective = base_adjective(word.text)
-            if adjective is not None:  # detections have no degrees
+            if adjective := base_adjective(word.text):  # detections have no degrees
                 raise LanguageError(
                     f"'{word.text}' (word {word.position}): how {adjective} things are is not "
                     f"compared; say '{adjective}', or which one is the nearest"

@@ -256,7 +256,7 @@ def _by_reading(grounded: Grounded, names: Sequence[str]) -> Iterator[Alternativ
 
 
 def _describe(annotation: Mapping[str, Any]) -> str:
-    """Describe an annotation in words: "cone near car, rank 1"."""
+    """Describe an annotation in words: "cone near car, number 1 of its kind"."""
     if annotation["relation"] is None:
         return f"there is a {annotation['figure']}"
     rank = annotation.get("rank", int(annotation["superlative"]))

@@ -137,8 +137,7 @@ def _mixture(reads: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, .
         alternatives.append(alternative)
     likeliest = alternatives[0]
     summary = [f"read as '{likeliest.says}', {likeliest.probability:.0%} of the weight"]
-    reported = [item for item in alternatives[1:] if item.probability >= _MIN_REPORTED]
-    if reported:
+    if reported := [item for item in alternatives[1:] if item.probability >= _MIN_REPORTED]:
         others = ", ".join(f"'{item.says}' {item.probability:.0%}" for item in reported)
         summary.append(f"it may also mean {others}")
     readings, left_out = _mixed_readings(reads, log_weights, [i for group in ranked for i in group])

@@ -28,12 +28,12 @@ from jaxlangnav.inputs.schema import Schema, convert
 from jaxlangnav.language.lexicon import load_lexicon
 
 SHIPPED_WEIGHTS = "weights.npz"
-_MAX_BYTES = 1 << 22  # size limit of a file; the shipped one has 118 kB
+_MAX_BYTES = 1 << 22  # size limit of a file; the shipped one has 110 kB
 _MAX_TEXT = 1 << 19
-"""Length limit of a JSON document in it; the shipped one's longest has 4,690 characters."""
-_MAX_NAMES = 1 << 14  # limit on the word features of a model; the shipped ones have 347 and 341
+"""Length limit of a JSON document in it; the shipped one's longest has 6,382 characters."""
+_MAX_NAMES = 1 << 14  # limit on the word features of a model; the shipped ones have 346 and 340
 _MAX_WEIGHT = 1e6
-"""Limit on the log-odds of one feature; the shipped ones reach 6.4. Larger sums may overflow."""
+"""Limit on the log-odds of one feature; the shipped ones reach 6.6. Larger sums may overflow."""
 MODEL_KINDS = {"annotation": ANNOTATION_KINDS, "behavior": BEHAVIOR_KINDS}
 """Kinds of symbols of each model."""
 

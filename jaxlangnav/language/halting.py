@@ -13,24 +13,21 @@ from functools import cache
 from typing import Any
 
 from jaxlangnav.inputs.documents import parse_toml, read_shipped
-from jaxlangnav.language.tokens import APOSTROPHES, normalize, words_of
+from jaxlangnav.language.tokens import APOSTROPHES, MAX_CHARACTERS, normalize, words_of
 
 MAX_HALTING_CHARACTERS = 400
 """Length limit of utterances that only halt, resume or cancel."""
-_MAX_ALARM_CHARACTERS = 10_000
-"""Length limit of sentences (``language.parser``)."""
-_CLASSES = ("verb", "manner", "warning", "not", "denial", "place", "when", "and", "go")
 _BREAK = re.compile(r"[^\w\s]+")
 _REPEATS = re.compile(r"(.)\1+")
 _MIN_LETTERS = 4  # minimum length of a halting word whose misspellings are recognised
 
 
 class Act(enum.StrEnum):
-    """Safety act of an utterance."""
+    """Safety act of an utterance, the most urgent first."""
 
     HALT = "halt"  # stand still, keep the task
-    RESUME = "resume"  # go on with the task after a halt
     CANCEL = "cancel"  # stand still and drop the task
+    RESUME = "resume"  # go on with the task after a halt
 
 
 def act_of(text: str) -> Act | None:
@@ -43,7 +40,7 @@ def act_of(text: str) -> Act | None:
     """
     parsed = [_acts_in(part) for part in _parts(text)]
     acts = [act for part in parsed for act in part or ()]
-    return None if None in parsed or not acts else min(acts, key=_URGENCY.index)
+    return None if None in parsed or not acts else min(acts, key=list(Act).index)
 
 
 def opening_of(text: str) -> tuple[Act, str] | None:
@@ -61,9 +58,9 @@ def opening_of(text: str) -> tuple[Act, str] | None:
     for size in range(len(words) - 1, 0, -1):
         start = spans[size][1]
         between = text[spans[size - 1][2] : start].replace("-", "")
-        is_split = words[size - 1] in _CONNECTIVES or words[size] in _table()["onward"]
+        is_split = words[size - 1] in ("and", "then") or words[size] in _table()["onward"]
         acts = _acts_in(words[:size]) if is_split or _BREAK.search(between) else None
-        if acts and (act := min(acts, key=_URGENCY.index)) != Act.RESUME:
+        if acts and (act := min(acts, key=list(Act).index)) != Act.RESUME:
             return act, text[start:]
     return None
 
@@ -78,12 +75,12 @@ def alarm_in(text: str, is_object: Callable[[str], bool]) -> str | None:
 
     Args:
         text: the refused utterance.
-        is_object: whether one to three words name a known object.
+        is_object: whether an expression of one or more words names a known object.
 
     Returns:
         The reason, for people: "'careful' may ask to halt"; None if there is none.
     """
-    parts = [[_correct(word) for word in part] for part in _parts(text, _MAX_ALARM_CHARACTERS)]
+    parts = [[_correct(word) for word in part] for part in _parts(text, MAX_CHARACTERS)]
     tagged = " . ".join(" ".join(_tag(part, is_object)) for part in parts)
     unbound = _BOUND.sub("", tagged)
     has_command = -1 < _FORBIDDEN.sub("", tagged).find("go:") < tagged.rfind(" object:")
@@ -129,10 +126,6 @@ def _tag(words: list[str], is_object: Callable[[str], bool]) -> Iterator[str]:
 def halts_alone(words: str) -> bool:
     """Check whether an expression alone halts: "hold on"; but not "park", also a place."""
     return act_of(words) is Act.HALT and words != "park"
-
-
-_URGENCY = (Act.HALT, Act.CANCEL, Act.RESUME)  # the most urgent first
-_CONNECTIVES = frozenset({"and", "then"})
 
 
 def _parts(text: str, limit: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
@@ -183,7 +176,8 @@ def _misspellings() -> tuple[frozenset[str], dict[str, str]]:
 @cache
 def _alarms() -> tuple[dict[str, set[tuple[str, ...]]], int]:
     """Load the alarm expressions by class, and the length of the longest in words."""
-    table = {name: {tuple(entry.split()) for entry in _table()["alarm"][name]} for name in _CLASSES}
+    rows = _table()["alarm"].items()
+    table = {name: {tuple(entry.split()) for entry in row} for name, row in rows}
     # Inflect verbs: with s, ed and ing, with the last letter doubled or dropped before them.
     for words in (table["verb"], table["manner"], table["warning"]):
         for (word,) in [entry for entry in words if len(entry) == 1]:

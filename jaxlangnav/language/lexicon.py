@@ -64,9 +64,8 @@ def ing_form(verb: str) -> str:
     """Form the -ing form of a regular verb: moving, stopping, seeing."""
     if verb.endswith("e") and not verb.endswith(("ee", "ye", "oe")) and verb != "be":
         return verb[:-1] + "ing"
-    doubles = len(verb) == 3 or verb in {"stop", "spot", "shun", "swing", "step"}
-    closed = verb[-1] in "bdgmnpt" and verb[-2:-1] in "aeiou" and verb[-3:-2] not in "aeiou"
-    return verb + verb[-1] + "ing" if doubles and closed and verb != "get up" else verb + "ing"
+    is_short = sum(letter in "aeiou" for letter in verb) == 1 and verb[-2:-1] in "aeiou"
+    return verb + verb[-1] * (is_short and verb[-1] in "bdgmnpt") + "ing"
 
 
 def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -> LexicalEntry:
@@ -145,8 +144,7 @@ def read_lexicon(text: str, user_text: str | None = None) -> Lexicon:
             raise ValueError(f"lexicon: table [{table}] is missing")
     if user_text is not None:
         merge_user_lexicon(document, parse_toml(user_text))
-    unknown = set(document["refused"]) - set(REASONS)
-    if unknown:
+    if unknown := set(document["refused"]) - set(REASONS):
         raise ValueError(f"lexicon: [refused] has unknown reasons {sorted(unknown)}")
     entries: dict[str, dict[tuple[str, ...], LexicalEntry]] = {}
     for name, entry in _entries(document):
@@ -190,8 +188,7 @@ def merge_user_lexicon(document: dict[str, Any], user_lexicon: dict[str, Any]) -
         ValueError: a table is none, a class or sense does not exist, a word could not be read or
             has another meaning already; one line.
     """
-    unknown = set(user_lexicon) - {"types", "class"}
-    if unknown:
+    if unknown := set(user_lexicon) - {"types", "class"}:
         listed = shorten(", ".join(sorted(map(as_text, unknown))))
         raise ValueError(f"only [types] and [class.X] may be added to, not {listed}")
     types, classes = user_lexicon.get("types", {}), user_lexicon.get("class", {})
@@ -307,7 +304,7 @@ class _SenseIndex:
         uses = self._senses.get(bare, set())
         is_other = any(used != senses for _, used in uses) or bare in self._owners
         is_closed = " " not in bare and self._is_closed(bare)
-        is_refused = self._refused.get(bare, "path") not in WORDS["meant"]
+        is_refused = self._refused.get(bare, "path") not in WORDS["redefinable"]
         if (name, senses) not in uses and (is_other or is_closed or is_refused):
             raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
 
@@ -318,7 +315,7 @@ class _SenseIndex:
 
     def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
         """Check whether a word cannot be a name, or cannot begin or end one."""
-        if self._is_closed(word) or self._refused.get(word, "path") not in WORDS["meant"]:
+        if self._is_closed(word) or self._refused.get(word, "path") not in WORDS["redefinable"]:
             return True
         uses = {name for name, _ in self._senses.get(word, ())}
         is_known = any(name not in WORDS["open"] and not name.startswith("v_") for name in uses)

@@ -58,7 +58,11 @@ class PlacedMeasure(NamedTuple):
 
 
 _TABLE = parse_toml(read_shipped("language", "measures.toml"))
-_UNITS, _NUMBERS, _OFFSETS = _TABLE["units"], _TABLE["numbers"], _TABLE["places"]
+_UNITS = {word: float(metres) for metres, words in _TABLE["units"].items() for word in words}
+_OFFSETS = {text: words for words, texts in _TABLE["places"].items() for text in texts}
+_NUMBERS = {"a": 1, "an": 1}
+_NUMBERS |= {word: n for n, word in enumerate(_TABLE["numbers"]["ones"], start=1)}
+_NUMBERS |= {word: 10 * n for n, word in enumerate(_TABLE["numbers"]["tens"], start=2)}
 
 
 def _alternatives(texts: Iterable[str]) -> str:
@@ -82,7 +86,7 @@ _FROM_LANDMARK = re.compile(rf"(?:(?:{_ABOUT}) )*#(\d+) ({_alternatives(_OFFSETS
 
 @cache
 def _load_motions() -> tuple[_Motion, ...]:
-    """Compile the patterns of motions, with named sets of alternatives expanded."""
+    """Compile the patterns of motions with sets expanded; those to the left are mirrored."""
     sets = {"N": _NUMBER, "HOW": rf"(?:(?:{_ABOUT}) )*#\d+"}
 
     def expand(pattern: str) -> str:
@@ -90,10 +94,13 @@ def _load_motions() -> tuple[_Motion, ...]:
 
     for name, pattern in _TABLE["sets"].items():
         sets[name] = expand(pattern)
-    return tuple(
-        _Motion(re.compile(expand(row["said"])), "turn" in row, row.get("turn", row.get("toward")))
-        for row in _TABLE["motions"]
-    )
+    motions = []
+    for row in _TABLE["motions"]:
+        left, degrees = row["pattern"], row.get("turn", row.get("toward"))
+        right = left.replace("left", "right").replace("LEFT", "RIGHT")
+        for pattern, sign in {right: -1, left: 1}.items():  # one, if it names no side
+            motions.append(_Motion(re.compile(expand(pattern)), "turn" in row, sign * degrees))
+    return tuple(motions)
 
 
 def is_quantity(word: str) -> bool:
@@ -199,8 +206,7 @@ def _fillers() -> frozenset[tuple[str, ...]]:
 def _match_motion(words: Sequence[str]) -> _Motion | None:
     """Find the motion whose pattern matches all words."""
     text = " ".join(words)
-    matching = (m for m in _load_motions() if m.pattern.fullmatch(text))
-    return next(matching, None) if len(_PLACEHOLDER.findall(text)) < 2 else None
+    return next((motion for motion in _load_motions() if motion.pattern.fullmatch(text)), None)
 
 
 def _segments(tokens: Sequence[RawToken]) -> Iterator[tuple[slice, _Motion | None]]:

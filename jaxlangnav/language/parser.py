@@ -39,6 +39,7 @@ from jaxlangnav.language.tokens import (
     COMMA_MARK,
     FULLSTOP_MARK,
     MARKS,
+    MAX_CHARACTERS,
     TOKEN,
     RawToken,
     join_contractions,
@@ -47,7 +48,6 @@ from jaxlangnav.language.tokens import (
 )
 from jaxlangnav.language.tree import UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING, build_phrases
 
-MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
 MAX_UNKNOWN = 8  # unknown words; more have very many trees
 MAX_PROPOSALS = 8

@@ -108,7 +108,7 @@ class Parse:
     unknown_words: tuple[tuple[str, int], ...]  # (word, position), part of speech was guessed
     repairs: tuple[tuple[str, str], ...]  # (as typed, as read)
     probability: float  # posterior of this tree among all trees of the sentence
-    rewrites: tuple[tuple[str, str], ...] = ()  # (as said, as read), in the order of the rules
+    rewrites: tuple[tuple[str, str], ...] = ()  # (as said, as read), in sentence order
     unread: tuple[str, ...] = ()  # small talk and reasons, irrelevant to the task
     measures: tuple[Measure, ...] = ()  # per clause
 

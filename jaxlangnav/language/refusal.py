@@ -129,7 +129,7 @@ def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
     """Refuse too many unknown words: an unknown verb does not explain its object."""
     # "Smash the box" is not "go to the box"; only "to" makes a verb of motion. An unknown verb
     # before an unknown adjective, or three unknown words on one noun, is another language.
-    # Words inserted by a rule have the position of the replaced word, but have senses.
+    # Words of a rewriting have the position of the replaced word, but have senses.
     guesses = [w for w in clause.words if w.position in unknown and not w.senses]
     verbs = [w for w in guesses if w.tag.startswith("VB")]
     is_motion = any(w.text in ("to", "toward", "towards") for c in clause.children for w in c.words)

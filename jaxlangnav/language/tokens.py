@@ -5,6 +5,8 @@ import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+MAX_CHARACTERS = 10_000
+"""Length limit of an instruction."""
 TOKEN = re.compile(
     r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)\b|(?:(?<!\S)[-–])?\d+(?:\.\d+)?[^\W\d_]*"
     r"|[.!?;]+|[,:]|\S"

@@ -40,7 +40,7 @@ def _classes() -> dict[str, tuple[str, ...]]:
     """Collect the classes of each word: of the lexicon, of refused words and of verbs."""
     classes_of: dict[str, dict[str, None]] = {}
     for name, entries in load_lexicon().entries.items():
-        if name in WORDS["untold"] or name.startswith("g_") or name.endswith("_ing"):
+        if name in WORDS["uninformative"] or name.startswith("g_") or name.endswith("_ing"):
             continue
         for words, entry in entries.items():
             is_manner = any(s.startswith("mode") for word in entry for s in word.senses)
