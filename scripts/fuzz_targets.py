@@ -29,13 +29,7 @@ from jaxlangnav.language.grammar import Grammar
 from jaxlangnav.language.lexicon import read_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
-from jaxlangnav.world.files import (
-    load_world,
-    open_world,
-    save_world,
-    shipped_worlds,
-    world_to_dict,
-)
+from jaxlangnav.world.files import load_world, open_world, save_world, shipped_worlds, world_to_dict
 
 LANGUAGE = resources.files("jaxlangnav.language") / "data"
 SEEDS = tomllib.loads((Path(__file__).parent / "fuzz_seeds.toml").read_text("utf-8"))

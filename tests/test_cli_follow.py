@@ -211,7 +211,9 @@ def test_the_known_way_goes_by_where_earlier_commands_end(tmp_path):
     assert (goals[0].position, car[0].position) == ((18.0, -9.0), (6.0, 0.0))
     found = follow_text(text, world=world, max_steps=1).scene
     assert found.known_distance == pytest.approx(math.hypot(18.0, 9.0) + math.hypot(12.0, 9.0))
-    assert step_limit(found.scenario, found.sensor) == 3 * 400 / 6.0
+    task = load_task(open_world(world), understood, sensing_range=None, seed=0).task
+    slow = replace(task, motion=replace(task.motion, step_length=np.float32(0.5)))
+    assert [step_limit(one) for one in (task, slow)] == [3 * 400 / 6.0, 3 * 400 / 3.0]
     with pytest.raises(ValueError, match="max_steps"):
         follow_text(text, world=world, max_steps=0)
 

@@ -14,7 +14,7 @@ from test_navigator_step import AREA, CONE, HYDRANT, assert_arrived, distance, g
 
 from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.language.utterance import Kind, classify
-from jaxlangnav.messages import Status
+from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import api
 from jaxlangnav.navigator.candidates import Candidate, select_candidate
 from jaxlangnav.pytree import replace
@@ -71,7 +71,15 @@ def test_an_arrival_is_corrected_until_there_is_no_other(robot) -> None:
     _, none = tell(robot, other, "wrong one")
     assert ended(none) == Status.NOT_FOUND
     mass = np.asarray([info.goals.object_mass for info in none.infos])
-    assert mass[:, [0, 2]].max() == 0.0
+    assert mass[:, :2].max() == 0.0
+    # What is pruned takes what was said of it along: another thing may take its slot.
+    assert int(none.state.talk.ruled_out) == 0b11
+    particles = none.state.belief.particles
+    particles = replace(particles, object_type=jnp.full_like(particles.object_type, NONE))
+    gone = replace(none.state, belief=replace(none.state.belief, particles=particles))
+    after, *_ = robot.step(jax.random.key(1), gone, see(none.end, 0.0, ()))
+    assert int(after.talk.ruled_out) == int(after.talk.context.excluded.max()) == 0
+    assert int(after.previous_goal) == int(after.talk.approached) == NONE
 
 
 @pytest.mark.parametrize("text", ["no, the other one", "no", "closer", "go to the other hydrant"])

@@ -20,10 +20,7 @@ from jaxlangnav.environments.functional import (
     STOP_THRESHOLD,
     VIEW_SIZE,
 )
-from jaxlangnav.environments.gymnasium_env import (
-    FollowEnv,
-    FollowVectorEnv,
-)
+from jaxlangnav.environments.gymnasium_env import FollowEnv, FollowVectorEnv
 from jaxlangnav.environments.pool import draw_pool, sample_world
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.grounding import load_shipped, understand

@@ -157,10 +157,7 @@ def test_a_second_holder_is_told_who_the_first_is(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     with holder(folder, (1, 1)) as process:
         name = f"process {process.pid} on {socket.gethostname()} since 20"
-        with (
-            pytest.raises(ValueError, match=name) as caught,
-            lock(folder, (1, 1), on_note=ignore),
-        ):
+        with pytest.raises(ValueError, match=name) as caught, lock(folder, (1, 1), on_note=ignore):
             pass
         assert "is at work on part 1/1" in str(caught.value)
         assert "\n" not in str(caught.value)

@@ -353,8 +353,7 @@ def test_interval_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [({"splits": 1}, "at least 2"), ({"beams": (0,)}, "1 or more")],
+    ("arguments", "words"), [({"splits": 1}, "at least 2"), ({"beams": (0,)}, "1 or more")]
 )
 def test_bad_requests_are_refused(arguments, words):
     with pytest.raises(ValueError, match=words):

@@ -3,7 +3,6 @@
 import json
 import pickle
 import random
-import re
 import stat
 import subprocess
 import sys
@@ -223,14 +222,6 @@ def test_settings_that_watch_what_runs_are_heeded(folder: Path) -> None:
     with jax.debug_nans(True), pytest.raises(FloatingPointError):
         cached_jit()(lambda x: jnp.log(x))(-jnp.ones(2))
     assert not list(folder.iterdir())
-
-
-def test_the_package_has_no_pickle() -> None:
-    package = Path(module.__file__).parent
-    for path in package.rglob("*.py"):
-        assert not re.search(
-            r"^\s*(import|from)\s.*(pickle|marshal|shelve|serialize_exec)", path.read_text(), re.M
-        )
 
 
 def test_a_program_lost_is_written_whole_again(folder: Path, tmp_path: Path) -> None:

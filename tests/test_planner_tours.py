@@ -164,6 +164,7 @@ def test_partner_is_where_the_relation_has_it(figure: int, gap: float) -> None:
 
 NUM_CELLS = 5
 HERE = jnp.float32(1.0), jnp.float32(0.0)
+START = Tour(*(jnp.full(K, at) for at in HERE))
 
 
 def plan(search: SearchMap, tour: Tour, seed: int = 0) -> tours.Plan:
@@ -212,7 +213,7 @@ def test_tours_against_all_orders_of_viewpoints(nowhere: float) -> None:
         found = np.asarray(LATENCY(lines, search, HERE, SENSOR, AREA))
         is_exact = (expected < 1e3) & (found < 1e3)
         np.testing.assert_allclose(found[is_exact], expected[is_exact], rtol=1e-3)
-        tour = tours.start_tour(*HERE)
+        tour = START
         for step in range(20):
             now = plan(search, tour, 100 * seed + step)
             best = int(jnp.argmin(now.latency))
@@ -241,7 +242,7 @@ def test_changes_stay_in_the_area_and_are_changes() -> None:
 def test_a_goal_with_unseen_rivals_is_not_settled(rival: float, stops: bool) -> None:
     """Informed, in reach of a confirmed goal: it looks on while rivals beside things seen are."""
     search = search_of(np.full(CELLS**2, 0.05 / CELLS**2), np.eye(1, CELLS**2, 30)[0] * rival)
-    now = plan(search, tours.start_tour(jnp.float32(1.0), jnp.float32(0.0)))
+    now = plan(search, START)
     choice = decide(now, 0.9)
     assert bool(choice.is_stop) is stops
     assert (float(choice.goal_value[-1]) > 1.0) is stops
@@ -259,7 +260,7 @@ def test_a_goal_with_unseen_rivals_is_not_settled(rival: float, stops: bool) -> 
 @pytest.mark.parametrize("goal", [0.0, 1e-30, 5e-3, np.nan])
 def test_with_nothing_left_to_find_it_settles_for_no_goal_that_is_none(goal: float) -> None:
     """Informed, all looked at, before an object that does not fit: 0 ≥ 0 is no arrival."""
-    now = plan(search_of(np.zeros(CELLS**2)), tours.start_tour(jnp.float32(1.0), jnp.float32(0.0)))
+    now = plan(search_of(np.zeros(CELLS**2)), START)
     choice = decide(now, goal)
     assert not bool(choice.is_stop)
     assert not float(choice.goal_value[-1]) > 1.0

@@ -205,11 +205,6 @@ def nearest(situation: Situation) -> Valuation:
     )
 
 
-def far_away(situation: Situation) -> Valuation:
-    valuation = nearest(situation)
-    return dataclasses.replace(valuation, goal_value=3.0 * situation.distance)
-
-
 def doubtful(situation: Situation) -> Valuation:
     """Take the mass of what is unseen for that of stopping: data, so that one program does."""
     return dataclasses.replace(nearest(situation), stop_mass=situation.goals.hypothesis_mass[0])
@@ -231,7 +226,8 @@ def test_the_most_valuable_waypoint_is_taken_and_costs_count() -> None:
     expected = np.array([-1.0, -4.0, -np.sqrt(13.0)]) - np.asarray(chosen.cost[1:])
     np.testing.assert_allclose(chosen.value[1:], expected, atol=1e-5)
     assert not bool(chosen.is_stop)
-    chosen = choose(far_away)  # (4, 0) is worth more, but for the way past the cone
+    chosen = choose(lambda now: dataclasses.replace(nearest(now), goal_value=3.0 * now.distance))
+    # (4, 0) is worth more, but for the way past the cone
     assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (2.0, 3.0)
 
 

@@ -184,6 +184,10 @@ def test_maps_are_laid_over_each_other_at_the_robot() -> None:
     pose = beliefs.to_map_frame(belief, belief.last_pose)
     np.testing.assert_allclose(pose[:2], [x, y], atol=1e-6)
     np.testing.assert_allclose(pose[2], beliefs.mean_drift(belief), atol=1e-6)
+    belief, _ = seen_twice(begin(False, 64), numbers())
+    offset = np.asarray(beliefs.to_map_frame(belief, belief.last_pose) - belief.last_pose)
+    assert np.hypot(*offset[:2]) > 0.04
+    np.testing.assert_allclose(beliefs.robot_position(belief), [1.0 + offset[0], offset[1]])
 
 
 def test_words_are_grounded_by_where_each_drift_has_looked() -> None:

@@ -58,12 +58,8 @@ def at(places) -> Pairs:
 
 
 @jax.jit
-def weigh_at(places, said, seen, scene) -> jax.Array:
-    return log_rank(said, at(places), seen, scene, params=PARAMS)
-
-
-def weigh(one: tuple, places=CONES) -> np.ndarray:
-    return np.asarray(weigh_at(places, *one))
+def weigh(one: tuple, places=CONES) -> jax.Array:
+    return log_rank(one[0], at(places), *one[1:], params=PARAMS)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import jaxlangnav
 from jaxlangnav import navigator
 from jaxlangnav.grounding import Context
 from jaxlangnav.grounding.behavior import MAX_SLOTS, most_relevant_slots
+from jaxlangnav.inputs.object_types import type_code
 from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, ROBOT, BehaviorWorld
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import PlannerConfig
@@ -92,6 +93,10 @@ def test_one_thing_seen_often_is_one_thing_placed_better() -> None:
     np.testing.assert_array_equal(known.object_type, [CAR, CAR, CONE, NONE])
     assert 1.1 < known.x[0] < 1.2
     np.testing.assert_allclose(known.variance[0], first / 4, rtol=1e-5)
+    # What the particles knew to be red is seen without its colour.
+    red = type_code(CAR, 1)
+    known, _ = see(replace(known, object_type=known.object_type.at[0].set(red)), (CAR, 1.2, 0.0))
+    np.testing.assert_array_equal(known.object_type, [red, CAR, CONE, NONE])
 
 
 def test_what_finds_no_room_is_counted() -> None:

@@ -137,13 +137,10 @@ def _advance(way: Way, *, params: NavigatorParams, config: NavigatorConfig) -> t
     return Way(after, way.at.at[after.steps].set(after.world.position)), None
 
 
-def _finish(way: Way) -> tuple[jax.Array, jax.Array, jax.Array]:
-    return way.at, way.progress.navigator.status, way.progress.steps
-
-
 COURSE = lanes.EpisodeProgram(
-    _begin, _advance, _finish, lambda way: way.progress, lambda way: way.progress.navigator.is_done
-)
+    _begin, _advance, lambda way: (way.at, way.progress.navigator.status, way.progress.steps),
+    lambda way: way.progress, lambda way: way.progress.navigator.is_done,
+)  # fmt: skip
 
 
 def follow(cases: list[tuple[str, Place]]) -> list[tuple[np.ndarray, Status, int]]:

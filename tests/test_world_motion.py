@@ -114,8 +114,14 @@ def test_success_is_a_stop_within_a_metre_and_a_half(offset: float, expected: bo
     np.testing.assert_array_equal(start.position, [0.0, 0.0])
     state = replace(start, position=scenario.goal + jnp.array([0.0, offset]))
     assert float(simulator.goal_distance(state, scenario)) == pytest.approx(offset, abs=1e-5)
-    assert bool(simulator.is_success(state, scenario, jnp.array(True))) is expected
-    assert not bool(simulator.is_success(state, scenario, jnp.array(False)))
+    assert bool(simulator.is_success(state.position, scenario, jnp.array(True))) is expected
+    assert not bool(simulator.is_success(state.position, scenario, jnp.array(False)))
+    # To find it is to have it in view, past no wall.
+    x, y = np.asarray(scenario.goal).tolist()
+    hidden = replace(scenario, terrain=among_walls((x - 1.0, y + 2.0, x + 1.0, y + 2.0)))
+    away = scenario.goal + jnp.array([0.0, 2.5]), jnp.array(True)
+    found = [bool(simulator.is_success(away[0], one, away[1], 3.0)) for one in (scenario, hidden)]
+    assert found == [True, False]
 
 
 def test_a_wall_halts_the_body_and_its_wheels() -> None:

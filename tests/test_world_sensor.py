@@ -75,8 +75,7 @@ def test_range_is_inclusive() -> None:
 
 
 @pytest.mark.parametrize(
-    ("view", "expected"),
-    [(2 * PI, {0, 1, 2, 3}), (PI, {0, 1, 2}), (PI / 2, {0, 1}), (PI / 3, {0})],
+    ("view", "expected"), [(2 * PI, {0, 1, 2, 3}), (PI, {0, 1, 2}), (PI / 2, {0, 1}), (PI / 3, {0})]
 )
 def test_field_of_view_is_the_full_opening_angle(view: float, expected: set[int]) -> None:
     # Bearings 0°, 45°, -90° and 180°, the second at the very edge of a view of 90°.

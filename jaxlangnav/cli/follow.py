@@ -109,7 +109,7 @@ class Follow:
             fields = {"grounder": grounder, "first": opened.understood, "scene": opened.scene()}
             source = speech.listener(output, **speakers, script=script, **fields)
         task = opened.prepared.task
-        max_steps = self.max_steps or step_limit(task.scenario, task.sensor)
+        max_steps = self.max_steps or step_limit(task)
         speech.read_script(self.hear, max_steps)
         check_recording(opened.config, max_steps)
         self._note_world(opened, output)

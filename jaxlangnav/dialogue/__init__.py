@@ -9,6 +9,7 @@ from jaxlangnav.dialogue.memory import (
     begin_conversation as begin_conversation,
     compose_poses as compose_poses,
     exclude_slots as exclude_slots,
+    forget_slots as forget_slots,
     new_task_fields as new_task_fields,
     pin_goals as pin_goals,
     task_mentions as task_mentions,

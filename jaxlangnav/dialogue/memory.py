@@ -19,6 +19,7 @@ from jax import Array
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.object_types import is_type
 from jaxlangnav.messages import AT, NONE, Behavior, UtteranceContext
+from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.proposal.relation_query import current_context
@@ -210,6 +211,15 @@ def add_avoidance(
     is_at = (jnp.arange(behavior.constraint.shape[0]) == AT)[:, None, None]
     constraint = jnp.maximum(behavior.constraint, jnp.where(is_at, prob[None], 0.0))
     return replace(behavior, constraint=constraint)
+
+
+def forget_slots(state: Conversation, is_held: Array) -> Conversation:
+    """Forget what was said of slots that hold no object any more, bool[O]; another may take it."""
+    held = jnp.sum(jnp.where(is_held, 1 << np.arange(is_held.size, dtype=np.int32), 0))
+    context = replace(state.context, excluded=state.context.excluded & held)
+    slots = {name: getattr(state, name) for name in ("approached", "chosen")}
+    slots = {n: jnp.where(select_row(is_held, slot), slot, NONE) for n, slot in slots.items()}
+    return replace(state, context=context, ruled_out=state.ruled_out & held, **slots)
 
 
 def exclude_slots(state: Conversation, clause: Array, slots: Array) -> Conversation:

@@ -88,7 +88,7 @@ class EnvironmentParams:
     sensor: SensorParams
     motion: MotionParams
     max_steps: Array  # i32[] steps after which an episode is truncated
-    stop_radius: Array  # f32[] metres from the goal within which a stop is a success
+    stop_radius: Array  # f32[] metres from the goal, in view, within which a stop is a success
     metre_cost: Array  # f32[] subtracted from the reward for each metre travelled
     shaping: Array  # f32[] added to the reward for each metre that the goal has come nearer
 
@@ -270,9 +270,9 @@ def _transition(
     next_state = replace(state, world=world, steps=state.steps + 1)
     previous_distance = simulator.goal_distance(state.world, state.scenario)
     goal_distance = simulator.goal_distance(world, state.scenario)
-    is_success = is_stopped & (goal_distance <= params.stop_radius)
+    succeeds = simulator.is_success(world.position, state.scenario, is_stopped, params.stop_radius)
     info = EnvironmentInfo(
-        is_success=is_success,
+        is_success=succeeds,
         is_stopped=is_stopped,
         is_truncated=~is_stopped & (next_state.steps >= params.max_steps),
         distance=world.distance,
@@ -280,7 +280,7 @@ def _transition(
     )
     travelled = world.distance - state.world.distance
     shaping_reward = params.shaping * (previous_distance - goal_distance)
-    reward = is_success.astype(jnp.float32) - params.metre_cost * travelled + shaping_reward
+    reward = succeeds.astype(jnp.float32) - params.metre_cost * travelled + shaping_reward
     return next_state, reward, info
 
 

@@ -140,7 +140,7 @@ def finish(state: EpisodeState) -> EpisodeResult:
     status, world, scenario = state.navigator.status, state.world, state.task.scenario
     steps = jnp.maximum(state.steps, 1).astype(jnp.float32)
     return EpisodeResult(
-        is_success=simulator.is_success(world, scenario, status == Status.ARRIVED),
+        is_success=simulator.is_success(world.position, scenario, status == Status.ARRIVED),
         is_stopped=state.navigator.is_done,
         ending=status,
         distance=world.distance,

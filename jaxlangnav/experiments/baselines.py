@@ -199,7 +199,7 @@ def _finish(run: _Run) -> EpisodeResult:
     """Compute an episode's result; the counters of the filter are zero."""
     world, scenario = run.world, run.task.scenario
     return EpisodeResult(
-        is_success=simulator.is_success(world, scenario, run.is_stopped),
+        is_success=simulator.is_success(world.position, scenario, run.is_stopped),
         is_stopped=run.is_stopped,
         ending=jnp.where(run.is_stopped, int(Status.ARRIVED), int(Status.SEARCHING)),
         distance=world.distance,

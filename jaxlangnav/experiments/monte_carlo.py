@@ -49,16 +49,13 @@ class DeviceBatch:
 
 def usable_cores() -> int:
     """Count the cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    has_affinity = hasattr(os, "sched_getaffinity")
+    return len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
 
 
 def concurrent_calls() -> int:
     """Choose the number of concurrent calls: as many as keep all cores, or an accelerator, busy."""
-    if jax.default_backend() != "cpu":
-        return 2
-    return max(1, usable_cores() // mesh().size)
+    return 2 if jax.default_backend() != "cpu" else max(1, usable_cores() // mesh().size)
 
 
 @functools.cache

@@ -82,7 +82,7 @@ def type_at(state: NavigatorState, slot: int) -> int:
 
 
 def believed_pose(state: NavigatorState) -> np.ndarray:
-    """Compute the robot pose, f32[3], map frame; with a compass it is the dead-reckoned one."""
+    """Compute the robot pose, f32[3], map frame."""
     return np.asarray(_in_map(state.belief, state.belief.last_pose))
 
 

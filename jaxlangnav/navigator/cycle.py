@@ -192,7 +192,10 @@ def _observe(
         mentioned=_mentioned_types(state) if config.map.num_bystanders else None,
         pools_counts=config.map.pools_counts,
     )
-    return replace(state, belief=belief), info
+    is_held = jnp.any(belief.particles.is_observed, axis=1)
+    talk, previous = dialogue.forget_slots(state.talk, is_held), state.previous_goal
+    previous = jnp.where(select_row(is_held, previous), previous, NONE)
+    return replace(state, belief=belief, talk=talk, previous_goal=previous), info
 
 
 def _mentioned_types(state: NavigatorState) -> Array:

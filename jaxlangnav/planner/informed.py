@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner import graph, qmdp, search, tours
-from jaxlangnav.planner.latency import Tour
+from jaxlangnav.planner.latency import NUM_STOPS, Tour
 from jaxlangnav.planner.policy import (
     MIN_GOAL_PROB,
     Decision,
@@ -51,8 +51,8 @@ class Informed(Policy):
             )
 
     def init(self, belief: ParticleBelief) -> Tour:
-        """Begin without a tour."""
-        return tours.start_tour(belief.last_pose[0], belief.last_pose[1])
+        """Begin without a tour: all stops are at the robot's position."""
+        return Tour(*(jnp.full(NUM_STOPS, belief.last_pose[axis]) for axis in range(2)))
 
     def step(self, key: Array, memory: Tour, situation: Situation) -> tuple[Tour, Decision]:
         """Improve the current tour, then go to its first stop or to the goal."""

@@ -37,7 +37,7 @@ from jaxlangnav.inputs.object_types import is_anything, is_type
 from jaxlangnav.messages import Readings
 from jaxlangnav.semantic_map.params import MapParams
 
-MAX_UNSEEN = 0.02
+MAX_UNSEEN = 0.022
 """Maximum u at which a thorough search ends as not found."""
 MAX_UNSEEN_DETOUR = 0.002
 """The same with keep-out zones: the mass that they hide lies in one place."""

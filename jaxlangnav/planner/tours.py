@@ -103,11 +103,6 @@ class Plan:
     ordered: Array | np.float32 = np.float32(0.0)  # f32[] those before the observed one of a rank
 
 
-def start_tour(x: Array, y: Array) -> Tour:
-    """Build the tour before the first plan: all stops at the robot's position."""
-    return Tour(x=jnp.full(NUM_STOPS, x), y=jnp.full(NUM_STOPS, y))
-
-
 def _drop_reached(tour: Tour, robot: Position) -> Tour:
     """Drop the first stop if it is reached; the last one is repeated."""
     is_done = is_reached(tour.x[0], tour.y[0], robot)

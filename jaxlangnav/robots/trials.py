@@ -216,12 +216,6 @@ def _summary(
     }
 
 
-def _success(row: dict[str, Any]) -> str:
-    """Format a success rate with its interval, percent."""
-    low, high = (100 * bound for bound in row["success_interval"])
-    return f"{100 * row['success']:.0f} [{low:.0f}, {high:.0f}]"
-
-
 def _metres(value: float | None, sd: float | None = None) -> str:
     """Format a distance, or a dash for None."""
     if value is None:
@@ -234,7 +228,7 @@ TRIAL_COLUMNS: TableColumns = (
     ("world", "{world}"),
     ("range (m)", "{range:g}"),
     ("relation", lambda row: row["relation"] or "null"),
-    ("success (%)", _success),
+    ("success", "{success:.0%} [{success_interval[0]:.0%}, {success_interval[1]:.0%}]"),
     ("paper", "{paper[success]:g}"),
     ("distance (m)", lambda row: _metres(row["distance"], row["distance_sd"])),
     ("paper", lambda row: _metres(row["paper"]["distance"], row["paper"]["distance_sd"])),

@@ -86,7 +86,9 @@ def _add(listed: Bystanders, sighting: Bystanders) -> tuple[Bystanders, Array]:
     """Add one sighting, leaves [], if there is one; i32[], 1 if the list was full."""
     squared = (listed.x - sighting.x) ** 2 + (listed.y - sighting.y) ** 2
     is_near = squared <= _MAX_DEVIATIONS**2 * (listed.variance + sighting.variance)
-    is_candidate = (listed.object_type == sighting.object_type) & is_near
+    # A detection has no attributes, what comes from the particles may have some.
+    old, new = listed.object_type, sighting.object_type
+    is_candidate = ((old == new) | (label_of(old) == new) | (old == label_of(new))) & is_near
     nearest = jnp.argmin(jnp.where(is_candidate, squared, jnp.inf))
     free_slot = jnp.argmax(~listed.is_filled)
     is_listed, has_room = jnp.any(is_candidate), jnp.any(~listed.is_filled)
@@ -94,7 +96,7 @@ def _add(listed: Bystanders, sighting: Bystanders) -> tuple[Bystanders, Array]:
     is_target = is_target & sighting.is_filled & (is_listed | has_room)
     gain = jnp.where(is_listed, listed.variance / (listed.variance + sighting.variance), 1.0)
     updated = Bystanders(
-        object_type=jnp.where(is_target, sighting.object_type, listed.object_type),
+        object_type=jnp.where(is_target, jnp.maximum(old, new), old),
         x=jnp.where(is_target, listed.x + gain * (sighting.x - listed.x), listed.x),
         y=jnp.where(is_target, listed.y + gain * (sighting.y - listed.y), listed.y),
         variance=jnp.where(is_target, gain * sighting.variance, listed.variance),

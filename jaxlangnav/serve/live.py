@@ -92,7 +92,7 @@ class LiveEpisode:
             understood = understand(request.text, model, detector)
             opened = prepare_episode(understood, self._world, *options)
         task = opened.prepared.task
-        self._max_steps = request.max_steps or step_limit(task.scenario, task.sensor)
+        self._max_steps = request.max_steps or step_limit(task)
         check_recording(opened.config, self._max_steps)
         grounder = GraphGrounder.of_detector(model, detector_of(self._world, understood.type_names))
         # Reserve capacity for later utterances.

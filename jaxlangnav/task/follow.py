@@ -30,7 +30,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task import loading
 from jaxlangnav.world.files import WorldSource, open_world
-from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.world.simulator import SUCCESS_RADIUS, is_success
 from jaxlangnav.world.state import NUM_SLOTS
 from jaxlangnav.world.templates import Template
 
@@ -181,7 +181,7 @@ def precompile_cycle(opened: PreparedEpisode) -> None:
 def record_episode(opened: PreparedEpisode, max_steps: int | None = None) -> Recording:
     """Record one episode and evaluate its success; steps as of ``follow``."""
     task = opened.prepared.task
-    max_steps = loading.step_limit(task.scenario, task.sensor) if max_steps is None else max_steps
+    max_steps = loading.step_limit(task) if max_steps is None else max_steps
     return score(stack_frames(opened.scene(), opened.play(max_steps)), opened.prepared)
 
 
@@ -190,18 +190,18 @@ def score(
 ) -> Recording:
     """Evaluate the success of an episode by the command's action.
 
-    To navigate is to stop within 1.5 m of the goal; to find is to stop within the sensing range of
-    it, walls or not. Where no place fits, or several do and nothing says which is meant, success is
-    undefined and set to False. A person who speaks (``has_person``) means one of several places.
+    To navigate is to stop within 1.5 m of the goal; to find is to stop where it is in view. Where
+    no place fits, or several do and nothing says which is meant, success is undefined and set to
+    False. A person who speaks (``has_person``) means one of several places.
     """
-    result, scene = recording.result, recording.scene
+    result, scene, world = recording.result, recording.scene, recording.scene.scenario
     radius = max(float(scene.sensor.range_max) if prepared.is_find_task else 0.0, SUCCESS_RADIUS)
     is_scored = prepared.goal_exists and (has_person or not prepared.unscored)
     is_arrived = (result.ending == Status.ARRIVED) & is_scored
-    world = scene.scenario
     waypoints = [tuple(world.start[:2]), *prepared.via, tuple(world.goal)]
     legs = (world.terrain.travel.metres(*a, *b) for a, b in itertools.pairwise(waypoints))
     fields = {"known_distance": float(sum(legs)), "unscored": prepared.unscored or scene.unscored}
     scene = dataclasses.replace(scene, stop_radius=radius, is_scored=is_scored, **fields)
-    result = replace(result, is_success=np.asarray(is_arrived & (result.goal_distance <= radius)))
+    succeeds = is_success(result.final, world, is_arrived, radius)
+    result = replace(result, is_success=np.asarray(succeeds))
     return dataclasses.replace(recording, scene=scene, result=result)

@@ -17,7 +17,7 @@ from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.grounding.worlds import explain_mismatch
 from jaxlangnav.inputs.limits import check_seed
-from jaxlangnav.messages import SensorParams, default_sensor
+from jaxlangnav.messages import default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import intended_goals, is_among, placed_world, with_goal
 from jaxlangnav.world.files import WorldFile, WorldSource, shipped_worlds
@@ -34,7 +34,7 @@ class PreparedTask:
 
     world: str  # its name
     task: Task
-    is_find_task: bool  # success is to have the goal within the sensing range
+    is_find_task: bool  # success is to have the goal in view
     goal_exists: bool  # some place there fits the sentence
     via: tuple[tuple[float, float], ...]  # end positions of the commands before the last, metres
     num_tied: int  # equally good goals of the sentence; 1 where the world names its goal
@@ -92,11 +92,11 @@ def detector_of(source: WorldSource, type_names: Sequence[str]) -> Detector:
     return Detector(type_names)
 
 
-def step_limit(scenario: Scenario, sensor: SensorParams) -> int:
-    """Compute the default step limit: 120, or three sweeps of the area in 1 m steps if more."""
-    x_min, x_max, y_min, y_max = np.asarray(scenario.area).tolist()
-    path = (x_max - x_min) * (y_max - y_min) / (2.0 * float(sensor.range_max))  # of a sweep, metres
-    return max(MAX_STEPS, math.ceil(3.0 * path))
+def step_limit(task: Task) -> int:
+    """Compute the default step limit: steps for 120 m, or three sweeps of the area if longer."""
+    x_min, x_max, y_min, y_max = np.asarray(task.scenario.area).tolist()
+    sweep = (x_max - x_min) * (y_max - y_min) / (2.0 * float(task.sensor.range_max))  # metres
+    return math.ceil(max(MAX_STEPS, 3.0 * sweep) / min(float(task.motion.step_length), 1.0))
 
 
 def mismatch_message(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:

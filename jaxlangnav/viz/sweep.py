@@ -113,9 +113,7 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
 
 def half_interval(row: Row) -> float:
     """Compute the 95 % half-width of a row's mean distance, metres; σ for a row of the paper."""
-    if row["policy"] == "paper":
-        return row["distance_sd"]
-    return _Z95 * distance_error(row)
+    return row["distance_sd"] if row["policy"] == "paper" else _Z95 * distance_error(row)
 
 
 def _success_bars(row: Row) -> np.ndarray:

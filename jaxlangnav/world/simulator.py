@@ -10,13 +10,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import MotionParams
+from jaxlangnav.terrain.view import Eye
 from jaxlangnav.world.motion import HOLONOMIC, move_or_stop, stop_at_wall
 from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
 """Metres from the intended goal within which a stop is a success (section 4.2)."""
-GOAL_RADIUS = 0.05
-"""Metres from the goal within which the known-map robot has arrived."""
+GOAL_RADIUS = 0.05  # metres from the goal within which the known-map robot has arrived
 _MAX_STEPS = 200
 
 
@@ -32,13 +32,15 @@ def reset(scenario: Scenario) -> WorldState:
 
 def goal_distance(state: WorldState, scenario: Scenario) -> Array:
     """Compute the true distance from the robot to the intended goal, f32[] metres."""
-    offset = scenario.goal - state.position
-    return jnp.hypot(offset[0], offset[1])
+    return jnp.hypot(*(scenario.goal - state.position))
 
 
-def is_success(state: WorldState, scenario: Scenario, is_arrived: Array) -> Array:
-    """Test whether a run succeeds: the robot declares arrival, bool[], within 1.5 m of the goal."""
-    return is_arrived & (goal_distance(state, scenario) <= SUCCESS_RADIUS)
+def is_success(
+    position: Array, scenario: Scenario, is_arrived: Array, radius: Array | float = SUCCESS_RADIUS
+) -> Array:
+    """Test for a declared arrival within 1.5 m of the goal, or with it in view within a radius."""
+    is_seen = scenario.terrain.view.sees(Eye(*position, radius), *scenario.goal)
+    return is_arrived & (is_seen | (jnp.hypot(*(scenario.goal - position)) <= SUCCESS_RADIUS))
 
 
 def known_distance(scenario: Scenario) -> Array:
@@ -71,4 +73,4 @@ def drive_known_map(
 
     state, _ = jax.lax.while_loop(is_driving, advance, (reset(scenario), jnp.int32(0)))
     is_arrived = goal_distance(state, scenario) <= GOAL_RADIUS
-    return state, is_success(state, scenario, is_arrived)
+    return state, is_success(state.position, scenario, is_arrived)
