@@ -52,7 +52,8 @@ class Informed(Policy):
 
     def init(self, belief: ParticleBelief) -> Tour:
         """Begin without a tour: all stops are at the robot's position."""
-        return Tour(*(jnp.full(NUM_STOPS, belief.last_pose[axis]) for axis in range(2)))
+        x, y, _ = belief.last_pose
+        return Tour(x=jnp.full(NUM_STOPS, x), y=jnp.full(NUM_STOPS, y))
 
     def step(self, key: Array, memory: Tour, situation: Situation) -> tuple[Tour, Decision]:
         """Improve the current tour, then go to its first stop or to the goal."""

@@ -218,9 +218,7 @@ def _summary(
 
 def _metres(value: float | None, sd: float | None = None) -> str:
     """Format a distance, or a dash for None."""
-    if value is None:
-        return "–"
-    return f"{value:.2f}" + ("" if sd is None else f" ({sd:.2f})")
+    return "–" if value is None else f"{value:.2f}" + ("" if sd is None else f" ({sd:.2f})")
 
 
 TRIAL_COLUMNS: TableColumns = (

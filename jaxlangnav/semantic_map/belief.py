@@ -72,7 +72,8 @@ def to_map_frame(belief: ParticleBelief, pose: Array) -> Array:
     """Transform a dead-reckoned pose f32[3] to the map frame: its offset from the last one."""
     drift = mean_drift(belief)
     drift = jnp.float32(0.0) if drift is None else drift
-    x, y = rotate(*(pose - belief.last_pose)[:2], drift)
+    offset = pose - belief.last_pose
+    x, y = rotate(offset[0], offset[1], drift)
     robot_x, robot_y = robot_position(belief)
     return jnp.stack([robot_x + x, robot_y + y, pose[2] + drift])
 

@@ -39,8 +39,9 @@ def is_success(
     position: Array, scenario: Scenario, is_arrived: Array, radius: Array | float = SUCCESS_RADIUS
 ) -> Array:
     """Test for a declared arrival within 1.5 m of the goal, or with it in view within a radius."""
-    is_seen = scenario.terrain.view.sees(Eye(*position, radius), *scenario.goal)
-    return is_arrived & (is_seen | (jnp.hypot(*(scenario.goal - position)) <= SUCCESS_RADIUS))
+    view, eye = scenario.terrain.view, Eye(position[0], position[1], jnp.asarray(radius))
+    is_near = jnp.hypot(*(scenario.goal - position)) <= SUCCESS_RADIUS
+    return is_arrived & (is_near | view.sees(eye, *scenario.goal))
 
 
 def known_distance(scenario: Scenario) -> Array:
