@@ -164,7 +164,7 @@ def test_partner_is_where_the_relation_has_it(figure: int, gap: float) -> None:
 
 NUM_CELLS = 5
 HERE = jnp.float32(1.0), jnp.float32(0.0)
-START = Tour(*(jnp.full(K, at) for at in HERE))
+START = Tour(x=jnp.full(K, HERE[0]), y=jnp.full(K, HERE[1]))
 
 
 def plan(search: SearchMap, tour: Tour, seed: int = 0) -> tours.Plan:
