@@ -89,7 +89,7 @@ def test_the_table_stands_beside_the_papers(ran: list) -> None:
     assert len(rows) == 7
     for cells, row in zip(rows, TABLE3, strict=True):
         assert cells[0] == row.robot
-        assert cells[5] == f"{row.success:g}"
+        assert cells[5] == f"{row.success:g}%"
         assert cells[6] == "6.00 (1.00)"
         assert "1 blocked" in cells[-1]
     assert rows[3][7] == "6.00 (1.38)"

@@ -227,7 +227,7 @@ TRIAL_COLUMNS: TableColumns = (
     ("range (m)", "{range:g}"),
     ("relation", lambda row: row["relation"] or "null"),
     ("success", "{success:.0%} [{success_interval[0]:.0%}, {success_interval[1]:.0%}]"),
-    ("paper", "{paper[success]:g}"),
+    ("paper", "{paper[success]:g}%"),
     ("distance (m)", lambda row: _metres(row["distance"], row["distance_sd"])),
     ("paper", lambda row: _metres(row["paper"]["distance"], row["paper"]["distance_sd"])),
     (
